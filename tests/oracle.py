@@ -422,7 +422,7 @@ class Oracle:
         )
 
     def _reachable(self, lower: Array, upper: Array, pushed: Array) -> Array:
-        """Limit the bounds by each joint's torque now and by its torque rate up to the top speed."""
+        """Limit the bounds by each joint's torque, and by its torque rate up to the top speed."""
         w, n_b, qd_max = self.w, self.n_b, self.model.qd_max
         inverse = np.linalg.inv(w.M[n_b:, n_b:])
         moved = np.diag(inverse)

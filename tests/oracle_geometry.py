@@ -182,7 +182,7 @@ def trace_shape(placed: Placed, d_b: float) -> tuple[Array, Array]:
 
 
 def levels(bottom: float, top: float, d_b: float) -> Array:
-    """Heights from the floor to the highest point: equally spaced beside the shape, then on the arc."""
+    """Heights from the floor to the highest point: equally spaced at the sides, then on the arc."""
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / STEP)) + 1)[1:]
     arc[-1] -= 1e-3  # short of the flat top
     low = bottom if bottom > 0.8 * d_b else min(0.0, top)

@@ -61,7 +61,7 @@ class RawClient:
 
     @contextlib.contextmanager
     def asleep(self) -> Iterator[None]:
-        """Neither read nor answer, like a browser on a sleeping machine; the connection stays open."""
+        """Neither read nor answer, like a browser on a sleeping machine; stay connected."""
         with self._connection.protocol_mutex:
             yield
 

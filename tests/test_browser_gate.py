@@ -98,7 +98,7 @@ def test_foreign_page_can_neither_embed_the_page_nor_connect_to_its_server(page)
 
 
 def test_policy_prevents_the_page_from_connecting_elsewhere(page):
-    """viser's own code could otherwise connect the page to another server."""
+    """Without the policy, viser's own code could connect the page to another server."""
     with viser_page() as (server, address), foreign_page("") as foreign:
         page.goto(address)
         wait_for(server.get_clients, what="a client")

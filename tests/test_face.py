@@ -1,4 +1,4 @@
-"""The imports of an engineer: the names of `app`, the documented loop, the loaded modules."""
+"""The public interface: the names of `app`, the documented loop and the modules it loads."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ NOT_IN_A_STEP = {
     "tyro",
     "viser",
 }
-"""Libraries that the control of a robot does without."""
+"""Libraries that the control of a robot does not need."""
 
 
-def test_the_package_has_about_fifteen_names_and_each_is_there() -> None:
+def test_package_exports_about_fifteen_documented_names() -> None:
     assert 12 <= len(app.__all__) <= 18
     assert all(inspect.getdoc(getattr(app, name)) for name in app.__all__)
     assert set(app.__all__) <= set(dir(app))
@@ -43,20 +43,20 @@ def test_the_package_has_about_fifteen_names_and_each_is_there() -> None:
         app.__getattr__("nothing")
 
 
-def test_the_package_alone_loads_no_library_and_no_room() -> None:
+def test_import_of_the_package_loads_no_other_module() -> None:
     code = "import sys; before = set(sys.modules); import app; print(*set(sys.modules) - before)"
     loaded = set(printed(code).split())
     assert {name for name in loaded if name.split(".")[0] not in sys.stdlib_module_names} == {"app"}
 
 
 @pytest.mark.slow
-def test_a_first_step_needs_neither_simulator_nor_screen() -> None:
+def test_control_step_needs_neither_simulator_nor_dashboard() -> None:
     """The loop of the documentation runs where none of those libraries can be imported."""
     without = f"import sys\nsys.modules.update(dict.fromkeys({sorted(NOT_IN_A_STEP)}))\n"
     assert printed(f"{without}\n{READINGS}\n{loop()}\nprint(len(sent))") == "1\n"
 
 
-def test_the_loop_in_the_documentation_is_short_and_holds_the_arm(robot: RobotModel) -> None:
+def test_documented_loop_is_short_and_compensates_gravity(robot: RobotModel) -> None:
     assert len(loop().splitlines()) <= 12
     names: dict[str, Any] = {}
     exec(f"{READINGS}\n{loop()}", names)
@@ -66,7 +66,7 @@ def test_the_loop_in_the_documentation_is_short_and_holds_the_arm(robot: RobotMo
     np.testing.assert_allclose(sent[1], 0.0, atol=1e-9)
 
 
-def test_the_simulation_steps_the_very_same_loop(
+def test_simulation_uses_the_public_control_loop(
     robot: RobotModel, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = Session(robot, border_data, Config(), physics="kinematic")

@@ -1,4 +1,4 @@
-"""The force that the arm can bear: held up to it by torques within their limits, not beyond."""
+"""The largest contact force that the arm can balance with torques within their limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.robots import random_measurement
 
 
 class Distance(NamedTuple):
-    """A pair's distance and how it moves."""
+    """A pair's distance, its row and its rate."""
 
     d: float
     J: np.ndarray
@@ -28,7 +28,7 @@ class Distance(NamedTuple):
 
 
 class Near:
-    """A random state with an arm that moves nowhere, and its nearest pair with the base."""
+    """A random state at rest, and its nearest pair with the base."""
 
     def __init__(self, robot: RobotModel, border_data: BorderData, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -42,7 +42,7 @@ class Near:
                 return
 
     def distance(self) -> Distance:
-        """The bound of that pair in the present state."""
+        """The distance of that pair in the present state."""
         found, i = (
             self._monitor.find_nearest(Config().activation.closest_point_smoothing),
             self._nearest,
@@ -52,7 +52,7 @@ class Near:
         return Distance(float(found.d[i]), J[i], float(d_dot[i]))
 
     def bound(self, d: float | None = None) -> float:
-        """[N], at another distance [m] if one is given."""
+        """[N] the bound of that pair; `d` [m] replaces its distance."""
         distance, state = self.distance(), self.state
         d = distance.d if d is None else d
         M, g, tau_max = state.M, state.g, state.model.tau_max
@@ -60,7 +60,7 @@ class Near:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_at_rest_torques_within_their_limits_hold_the_bound_and_no_more(robot, border_data, seed):
+def test_torque_limits_at_rest_balance_exactly_the_bound(robot, border_data, seed):
     near = Near(robot, border_data, seed)
     bound = near.bound()
     needed = near.state.g[2:] + bound * near.distance().J[2:]
@@ -69,32 +69,30 @@ def test_at_rest_torques_within_their_limits_hold_the_bound_and_no_more(robot, b
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_pair_that_comes_nearer_bears_less_by_what_stops_it_within_its_distance(
-    robot, border_data, seed
-):
+def test_approach_reduces_the_bound_by_the_force_that_stops_it(robot, border_data, seed):
     near = Near(robot, border_data, seed)
     state, still, (d, J, _) = near.state, near.bound(), near.distance()
     J = J[2:]
     M = state.M[2:, 2:]
     along = np.linalg.solve(M, J)
-    along /= J @ along  # (n_m,) joints' motion at a unit speed of the distance, the least energy
+    along /= J @ along  # (n_m,) joint motion of least energy at unit rate of the distance
     speed = 0.2
     state.update(state.measurement._replace(qd_m=-speed * along))
     force = still - near.bound()
     energy = 0.5 * speed**2 * along @ M @ along
     assert min(force, still) * d == pytest.approx(min(energy, still * d), rel=1e-6)
     state.update(state.measurement._replace(qd_m=speed * along))
-    assert near.bound() == pytest.approx(still)  # it goes away
+    assert near.bound() == pytest.approx(still)  # the bodies separate
 
 
-def test_bodies_that_touch_bear_nothing(robot, border_data):
+def test_bound_of_touching_bodies_is_zero(robot, border_data):
     near = Near(robot, border_data, 0)
     assert near.bound(d=0.0) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_steady_torques_and_own_inertia_are_the_torque_of_a_motion(robot, border_data, seed):
-    """With them and the force of the bound a joint holds its speed, at its torque limit."""
+def test_steady_torques_plus_own_inertia_are_the_torques_of_a_motion(robot, border_data, seed):
+    """With the force of the bound added, one joint is at its torque limit."""
     near = Near(robot, border_data, seed)
     state, rng = near.state, np.random.default_rng(seed)
     qdd = rng.uniform(-20.0, 20.0, 9)
@@ -106,7 +104,7 @@ def test_steady_torques_and_own_inertia_are_the_torque_of_a_motion(robot, border
     assert bound == 0.0 or share.max() == pytest.approx(1.0)
 
 
-def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_data):
+def test_bound_is_in_every_snapshot_and_in_a_table_at_50_hz(robot, border_data):
     near = Near(robot, border_data, 0)
     d, J, d_dot = (np.array([each, each]) for each in near.distance())
     pairs = {"n_mob": 2, "beta": np.array([0.5, 0.0]), "d": d, "J": J, "d_dot": d_dot}

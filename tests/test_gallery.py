@@ -11,13 +11,13 @@ from app.onboarding.request import Request, check_request
 from benchmarks import gallery
 
 
-def test_the_options_of_every_robot_go_together(tmp_path: Path) -> None:
+def test_options_of_every_robot_are_consistent(tmp_path: Path) -> None:
     for name, given in gallery.ROBOTS.items():
         check_request(Request(**given, out=tmp_path / name))
     assert len(gallery.ROBOTS) == 23
 
 
-def test_a_robot_is_asked_for_as_a_user_would() -> None:
+def test_options_become_the_command_line_of_a_user() -> None:
     given = gallery.ROBOTS["frankie"] | {"package": ()}
     words = list(gallery.words_of(given))
     assert words[0] == given["urdf"]
@@ -27,7 +27,9 @@ def test_a_robot_is_asked_for_as_a_user_would() -> None:
     )
 
 
-def test_what_is_refused_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refused_robot_is_a_row_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(gallery, "FOLDER", tmp_path)
     given = {"urdf": "package://no_such_package/a.urdf", "base": "a", "tip": "b"}
     monkeypatch.setitem(gallery.ROBOTS, "gone", given)
@@ -37,7 +39,7 @@ def test_what_is_refused_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert row["cpu_s"] > 0.0
 
 
-def test_a_native_crash_is_a_row_that_says_where(
+def test_native_crash_is_a_row_that_names_the_step(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dying = tmp_path / "python"
@@ -50,7 +52,7 @@ def test_a_native_crash_is_a_row_that_says_where(
     assert row["refusal"] == "dbb new-robot ended by SIGSEGV at: … fitting bodies"
 
 
-def test_the_verdict_is_that_of_the_worst_check() -> None:
+def test_verdict_follows_from_the_outcomes_of_the_checks() -> None:
     def of(**ends: str) -> str:
         return gallery.verdict({k.replace("_", "-"): {"outcome": v} for k, v in ends.items()})
 

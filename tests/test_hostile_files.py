@@ -1,4 +1,4 @@
-"""A broken or huge file, or a full disk, ends in one line; nothing half-written is left."""
+"""A broken or huge file or a full disk gives one line of error and leaves no partial file."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ HOSTILE = {
     "long": "9" * 5000,
     "hexadecimal": "0x" + "9" * 9000,
 }
-"""Values that readers of TOML or JSON stumble over with errors of other kinds than their own."""
+"""Values for which parsers of TOML or JSON raise errors outside their own classes."""
 
 
 @pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE)
-def test_a_description_a_case_and_a_configuration_of_hostile_values_are_one_line(value, tmp_path):
+def test_hostile_values_in_description_case_and_configuration_are_refused(value, tmp_path):
     path = tmp_path / "any"
     good = (ASSETS / "husky_panda" / "robot.toml").read_text(encoding="utf-8")
     assert "mass_kg = 60.0" in good
@@ -78,14 +78,14 @@ def test_a_description_a_case_and_a_configuration_of_hostile_values_are_one_line
         decode_config(f"[border]\nd_b = {value}"[:60_000].encode())
 
 
-def test_a_text_far_longer_than_any_is_refused_before_it_is_read(tmp_path):
+def test_huge_text_file_is_refused(tmp_path):
     long = tmp_path / "robot.toml"
     long.write_bytes(b" " * 10_000_001)
     with pytest.raises(ValueError, match="more than"):
         file_text(long)
 
 
-def test_a_plain_array_is_no_file_of_a_border(tmp_path):
+def test_plain_array_is_refused_as_a_border_file(tmp_path):
     path = tmp_path / "border.npz"
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
@@ -93,19 +93,17 @@ def test_a_plain_array_is_no_file_of_a_border(tmp_path):
         read(path, lambda arrays: arrays)
 
 
-def test_of_a_broken_robot_the_list_says_what_is_wrong_and_the_others_are_there(
-    monkeypatch, tmp_path, capsys
-):
+def test_list_reports_a_broken_robot_and_shows_the_others(monkeypatch, tmp_path, capsys):
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "robot.toml").write_text("name = ", encoding="utf-8")
     monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
     main(["robots"])
-    told = capsys.readouterr().out
-    assert "\nhusky_panda " in told
-    assert "\nbroken               cannot be used: " in told
+    printed = capsys.readouterr().out
+    assert "\nhusky_panda " in printed
+    assert "\nbroken               cannot be used: " in printed
 
 
-def test_what_a_robot_calls_itself_reaches_no_terminal_as_an_order(monkeypatch, tmp_path, capsys):
+def test_control_characters_in_names_are_escaped_on_the_terminal(monkeypatch, tmp_path, capsys):
     mine = tmp_path / "mine"
     shutil.copytree(ASSETS / "husky_panda", mine)
     text = (mine / "robot.toml").read_text(encoding="utf-8")
@@ -115,13 +113,13 @@ def test_what_a_robot_calls_itself_reaches_no_terminal_as_an_order(monkeypatch, 
     (tmp_path / "\x1b[2J" / "robot.toml").touch()
     monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
     main(["robots"])
-    told = capsys.readouterr().out
-    assert r"\x1b]0;owned\x07\u202e" in told
-    assert r"\x1b[2J" in told
-    assert all(c.isprintable() or c == "\n" for c in told)
+    printed = capsys.readouterr().out
+    assert r"\x1b]0;owned\x07\u202e" in printed
+    assert r"\x1b[2J" in printed
+    assert all(c.isprintable() or c == "\n" for c in printed)
 
 
-def test_a_report_that_is_a_link_is_none(monkeypatch, tmp_path):
+def test_report_that_is_a_symbolic_link_is_ignored(monkeypatch, tmp_path):
     shutil.copytree(ASSETS / "husky_panda", tmp_path / "mine")
     (tmp_path / "secret").touch()
     (tmp_path / "mine" / "report.html").symlink_to(tmp_path / "secret")
@@ -130,8 +128,8 @@ def test_a_report_that_is_a_link_is_none(monkeypatch, tmp_path):
     assert not mine.report
 
 
-def test_a_robot_of_more_joints_than_any_is_refused_before_its_model_is_made(monkeypatch, tmp_path):
-    """Of 500 in a row pinocchio's model takes half a minute and gigabytes."""
+def test_robot_with_more_than_200_joints_is_refused_before_modelling(monkeypatch, tmp_path):
+    """For a chain of 500 joints, pinocchio's model takes half a minute and gigabytes."""
     mine = tmp_path / "mine"
     shutil.copytree(ASSETS / "husky_panda", mine)
     joints = "".join(f'<joint name="j{k}" type="revolute"/>' for k in range(201))
@@ -154,7 +152,7 @@ def test_a_robot_of_more_joints_than_any_is_refused_before_its_model_is_made(mon
     ],
     ids=["no text", "no XML", "entity", "depth", "colons"],
 )
-def test_of_a_robot_with_a_broken_urdf_the_page_says_what_is_wrong(urdf, monkeypatch, tmp_path):
+def test_page_reports_the_fault_of_a_broken_urdf(urdf, monkeypatch, tmp_path):
     good = (ASSETS / "husky_panda" / "robot.toml").read_text(encoding="utf-8")
     mine = good.replace('"husky_panda"', '"broken"').replace("robot.urdf", "mine.urdf")
     (tmp_path / "broken").mkdir()
@@ -167,7 +165,7 @@ def test_of_a_robot_with_a_broken_urdf_the_page_says_what_is_wrong(urdf, monkeyp
     assert "mine.urdf: " in str(entries["broken"].problem)
 
 
-def test_a_file_that_is_replaced_is_the_old_one_until_it_is_the_new_one(tmp_path):
+def test_replacing_a_file_is_atomic(tmp_path):
     path = tmp_path / "page.html"
     write_whole(path, "old")
     with full_disk(), pytest.raises(OutputError, match=r"page\.html: File too large"):
@@ -178,13 +176,13 @@ def test_a_file_that_is_replaced_is_the_old_one_until_it_is_the_new_one(tmp_path
     assert path.read_text() == "new"
 
 
-def test_several_commands_may_try_the_same_folder_at_once(tmp_path):
+def test_same_folder_can_be_made_concurrently(tmp_path):
     with ThreadPoolExecutor(8) as threads:
         assert list(threads.map(make_folder, [tmp_path / "out"] * 400)) == [None] * 400
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_full_disk_is_one_line_and_leaves_no_page(tmp_path, capsys, monkeypatch):
+def test_full_disk_gives_one_line_and_leaves_no_page(tmp_path, capsys, monkeypatch):
     log, page = tmp_path / "log.csv", tmp_path / "page.html"
     write_trace(log, trace_of(random_snapshots(2, 12)))
     monkeypatch.setattr("app.studies.run_report.run_report", lambda _: "a long page" * 1000)
@@ -207,7 +205,7 @@ def test_a_log_without_rows_is_refused(cut, tmp_path, capsys):
     assert capsys.readouterr().err.startswith(f"dbb: error: {log}: ")
 
 
-def test_a_log_of_which_a_pair_has_the_name_of_another_or_a_line_break_is_one_line(tmp_path):
+def test_log_with_doubled_axes_or_a_broken_column_name_gives_one_line(tmp_path):
     path = tmp_path / "log.csv"
     write_trace(path, trace_of(random_snapshots(2, 3)))
     right = path.read_text(encoding="utf-8")
@@ -222,7 +220,7 @@ def test_a_log_of_which_a_pair_has_the_name_of_another_or_a_line_break_is_one_li
         assert len(str(refused.value).splitlines()) == 1
 
 
-def test_a_log_whose_columns_have_no_names_in_utf8_is_refused(tmp_path):
+def test_log_with_a_column_name_outside_utf8_is_refused(tmp_path):
     path = tmp_path / "log.csv"
     write_trace(path, trace_of(random_snapshots(2, 3)))
     path.write_bytes(path.read_bytes().replace(b'"t_s"', b'"t\xff_s"', 1))
@@ -231,7 +229,7 @@ def test_a_log_whose_columns_have_no_names_in_utf8_is_refused(tmp_path):
 
 
 def expanding(path: Path, rows: int) -> Path:
-    """A log of many rows, all drawn, whose file has one number for each column."""
+    """A log of many rows, all drawn, whose file stores one number per column."""
     write_trace(path, trace_of(random_snapshots(2, 2)))
     table = pq.read_table(path).slice(0, 1)
     once, columns = pa.array(np.zeros(rows, np.int8)), {}
@@ -246,7 +244,7 @@ def expanding(path: Path, rows: int) -> Path:
 
 
 def equal(path: Path) -> Path:
-    """A file that a process reads itself for its size, of 400 MB in memory."""
+    """A file small enough to be read in this process, which takes 400 MB in memory."""
     table = pa.table({"t_s": pa.array(np.zeros(5 * 10**6))})
     with pq.ParquetWriter(path, table.schema, max_rows_per_page=10**8) as writer:
         for _ in range(10):
@@ -271,7 +269,7 @@ EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
-def test_rows_that_are_not_drawn_count_too(tmp_path, monkeypatch):
+def test_rows_that_are_not_drawn_count_towards_the_budget(tmp_path, monkeypatch):
     monkeypatch.setattr(log_file, "_CELL", 1e-9)
     write_trace(tmp_path / "a.csv", trace_of(random_snapshots(2, 3)))
     read = read_arrow(tmp_path / "a.csv")
@@ -280,7 +278,7 @@ def test_rows_that_are_not_drawn_count_too(tmp_path, monkeypatch):
         log_file._trace(*read, Budget(1.0, 1000))
 
 
-def test_problems_beyond_count_are_not_listed(tmp_path):
+def test_too_many_problems_are_not_listed(tmp_path):
     path = tmp_path / "robot.toml"
     hull = '[[bodies]]\n[[bodies.shapes]]\ntype = "hull"\nvertices_m = ['
     path.write_text(f"{hull}{'0,' * 2000}]")
@@ -293,12 +291,12 @@ def test_problems_beyond_count_are_not_listed(tmp_path):
 
 
 @pytest.mark.parametrize("read", [from_toml, partial(parsed, json.loads)])
-def test_toml_and_json_are_shorter_than_other_files(read):
+def test_toml_and_json_over_1_mb_are_refused(read):
     with pytest.raises(ValueError, match="more than 1 MB"):
         read(" " * (LARGEST_DATA + 1))
 
 
-def test_a_shape_takes_a_mesh_within_its_budget(tmp_path, monkeypatch):
+def test_mesh_of_a_shape_is_read_within_its_budget(tmp_path, monkeypatch):
     mesh = tmp_path / "a.stl"
     trimesh.creation.icosphere(6).export(mesh)
     monkeypatch.setattr("app.robot.shapes.resolve_package_uri", lambda _: mesh)
@@ -320,7 +318,7 @@ def make_toy(at: Path) -> None:
     [make_toy, lambda _: collision_shapes(RobotModel(load_robot("husky_panda")))],
     ids=["of new-robot", "of the engines"],
 )
-def test_all_meshes_of_a_strangers_robot_are_read_within_a_budget(read, tmp_path, monkeypatch):
+def test_meshes_of_an_untrusted_robot_share_a_budget(read, tmp_path, monkeypatch):
     monkeypatch.setattr("app.simulation.plants.collision_shapes.is_own", lambda _: True)
     monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(9.0, 5 * 10**6))
     with pytest.raises(RobotFileError, match=f"its meshes: .*{BUDGET}"):
@@ -335,29 +333,29 @@ SLOW = {
     ),
     "one in JSON": (partial(parsed, json.loads), "[:1,1" + " " * 60_000 + "x", "Expecting value"),
 }
-"""Texts whose slips are sought; why each is refused, if that takes no longer than its budget."""
+"""Texts in which the search for the fault is slow; each with its parser and message."""
 
 
 @pytest.mark.parametrize(("read", "text", "why"), SLOW.values(), ids=SLOW)
-def test_why_a_text_is_refused_is_found_within_its_budget(read, text, why):
+def test_fault_of_a_text_is_found_within_its_budget(read, text, why):
     with pytest.raises(ValueError, match=why):
         within_budget(read, text, size=SMALL + 1)
 
 
-def test_the_unit_of_a_mesh_is_found_within_its_budget(tmp_path):
+def test_unit_of_a_mesh_is_found_within_its_budget(tmp_path):
     path = tmp_path / "a.dae"
     path.write_bytes(b"<unit " * 20_000)
     assert not within_budget(is_foreign, path, size=SMALL + 1)
 
 
 @pytest.mark.parametrize(("read", "why"), EXPANDING.values(), ids=EXPANDING)
-def test_data_that_expands_is_refused_at_the_cost_of_its_budget(read, why, tmp_path):
+def test_data_that_expands_is_refused_within_its_budget(read, why, tmp_path):
     with pytest.raises((ValueError, LogError), match=why):
         read(tmp_path)
 
 
 @pytest.mark.parametrize("speeds", ["[1.0]", "[0,0,0,0,0,0,0]", "[NaN,1,1,1,1,1,1]"])
-def test_a_log_whose_joints_have_no_speeds_that_could_be_shares_of_is_refused(speeds, tmp_path):
+def test_log_with_invalid_joint_speeds_is_refused(speeds, tmp_path):
     path = tmp_path / "log.csv"
     write_trace(path, trace_of(random_snapshots(2, 3)))
     right = path.read_text(encoding="utf-8")
@@ -366,7 +364,7 @@ def test_a_log_whose_joints_have_no_speeds_that_could_be_shares_of_is_refused(sp
         read_trace(path)
 
 
-def test_of_a_log_with_numbers_beyond_all_the_report_has_no_figure(tmp_path):
+def test_report_has_no_path_length_for_an_infinite_position(tmp_path):
     path = tmp_path / "log.csv"
     write_trace(path, trace_of(random_snapshots(2, 3)))
     head, names, first, *rest = path.read_text(encoding="utf-8").split("\n")
@@ -388,7 +386,7 @@ XML: dict[str, Callable[[int], str]] = {
 @pytest.mark.parametrize(
     ("kind", "most"), [("elements", 29_999), ("depth", 100), ("attributes", 100)]
 )
-def test_xml_of_more_elements_than_a_robot_has_becomes_no_tree(kind, most):
+def test_xml_beyond_the_limits_of_size_and_depth_is_refused(kind, most):
     refuse_entities(XML[kind](most), Path("robot.urdf"))
     with pytest.raises(RobotFileError, match="more than"):
         refuse_entities(XML[kind](most + 1), Path("robot.urdf"))
@@ -396,7 +394,7 @@ def test_xml_of_more_elements_than_a_robot_has_becomes_no_tree(kind, most):
 
 @contextmanager
 def full_disk() -> Iterator[None]:
-    """No file grows beyond 1,000 bytes meanwhile, as on a disk with no more room."""
+    """Limit files to 1,000 bytes, as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:

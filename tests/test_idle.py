@@ -1,4 +1,4 @@
-"""With nobody there dashboard and simulation cost nothing, and go on when somebody comes."""
+"""Without viewers, dashboard and simulation use little CPU; they continue for the next viewer."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ def dashboard(robot, border_data) -> Iterator[DashboardServer]:
 
 
 def stand_still(dashboard: DashboardServer) -> bool:
-    """Whether simulated time stands for a while."""
+    """Whether simulated time stands still for 0.3 s."""
     t = dashboard.shared.loop.latest().t
     time.sleep(0.3)
     return dashboard.shared.loop.latest().t == t
 
 
 def working_time() -> float:
-    """[s] that this process and its children have worked so far."""
+    """[s] CPU time of this process and its children."""
     own = psutil.Process()
     return sum(sum(each.cpu_times()[:2]) for each in (own, *own.children()))
 
 
-def test_nobody_costs_nothing_and_somebody_finds_it_where_it_was_left(dashboard):
+def test_simulation_rests_without_viewers_and_continues_for_the_next_one(dashboard):
     loop = dashboard.shared.loop
     wait_for(lambda: stand_still(dashboard), what="rest")
     left, before, begin = loop.latest(), working_time(), time.monotonic()
@@ -63,7 +63,7 @@ def test_nobody_costs_nothing_and_somebody_finds_it_where_it_was_left(dashboard)
     print(f"{100 * share:.1f} % of a core")
     assert share < 0.1
     assert loop.latest() is left
-    assert loop.silence < 1.0, "who rests still lives"
+    assert loop.silence < 1.0, "a resting loop still responds"
     with RawClient(dashboard.address):
         wait_for(lambda: loop.latest().t > left.t + 0.1, what="simulated time")
         (next_one, *_) = loop.history(left.t)
@@ -71,8 +71,8 @@ def test_nobody_costs_nothing_and_somebody_finds_it_where_it_was_left(dashboard)
     wait_for(lambda: stand_still(dashboard), what="rest after the viewer has left")
 
 
-def test_a_process_that_stops_is_told_on_the_page_until_it_goes_on(dashboard):
-    """Whether it is paused or not."""
+def test_page_shows_a_banner_while_the_simulation_process_is_stopped(dashboard):
+    """Both while the simulation runs and while it is paused."""
     loop = dashboard.shared.loop
     child = loop._child._process.pid
     with RawClient(dashboard.address):
@@ -82,7 +82,7 @@ def test_a_process_that_stops_is_told_on_the_page_until_it_goes_on(dashboard):
             loop.send(Pause(paused))
             wait_for(lambda paused=paused: loop.latest().paused is paused, what="the pause")
             time.sleep(2 * PATIENCE)
-            assert not page._hung.visible, "who is paused lives"
+            assert not page._hung.visible, "a paused loop still responds"
             os.kill(child, signal.SIGSTOP)
             try:
                 begin = time.monotonic()
@@ -90,6 +90,6 @@ def test_a_process_that_stops_is_told_on_the_page_until_it_goes_on(dashboard):
                 assert time.monotonic() - begin < 2.0
             finally:
                 os.kill(child, signal.SIGCONT)
-            wait_for(lambda: not page._hung.visible, what="its end")
+            wait_for(lambda: not page._hung.visible, what="the end of the banner")
         assert dashboard.error is None
         assert loop.error is None

@@ -1,4 +1,4 @@
-"""The measurements by which the control law is judged, judged themselves."""
+"""The benchmark measurements of the control law give correct numbers."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_pose_in_the_buffer_is_inside_of_it_and_touches_nothing() -> None:
 
 
 @pytest.mark.parametrize("curve", CURVES, ids=lambda curve: curve.kind)
-def test_a_curves_reference_moves_as_it_says(curve: Curve) -> None:
+def test_velocity_and_acceleration_of_a_curve_are_its_derivatives(curve: Curve) -> None:
     at = curve.reference(0.7, np.eye(3))
     v = derivative(lambda h: curve.reference(0.7 + h, np.eye(3)).pose.translation)
     a = derivative(lambda h: curve.reference(0.7 + h, np.eye(3)).velocity)
@@ -72,14 +72,14 @@ def test_a_curves_reference_moves_as_it_says(curve: Curve) -> None:
     )
 
 
-def test_a_jump_is_what_is_left_at_a_step_of_zero() -> None:
+def test_jump_is_the_extrapolation_to_a_step_of_zero() -> None:
     slope, jump = 20.0, 0.3  # [1/s] and [-]
     steps = np.array([1.0, 0.5, 0.25, 0.125]) * 1e-3
     found = jumps_of(np.array([slope * steps, jump + slope * steps, jump + 0.0 * steps]))
     np.testing.assert_allclose(found, [0.0, jump, jump], atol=1e-12)
 
 
-def test_a_pull_of_a_seed_and_number_is_the_same_whatever_else_is_drawn() -> None:
+def test_random_pull_depends_on_seed_and_number_only() -> None:
     def drawn(number: int) -> object:
         rng = np.random.default_rng([3, number])
         return random_pull(Options(), number, rng, f_max=(30.0, 100.0), stiffness=(300.0, 3000.0))
@@ -105,28 +105,28 @@ def test_rows_come_in_the_order_of_their_cases_from_several_processes() -> None:
     assert played(abs, [-3, -1, -2], 2, "numbers") == [3, 1, 2]
 
 
-def test_the_path_after_a_release_begins_when_the_hand_is_let_go() -> None:
+def test_path_after_a_release_begins_at_the_release() -> None:
     case = _released(inside_s=0.1, after_s=0.0)
     row = release.play(case)
     assert row["d_release_m"] < Config().border.d_b
     assert row["path_m"] == pytest.approx(0.0, abs=1e-3)  # one step at 0.5 m/s
 
 
-def test_two_people_who_wander_bring_nothing_together() -> None:
-    """They come into the buffer, and when both have let go the robot stands still."""
+def test_two_people_who_pull_at_random_cause_no_contact() -> None:
+    """They enter the buffer, and after both have released the arm the base comes to rest."""
     row = wander.play(wander.Walk(Options(), 0, 50.0))
     assert 0.0 < row["least_distance_m"] < Config().border.d_b
     assert row["contact_steps"] + row["arm_contact_steps"] + row["failures"] == 0
     assert row["base_speed_final_mps"] < 1e-3
 
 
-def test_a_pull_that_never_comes_into_the_buffer_has_no_release() -> None:
+def test_pull_that_never_enters_the_buffer_has_no_release() -> None:
     case = _released(inside_s=0.1, after_s=0.0)
     away = case._replace(pull=case.pull._replace(move=(0.0, 0.02, 0.0), lead_s=0.2))
     assert release.play(away)["path_m"] is None
 
 
-def test_a_held_hand_far_from_the_base_stays_on_its_target() -> None:
+def test_end_effector_far_from_the_base_stays_on_its_target() -> None:
     row = paths.follow(
         Options(), Curve("towards", (0.3, 0.75, 0.3), (0.3, 0.74, 0.3), None, 0.5), _posture()
     )
@@ -156,7 +156,7 @@ def test_a_measurement_prints_one_json_object(
     assert result["summary"]
 
 
-def test_every_measurement_says_what_it_does() -> None:
+def test_every_measurement_has_a_docstring() -> None:
     measures: dict[str, Callable[..., object]] = dict(MEASUREMENTS)
     assert all(measure.__doc__ for measure in measures.values())
 
@@ -173,10 +173,10 @@ def _released(inside_s: float, after_s: float) -> release.Release:
 
 
 @pytest.mark.parametrize("motion", [13, 62])
-def test_what_a_tracking_base_is_asked_does_not_jump_where_links_come_into_their_buffer(
+def test_command_of_a_tracking_base_is_continuous_as_links_enter_a_buffer(
     motion: int,
 ) -> None:
-    """It makes room for them before, by closest points that leap unless they are blended there."""
+    """The base avoids links outside their buffer too, with closest points that must be blended."""
     summary = continuity(Options(), 1, first=motion, kinds=("tracking",)).summary
     assert summary["jump_mps2"] < 1e-4  # 0.05 with the library's own points beyond the buffer
     assert summary["jump_radps2"] < 1e-3
@@ -185,10 +185,8 @@ def test_what_a_tracking_base_is_asked_does_not_jump_where_links_come_into_their
 @pytest.mark.parametrize(
     ("kind", "motion"), [("guided", 51), ("guided", 659), ("tracking", 851), ("tracking", 924)]
 )
-def test_the_steepest_of_a_thousand_motions_are_no_steeper_than_asked(
-    kind: Kind, motion: int
-) -> None:
-    """Where the cloud has gaps, in a step of 1 ms: 0.023 m/s² while the border was open there."""
+def test_steepest_of_a_thousand_motions_are_within_the_limits(kind: Kind, motion: int) -> None:
+    """In steps of 1 ms where the cloud has gaps; a border with gaps gave 0.023 m/s²."""
     summary = continuity(Options(), 1, first=motion, refined=1, kinds=(kind,)).summary
     assert summary["away_from_limits_mps2"] < 0.02
     assert summary["away_from_limits_radps2"] < 0.05

@@ -1,4 +1,4 @@
-"""§2.1: which bodies can meet."""
+"""The pairs of bodies that can collide (§2.1)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_every_seed_finds_exactly_the_pairs_of_the_paper(model, seed):
     assert [pair.name for pair in found.all] == [p.name for p in found.mobile + found.manipulator]
 
 
-def test_the_default_sampling_gives_the_measured_rates_and_the_second_link_stays_clear(model):
+def test_default_sampling_reproduces_the_rates_and_the_clearance_of_l2(model):
     found = find_link_pairs(model)
     expected = {"lm-lEE": 0.072, "lm-l3": 0.032, "l1-lEE": 0.073, "l1-l3": 0.042, "l2-lEE": 0.016}
     for name, rate in expected.items():
@@ -35,7 +35,7 @@ def test_the_default_sampling_gives_the_measured_rates_and_the_second_link_stays
     assert found.least_distance_m["lm-l2"] == pytest.approx(0.237, abs=0.001)
 
 
-def test_the_same_seed_finds_the_same(model):
+def test_same_seed_finds_the_same_pairs(model):
     assert find_link_pairs(model, samples=300, seed=4) == find_link_pairs(
         model, samples=300, seed=4
     )
@@ -47,7 +47,7 @@ def test_neighbours_are_no_candidates_and_outer_bodies_come_first(model):
 
 
 def test_distances_agree_with_the_capsules_segment_and_the_box(model):
-    """An independent computation: dense points of the capsule's axis against the box."""
+    """The reference is independent: dense points of the capsule's axis and the box."""
     reader = PairDistances(model, [Pair("lm", "lEE")])
     data = model.pin.createData()
     hand = model.description.body("lEE")
@@ -77,7 +77,7 @@ def test_the_distance_is_between_the_closest_points_along_the_normal(model):
             np.testing.assert_allclose(near.p_b - near.p_a, near.d * near.n, atol=2e-6)
 
 
-def test_closest_points_stay_what_they_were_after_an_update(model):
+def test_closest_points_are_not_changed_by_a_later_update(model):
     reader = PairDistances(model, [Pair("lm", "lEE")])
     reader.update(model.configuration((0, 0, 0), np.array(model.description.arm.ready_position)))
     first = reader.closest(0)
@@ -93,8 +93,8 @@ def with_mobile_shapes(model: RobotModel, shapes: tuple[Shape, ...]) -> RobotMod
     return RobotModel(model.description.model_copy(update={"bodies": bodies}))
 
 
-def test_distances_do_not_depend_on_what_was_asked_before(model):
-    """To the bit, so that it does not matter which process does which case of a study."""
+def test_distances_do_not_depend_on_earlier_queries(model):
+    """They agree bit for bit, so any process can compute any case of a study."""
     distances = PairDistances(model, candidate_pairs(model))
 
     def found(q_m: np.ndarray) -> np.ndarray:
@@ -107,7 +107,7 @@ def test_distances_do_not_depend_on_what_was_asked_before(model):
     np.testing.assert_array_equal(there, back[::-1])
 
 
-def test_a_body_of_several_shapes_is_as_near_as_its_nearest():
+def test_distance_of_a_body_is_that_of_its_nearest_shape():
     one = husky_panda()
     lm = one.description.mobile_body
     ball = Sphere(type="sphere", radius_m=0.02, xyz_m=(0.0, 0.0, 0.9))  # [m] floats over the base

@@ -58,7 +58,7 @@ def loop(make_session, q_start):
 
 
 def until(loop: SimulationLoop, holds: Callable[[Snapshot], bool]) -> Snapshot:
-    """The first snapshot seen for which something holds."""
+    """The first snapshot seen for which `holds` is true."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         if loop.error is not None:
@@ -81,7 +81,7 @@ def arrays(snapshot: Snapshot) -> list[np.ndarray]:
     return [value for record in records for value in record if isinstance(value, np.ndarray)]
 
 
-def test_it_begins_at_the_start_with_nobody_pulling(loop, q_start):
+def test_loop_begins_at_the_start_without_a_pull(loop, q_start):
     first = loop.history(-1.0)[0]
     assert first.t == 0.0
     np.testing.assert_array_equal(first.q_m, q_start)
@@ -90,7 +90,7 @@ def test_it_begins_at_the_start_with_nobody_pulling(loop, q_start):
     assert (first.mode, first.controller, first.paused) == ("guiding", "dbb", False)
 
 
-def test_a_pull_moves_the_hand_into_the_buffer_and_letting_go_ends_the_force(loop):
+def test_pull_moves_the_end_effector_and_a_release_ends_the_force(loop):
     loop.send(PULL)
     pulled = until(loop, lambda s: s.beta_m > 0.05)
     np.testing.assert_array_equal(pulled.hand_target, PULL.target)
@@ -103,8 +103,8 @@ def test_a_pull_moves_the_hand_into_the_buffer_and_letting_go_ends_the_force(loo
     assert free.ee_error == 0.0
 
 
-def test_a_snapshot_holds_together(loop, robot):
-    """Hand, orientation, distances and force are those of its own joints and base pose."""
+def test_snapshot_is_consistent(loop, robot):
+    """Its end-effector pose, distances and forces agree with its joints and base pose."""
     loop.send(PULL)
     s = until(loop, lambda s: s.beta_m > 0.05)
     state = RobotState(robot)
@@ -128,7 +128,7 @@ def test_a_snapshot_holds_together(loop, robot):
     assert s.ee_error == pytest.approx(np.linalg.norm(s.hand_target - s.p_ee))
 
 
-def test_a_snapshot_never_changes_once_it_is_out(loop):
+def test_published_snapshot_never_changes(loop):
     loop.send(PULL)
     early = until(loop, lambda s: s.beta_m > 0.0)
     before = [array.copy() for array in arrays(early)]
@@ -137,7 +137,7 @@ def test_a_snapshot_never_changes_once_it_is_out(loop):
         np.testing.assert_array_equal(then, now)
 
 
-def test_a_snapshot_can_be_changed_by_nobody(loop):
+def test_snapshot_is_read_only(loop):
     loop.send(PULL)
     snapshot = until(loop, lambda s: bool(s.acting))
     assert len(arrays(snapshot)) > 20
@@ -148,7 +148,7 @@ def test_a_snapshot_can_be_changed_by_nobody(loop):
         snapshot.t = 0.0
 
 
-def test_a_pause_stops_time_and_going_on_goes_on(loop):
+def test_pause_stops_simulated_time_until_it_ends(loop):
     until(loop, lambda s: s.t > 0.05)
     loop.send(Pause(True))
     paused = until(loop, lambda s: s.paused)
@@ -156,11 +156,11 @@ def test_a_pause_stops_time_and_going_on_goes_on(loop):
     assert loop.latest().t == paused.t
     loop.send(Pause(False))
     on = until(loop, lambda s: not s.paused and s.t > paused.t)
-    assert on.t - paused.t < 0.1 + 20 * DT  # the pause is not made good
+    assert on.t - paused.t < 0.1 + 20 * DT  # the loop does not catch up after the pause
     assert loop.error is None
 
 
-def test_a_configuration_shows_while_paused_and_holds_afterwards(loop):
+def test_configuration_applies_during_and_after_a_pause(loop):
     loop.send(Pause(True))
     until(loop, lambda s: s.paused)
     wide = Config().replace("border.d_b", 0.30)
@@ -171,7 +171,7 @@ def test_a_configuration_shows_while_paused_and_holds_afterwards(loop):
     assert on.config == wide
 
 
-def test_a_reset_begins_anew_also_while_paused(loop, q_start):
+def test_reset_restarts_the_simulation_also_during_a_pause(loop, q_start):
     loop.send(PULL)
     until(loop, lambda s: s.beta_m > 0.02)
     loop.send(Pause(True))
@@ -184,20 +184,20 @@ def test_a_reset_begins_anew_also_while_paused(loop, q_start):
     assert anew.hand_target is None
     assert [s.t for s in loop.history(-1.0)] == [0.0]
     loop.send(Reset())
-    again = until(loop, lambda s: s.run > anew.run)  # which its time does not say
+    again = until(loop, lambda s: s.run > anew.run)  # the time of both is zero
     assert (again.t, again.follows(anew)) == (0.0, False)
     loop.send(Pause(False))
-    assert until(loop, lambda s: s.t > 0.1).hand_target is None  # the person has let go
+    assert until(loop, lambda s: s.t > 0.1).hand_target is None  # the pull has ended
 
 
-def test_a_reset_keeps_the_configuration(loop):
+def test_reset_does_not_change_the_configuration(loop):
     config = Config().replace("force.f_max", 123.0)
     loop.send(Configure(config))
     loop.send(Reset())
     assert until(loop, lambda s: s.config == config and s.t > 0.05).config.force.f_max == 123.0
 
 
-def test_the_history_is_in_order_at_fifty_a_second_and_after_the_asked_time(loop):
+def test_history_is_ordered_at_50_hz_and_begins_after_a_time(loop):
     until(loop, lambda s: s.t > 0.5)
     history = loop.history(-1.0)
     t = np.array([s.t for s in history])
@@ -208,7 +208,7 @@ def test_the_history_is_in_order_at_fifty_a_second_and_after_the_asked_time(loop
     assert loop.history(1e9) == []
 
 
-def test_commands_are_obeyed_in_their_order(loop):
+def test_commands_are_executed_in_order(loop):
     loop.send(Pause(True))
     for d_b in (0.1, 0.2, 0.3, 0.25):
         loop.send(Configure(Config().replace("border.d_b", d_b)))
@@ -219,7 +219,7 @@ def test_commands_are_obeyed_in_their_order(loop):
     assert last.paused
 
 
-def test_a_pull_below_the_floor_is_the_senders_error_and_the_loop_goes_on(loop):
+def test_invalid_pull_raises_at_the_sender_and_the_loop_continues(loop):
     for target in ((0.7, 0.0, -0.01), (0.7, float("nan"), 0.2)):
         with pytest.raises(TargetError):
             loop.send(Pull(target))
@@ -228,7 +228,7 @@ def test_a_pull_below_the_floor_is_the_senders_error_and_the_loop_goes_on(loop):
     assert loop.error is None
 
 
-class Stumbling(Session):
+class FailingSession(Session):
     """A session whose plant fails after some steps; counts how often it is closed."""
 
     closed = 0
@@ -243,12 +243,12 @@ class Stumbling(Session):
         super().close()
 
 
-def test_an_error_in_the_session_reaches_whoever_holds_the_loop(
+def test_error_in_the_session_is_reported_by_the_loop(
     robot: RobotModel, border_data: BorderData, q_start
 ):
-    Stumbling.closed = 0
+    FailingSession.closed = 0
     loop = SimulationLoop(
-        lambda: Stumbling(robot, border_data, Config(), physics="kinematic"), q_start
+        lambda: FailingSession(robot, border_data, Config(), physics="kinematic"), q_start
     )
     loop.start()
     deadline = time.monotonic() + PATIENCE
@@ -256,12 +256,12 @@ def test_an_error_in_the_session_reaches_whoever_holds_the_loop(
         time.sleep(0.005)
     assert isinstance(loop.error, FloatingPointError)
     loop.stop()
-    assert Stumbling.closed == 1
-    assert loop.latest().t <= 0.06  # the last picture stays to be looked at
-    loop.send(Reset())  # and nobody who still sends is hurt
+    assert FailingSession.closed == 1
+    assert loop.latest().t <= 0.06  # the last snapshot stays available
+    loop.send(Reset())  # sending is still possible
 
 
-def test_a_session_that_cannot_be_made_is_reported_by_start(q_start):
+def test_session_that_cannot_be_made_is_reported_by_start(q_start):
     def fail() -> Session:
         raise AssetError("no such mesh")
 
@@ -272,7 +272,7 @@ def test_a_session_that_cannot_be_made_is_reported_by_start(q_start):
     loop.stop()
 
 
-def test_the_session_lives_in_the_loops_own_thread(make_session, q_start):
+def test_session_is_made_in_the_thread_of_the_loop(make_session, q_start):
     made_in: list[int] = []
 
     def make() -> Session:
@@ -295,11 +295,11 @@ def test_stop_ends_the_thread(make_session, q_start, paused):
     assert set(threading.enumerate()) - before
     loop.stop()
     assert not set(threading.enumerate()) - before
-    loop.stop()  # again, and also before a start, it does no harm
+    loop.stop()  # a second stop, and a stop before a start, have no effect
     SimulationLoop(make_session, q_start).stop()
 
 
-def test_another_controller_is_used_at_once_also_while_paused(loop: SimulationLoop) -> None:
+def test_another_controller_is_used_at_once_also_during_a_pause(loop: SimulationLoop) -> None:
     loop.send(PULL)
     until(loop, lambda s: bool(s.acting) and s.avoidance_acceleration.any())
     loop.send(Choose("repulsive"))
@@ -318,14 +318,14 @@ def test_an_unknown_controller_is_refused_and_changes_nothing(loop: SimulationLo
     assert until(loop, lambda s: s.t > 0.1).controller == "dbb"
 
 
-def test_a_scenario_that_is_played_goes_on_also_where_time_stood_still(loop):
+def test_playing_a_scenario_ends_a_pause(loop):
     loop.send(Pause(True))
     until(loop, lambda s: s.paused)
     loop.send(Play(LINES["tracking"]))
     assert until(loop, lambda s: s.scenario == "tracking" and s.t > 0.1).paused is False
 
 
-def test_any_scenario_is_played_by_its_name_and_a_reset_ends_it(loop: SimulationLoop) -> None:
+def test_scenario_plays_until_a_reset(loop: SimulationLoop) -> None:
     loop.send(Play(LINES["tracking"].changed(duration=2.0)))
     led = until(loop, lambda s: s.mode == "tracking" and s.t > 0.1)
     assert (led.scenario, led.scenario_ends, led.busy) == ("tracking", 2.0, "")
@@ -336,7 +336,7 @@ def test_any_scenario_is_played_by_its_name_and_a_reset_ends_it(loop: Simulation
     np.testing.assert_allclose(free.p_ee, START, atol=1e-3)
 
 
-def test_a_scenario_that_cannot_begin_is_refused_in_the_snapshot_and_changes_nothing(
+def test_impossible_scenario_is_refused_in_the_snapshot_and_changes_nothing(
     loop: SimulationLoop,
 ) -> None:
     before = until(loop, lambda s: s.t > 0.05)
@@ -362,23 +362,23 @@ def test_a_single_step_advances_by_one_snapshot_and_pauses(loop: SimulationLoop)
     assert loop.latest().t == t
 
 
-def test_the_speed_is_what_was_wished_also_after_a_reset(loop: SimulationLoop) -> None:
+def test_commanded_speed_persists_after_a_reset(loop: SimulationLoop) -> None:
     loop.send(Speed(0.25))
     until(loop, lambda s: s.speed == 0.25)
     loop.send(Reset())
     begun, t = time.monotonic(), until(loop, lambda s: s.t < 0.05).t
     later = until(loop, lambda s: s.t >= t + 0.1)
-    assert time.monotonic() - begun > 0.3  # [s] four times as long as is simulated
+    assert time.monotonic() - begun > 0.3  # [s] four times the simulated time
     assert later.speed == 0.25
     assert later.realtime_factor < 0.3
 
 
-def test_a_flood_of_commands_is_obeyed_in_a_few(loop: SimulationLoop, monkeypatch) -> None:
-    """By counts: ten thousand commands, far fewer obeyed, the newest of them last."""
-    obeyed: list[object] = []
+def test_flood_of_commands_is_merged_into_a_few(loop: SimulationLoop, monkeypatch) -> None:
+    """Of ten thousand commands fewer than 500 are executed, and the newest is the last."""
+    executed: list[object] = []
     carry_out = loop._carry_out
     monkeypatch.setattr(
-        loop, "_carry_out", lambda command, *to: (obeyed.append(command), carry_out(command, *to))
+        loop, "_carry_out", lambda command, *to: (executed.append(command), carry_out(command, *to))
     )
     loop.send(Pause(True))
     until(loop, lambda s: s.paused)
@@ -391,14 +391,14 @@ def test_a_flood_of_commands_is_obeyed_in_a_few(loop: SimulationLoop, monkeypatc
     loop.send(Pause(False))
     s = until(loop, lambda s: s.hand_target is not None and s.hand_target[2] > 0.3 + 0.09997)
     assert s.config == CONFIGS[0.16]
-    assert len(obeyed) < 500
-    assert len(set(steps)) == 1  # and while it was paused no time went by
+    assert len(executed) < 500
+    assert len(set(steps)) == 1  # no simulated time passes during the pause
 
 
 CONFIGS = {d_b: Config().replace("border.d_b", d_b) for d_b in (0.10, 0.12, 0.14, 0.16)}
 
 
-def test_a_restart_begins_the_scenario_again(loop: SimulationLoop) -> None:
+def test_restart_begins_the_scenario_again(loop: SimulationLoop) -> None:
     loop.send(Play(LINES["tracking"]))
     until(loop, lambda s: s.scenario == "tracking" and s.t > 0.1)
     loop.send(Pull((0.4, 0.7, 0.4)))
@@ -408,7 +408,7 @@ def test_a_restart_begins_the_scenario_again(loop: SimulationLoop) -> None:
     assert again.hand_target is None
 
 
-def test_the_elbow_is_pulled_where_it_is_held_and_the_snapshot_says_by_whom(loop) -> None:
+def test_elbow_is_pulled_at_its_point_and_the_snapshot_names_the_person(loop) -> None:
     loop.send(Pull((0.2, 0.6, 1.0), "panda_link4", (0.0, 0.05, 0.0), who=3))
     loop.send(PULL)
     s = until(loop, lambda s: len(s.pulls) == 2 and np.linalg.norm(s.pulls[0].force) > 1.0)
@@ -438,7 +438,7 @@ def test_ghosts_run_beside_the_robot_in_the_snapshot(loop: SimulationLoop) -> No
     assert np.linalg.norm(until(loop, lambda later: later.t > alone.t).hand_force) > 0.1
 
 
-def test_ghosts_are_of_the_snapshots_own_instant_whatever_is_changed_meanwhile(loop) -> None:
+def test_ghosts_and_robot_of_a_snapshot_have_the_same_time(loop) -> None:
     loop.send(Compare(("dbb",)))
     until(loop, lambda s: bool(s.ghosts))
     loop.send(PULL)

@@ -1,4 +1,4 @@
-"""Laws of the compared methods: the terms that each adds, and the rest that does not change."""
+"""Properties of the compared methods: the terms that each adds, and the unchanged rest."""
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +31,7 @@ def controller(
 
 
 def near(robot: RobotModel, seed: int, low: float, high: float, speed: float = 0.05) -> Measurement:
-    """A random slow state with the hand between two distances [m] from the base, all else far."""
+    """A random slow state with the end-effector `low` to `high` [m] from the base, all else far."""
     rng = np.random.default_rng(seed)
     reader = PairDistances(robot, candidate_pairs(robot))
     names = [pair.name for pair in reader.pairs]
@@ -50,7 +50,7 @@ def here(controller: Controller, acceleration: np.ndarray) -> Reference:
 
 
 def realised(controller: Controller, output: ControlStep) -> np.ndarray:
-    """(n,) q̈ that torques and base acceleration of an answer give."""
+    """(n,) q̈ that results from the torques and base acceleration of a control step."""
     state = controller.state
     wheels = np.linalg.solve(state.model.J_m, output.a_base_cmd)
     rhs = output.u_cmd - state.h[2:] - state.M[2:, :2] @ wheels
@@ -58,15 +58,15 @@ def realised(controller: Controller, output: ControlStep) -> np.ndarray:
 
 
 def bound(Jdqd: float, d_dot: float, d: float, config: BarrierConfig) -> float:
-    """[m/s²] of a barrier."""
+    """[m/s²] the bound of a barrier."""
     return barrier_bound(Jdqd, d_dot, d - config.d_min, config.rate, config.max_separation_speed)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_repulsive_never_moves_the_base_by_itself(
+def test_repulsion_adds_no_acceleration_of_the_base(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
-    """Its base follows the same tasks without avoidance: guided, it comes to rest."""
+    """Its base follows the tasks without avoidance; a guided base comes to rest."""
     controller = Controller(robot, border_data, Config(), name="repulsive")
     m = near(robot, seed, 0.02, 0.12)
     output = controller.step(m)
@@ -83,10 +83,10 @@ def test_repulsive_never_moves_the_base_by_itself(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_repulsive_in_full_force_gives_the_closest_point_its_acceleration(
+def test_fully_active_repulsion_realises_the_closest_points_acceleration(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
-    """J_rep q̈ + J̇ q̇ = k_p n - k_v ṗ, with the base's columns zero, where no limit is in the way."""
+    """J_rep q̈ + J̇ q̇ = k_p n - k_v ṗ, with the base's columns zero, where no limit is active."""
     config = AT_ONCE.replace("repulsion.k_p", 3.0)
     controller = Controller(robot, border_data, config, name="repulsive")
     m = near(robot, seed, 0.01, 0.05, speed=0.01)
@@ -103,7 +103,7 @@ def test_repulsive_in_full_force_gives_the_closest_point_its_acceleration(
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_barriers_rows_hold_for_what_the_robot_does(
+def test_realised_acceleration_satisfies_the_barriers(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
     """For any demanded acceleration of the end-effector, by base and arm together."""
@@ -143,15 +143,15 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
 
     h = 1e-3
     ddot = (distance(h) - distance(-h)) / (2 * h)
-    asked = -2 * config.rate * ddot - config.rate**2 * (distance(0.0) - config.d_min)
+    demanded = -2 * config.rate * ddot - config.rate**2 * (distance(0.0) - config.d_min)
     np.testing.assert_allclose(J @ state.qd, ddot, atol=1e-4)
     J_dot_qd = (
         -least - 2 * config.rate * (J @ state.qd) - config.rate**2 * (closest.d - config.d_min)
     )
-    np.testing.assert_allclose(least, asked - J_dot_qd, atol=1e-2)
+    np.testing.assert_allclose(least, demanded - J_dot_qd, atol=1e-2)
 
 
-def test_every_method_answers_far_away_as_none_does(
+def test_every_method_equals_none_far_from_the_base(
     robot: RobotModel, border_data: BorderData, controller: Controller
 ) -> None:
     plain = Controller(robot, border_data, Config(), name="none")
@@ -182,7 +182,7 @@ def run_a_line(
 
 
 @pytest.mark.slow
-def test_repulsive_keeps_clear_but_does_not_arrive(
+def test_repulsive_avoids_contact_but_does_not_reach_the_target(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     clearance, error, path = run_a_line(
@@ -194,10 +194,10 @@ def test_repulsive_keeps_clear_but_does_not_arrive(
 
 
 @pytest.mark.slow
-def test_a_barrier_with_a_reluctant_base_stands_still_on_the_wheel_axis(
+def test_barrier_with_a_large_base_weight_stops_on_the_wheel_axis(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """As the libraries do; the paper's method arrives there."""
+    """The paper's method reaches the target from the same start."""
     start = (0.0, 0.68, 0.30)
     reluctant = Config().replace("task.base_weight", 1e6)
     clearance, error, path = run_a_line(robot, border_data, "barrier", reluctant, start)

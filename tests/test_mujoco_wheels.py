@@ -1,4 +1,4 @@
-"""Real wheels in contact: they roll, skid, hold up to their traction, and a base tips over them."""
+"""Wheels in contact: they roll, skid and resist up to their traction limit; a base can tip."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def plant(request):
 
 
 def stiff(state: RobotState) -> np.ndarray:
-    """Torques of an arm like a statue."""
+    """Torques of a stiff position control at `READY`."""
     m = state.measurement
     return state.h[2:] + state.M[2:, 2:] @ (9e4 * (READY - m.q_m) - 600.0 * m.qd_m)
 
@@ -60,12 +60,12 @@ def rates(trace: list) -> np.ndarray:
     return np.array([m.base_velocity for m in trace[-500:]])
 
 
-def test_it_weighs_what_the_description_says(plant):
-    """The wheels' masses are taken from the base, not added; and so with their inertia."""
+def test_mass_and_inertia_agree_with_the_description(plant):
+    """Mass and inertia of the wheels are subtracted from those of the base."""
     assert plant.world.model.body_mass.sum() == pytest.approx(pin.computeTotalMass(MODEL.pin))
     run(plant, 0.002, (0.0, 0.0))
     v = np.zeros(plant.world.model.nv)
-    v[5] = 1.0  # turning as one
+    v[5] = 1.0  # the whole robot turns
     whole = 0.5 * v @ plant.world.mass_matrix() @ v
     data = MODEL.pin.createData()
     M = pin.crba(MODEL.pin, data, MODEL.configuration(HOME, READY))
@@ -73,13 +73,13 @@ def test_it_weighs_what_the_description_says(plant):
 
 
 @pytest.mark.parametrize("command", [(0.5, 0.0), (0.0, 0.6), (0.4, -0.5), (-0.2, 0.3)])
-def test_two_wheels_roll_as_they_are_told(command):
+def test_two_wheels_follow_the_commanded_velocity(command):
     plant = MujocoWheels(two_wheeled())
     trace = run(plant, 1.5, command)
     assert np.abs(rates(trace) - command).max() < 1e-3  # [m/s, rad/s]
 
 
-def test_the_path_of_two_wheels_is_the_circle_of_the_commanded_velocities():
+def test_path_of_two_wheels_is_the_circle_of_the_commanded_velocities():
     plant, (v, w) = MujocoWheels(two_wheeled()), (0.4, 0.8)
     run(plant, 1.0, (v, w))
     start = plant.measure().base_pose
@@ -92,33 +92,35 @@ def test_the_path_of_two_wheels_is_the_circle_of_the_commanded_velocities():
 
 
 @pytest.mark.parametrize("command", [(0.5, 0.0), (0.0, 0.1), (0.0, 0.8), (0.4, -0.6), (-0.3, 0.5)])
-def test_four_wheels_turn_a_base_evenly_and_nearly_as_fast_as_commanded(command):
-    """Skidding sideways: the loss depends on the speed; the base does not hop and jerk."""
+def test_four_wheels_nearly_follow_the_command_without_jerks(command):
+    """The wheels skid sideways, and the loss of speed depends on the speed."""
     found = rates(run(MujocoWheels(MODEL), 1.5, command))
     mean = found.mean(axis=0)
     np.testing.assert_allclose(mean, command, atol=0.02 + 0.1 * abs(command[1]))
     assert found.std(axis=0).max() < 0.01 * (0.1 + abs(command[1]))
 
 
-def test_a_skid_steer_base_acts_wider_than_its_wheels_stand():
-    """(a² + b²) / b at wheels (±a, ±b) that carry alike; a load in front makes it narrower."""
+def test_effective_track_of_skid_steering_is_wider_than_its_wheels():
+    """It is (a² + b²) / b for equally loaded wheels at (±a, ±b); a load in front reduces it."""
     plant = MujocoWheels(MODEL)
     a, b = plant.wheels.centres[plant.wheels.centres.min(axis=1) > 0][0][:2]
     assert b < plant.half_track < (a**2 + b**2) / b
     assert MujocoWheels(two_wheeled()).half_track == MODEL.description.base.half_track_m
 
 
-def test_the_wheels_of_a_base_that_drives_ahead_roll_as_far_as_it_goes(plant):
+def test_wheels_roll_as_far_as_the_base_drives(plant):
     run(plant, 1.0, (0.3, 0.0))
     angles, start = plant.wheel_angles, plant.measure().base_pose
     run(plant, 1.0, (0.3, 0.0))
     rolled = (plant.wheel_angles - angles) * plant.wheels.radius
     way = np.linalg.norm(plant.measure().base_pose[:2] - start[:2])
-    np.testing.assert_allclose(rolled, way, rtol=5e-3)  # a tyre gives, and rolls on less
+    np.testing.assert_allclose(
+        rolled, way, rtol=5e-3
+    )  # a compliant tyre has a smaller rolling radius
 
 
-def test_it_stands_against_a_push_within_its_traction_and_slides_beyond(plant):
-    """Pushed along the base at the arm's mount, where it shifts little load."""
+def test_base_resists_a_push_within_its_traction_and_slides_beyond(plant):
+    """The push acts at the arm's mount, where it changes the wheel loads little."""
     limit = MODEL.description.base.traction_limit_n
     moved = {}
     for share in (0.5, 1.5):
@@ -135,7 +137,7 @@ def test_it_stands_against_a_push_within_its_traction_and_slides_beyond(plant):
     assert moved[1.5] > 0.05
 
 
-def test_the_base_tips_when_it_is_pulled_over(plant):
+def test_large_pull_tips_the_base(plant):
     assert plant.tilt() < 0.004  # [rad]
     run(plant, 0.6, (0.0, 0.0), force=(0.0, 0.0, -50.0))
     assert plant.tilt() < 0.02
@@ -143,7 +145,7 @@ def test_the_base_tips_when_it_is_pulled_over(plant):
     assert plant.tilt() > 0.05
 
 
-def test_a_reset_stands_the_base_as_its_load_tilts_it_and_at_rest(plant):
+def test_reset_places_the_base_in_static_equilibrium(plant):
     at = np.array([1.0, -2.0, 2.5])
     plant.reset(at, READY)
     m = plant.measure()

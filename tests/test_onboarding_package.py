@@ -32,7 +32,7 @@ def special(kind: int) -> zipfile.ZipInfo:
 
 
 def bad_zip(tmp_path: Path, case: str) -> Path:
-    """A zip that is wrong in one way."""
+    """A zip with one fault."""
     files: dict[str, str | bytes] = {"toy/toy.urdf": TOY}
     path = zipped(tmp_path, files)
     if case == "no zip":
@@ -43,7 +43,7 @@ def bad_zip(tmp_path: Path, case: str) -> Path:
         content = bytearray(path.read_bytes())
         content[60:90] = bytes(30)
         path.write_bytes(content)
-    elif case == "list":  # says that its list has more than it may
+    elif case == "list":  # its header states more files than allowed
         content = bytearray(path.read_bytes())
         at = content.rfind(b"PK\x05\x06")
         struct.pack_into("<H", content, at + 10, 60_000)
@@ -69,7 +69,7 @@ def bad_zip(tmp_path: Path, case: str) -> Path:
         at = content.rfind(b"PK\x05\x06")
         content[at:at] = struct.pack("<4sIQI", b"PK\x06\x07", 0, 0, 1)
         path.write_bytes(content)
-    elif case == "name":  # said to be UTF-8, which it is not
+    elif case == "name":  # marked as UTF-8, which it is not
         zipped(tmp_path, files | {"toy/\u00e4.stl": b""})
         path.write_bytes(path.read_bytes().replace("\u00e4".encode(), b"\xff\xff"))
     return path
@@ -176,7 +176,7 @@ BAD_URDFS = {
 
 
 @pytest.mark.parametrize("case", BAD_URDFS)
-def test_a_bad_urdf_is_refused_alike_by_itself_and_in_a_zip(case: str, tmp_path: Path) -> None:
+def test_bad_urdf_is_refused_alike_as_a_file_and_in_a_zip(case: str, tmp_path: Path) -> None:
     text, why = BAD_URDFS[case]
     assert text != TOY
     path = zipped(tmp_path, {"toy.urdf": text})
@@ -190,7 +190,7 @@ def test_a_bad_urdf_is_refused_alike_by_itself_and_in_a_zip(case: str, tmp_path:
 
 
 def refused(tmp_path: Path, archive: Path) -> str:
-    """The message with which a zip is refused; nothing is left behind, in no place."""
+    """The message with which a zip is refused; check that no other file remains."""
     with pytest.raises(DbbError) as caught:
         finish(Request(urdf=str(archive), base="base", tip="hand", out=tmp_path / "made"))
     assert [p.name for p in tmp_path.iterdir()] == ["toy.zip"]
@@ -199,13 +199,13 @@ def refused(tmp_path: Path, archive: Path) -> str:
 
 
 @pytest.mark.parametrize("case", WRONG_FILES)
-def test_a_zip_with_wrong_files_is_refused_and_leaves_nothing(
+def test_zip_with_wrong_files_is_refused_and_leaves_no_file(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files, why = WRONG_FILES[case]
     monkeypatch.setattr(unpacking, "LARGEST_CONTENT", 1_000_000)
     monkeypatch.setattr(unpacking, "MOST_FILES", 20)
-    inner = tmp_path / "inner"  # where a path that leads out would be seen
+    inner = tmp_path / "inner"  # a file outside of it would be in tmp_path
     inner.mkdir()
     assert why in refused(inner, zipped(inner, files))
     assert [p.name for p in tmp_path.iterdir()] == ["inner"]
@@ -228,13 +228,11 @@ def test_a_zip_with_wrong_files_is_refused_and_leaves_nothing(
         ("name", "not a zip that can be read"),
     ],
 )
-def test_a_zip_that_is_none_or_lies_is_refused(case: str, why: str, tmp_path: Path) -> None:
+def test_invalid_or_manipulated_zip_is_refused(case: str, why: str, tmp_path: Path) -> None:
     assert why in refused(tmp_path, bad_zip(tmp_path, case))
 
 
-def test_a_zip_that_is_too_large_is_not_even_opened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_zip_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = zipped(tmp_path, {"toy.urdf": TOY})
     monkeypatch.setattr(unpacking, "LARGEST_ARCHIVE", path.stat().st_size - 1)
     assert "a zip may have" in refused(tmp_path, path)
@@ -252,10 +250,10 @@ def test_a_zip_that_is_too_large_is_not_even_opened(
         ("toy\\urdf\\toy.urdf", "toy\\meshes\\m.stl", "package://toy/meshes/m.stl"),
     ],
 )
-def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
+def test_package_is_read_with_its_meshes_in_any_folder(
     urdf: str, mesh: str, reference: str, tmp_path: Path
 ) -> None:
-    """Also where the zip was made inside of the package's folder, so that its name is lost."""
+    """A zip that was made inside the package's folder does not contain the package's name."""
     folders = {name: b"" for name in (urdf.removesuffix("toy.urdf"),) if name}
     files = {urdf: with_mesh(TOY, reference), mesh: cube(), "setup.py": "raise SystemExit"}
     path = zipped(tmp_path, folders | files)
@@ -265,7 +263,7 @@ def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
     assert not list(tmp_path.rglob("setup.py"))
 
 
-def test_what_macos_adds_to_a_zip_is_no_second_urdf(tmp_path: Path) -> None:
+def test_files_that_macos_adds_to_a_zip_are_ignored(tmp_path: Path) -> None:
     path = zipped(
         tmp_path,
         {"toy/toy.urdf": TOY, "toy/._toy.urdf": b"\x00", "__MACOSX/toy/._toy.urdf": b"\x00"},
@@ -273,7 +271,7 @@ def test_what_macos_adds_to_a_zip_is_no_second_urdf(tmp_path: Path) -> None:
     assert open_package(path, tmp_path / "made").name == "toy.urdf"
 
 
-def test_the_urdf_that_is_asked_for_is_taken(tmp_path: Path) -> None:
+def test_requested_urdf_of_a_zip_is_used(tmp_path: Path) -> None:
     path = zipped(tmp_path, {"a.urdf": TOY, "b/b.urdf": TOY.replace('name="toy"', 'name="b"')})
     found = open_package(path, tmp_path / "made", "b/b.urdf")
     assert found.relative_to(tmp_path / "made" / FOLDER) == Path("b/b.urdf")

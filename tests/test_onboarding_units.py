@@ -1,4 +1,4 @@
-"""Which parts of a robot may touch by design."""
+"""Units of a robot's links: neighbours that may touch, grouping to bodies, and distances."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.robots import husky_panda
 
 
 def chain(joints: list[Any]) -> Any:
-    """A robot's model of joints one after the other, the first one its base."""
+    """A robot model with joints in series on a planar base."""
     model = pin.Model()
     parent = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
     for k, joint in enumerate(joints):
@@ -49,14 +49,14 @@ X, Y, TURN = pin.JointModelPX, pin.JointModelPY, pin.JointModelRZ
         ([TURN(), TURN(), TURN()], 2, 4, False),
     ],
 )
-def test_next_parts_and_those_of_a_telescope_are_neighbours(
+def test_adjacent_units_and_units_of_a_telescope_are_neighbours(
     joints: list[Any], a: int, b: int, expected: bool
 ) -> None:
     assert neighbours(chain(joints), unit(a), unit(b)) is expected
 
 
 def test_links_without_shapes_are_no_body_of_their_own() -> None:
-    """As Baxter's bare mount; its arm begins below it."""
+    """An example is the mount of Baxter's arm, which has no shape."""
     part = Part("link", np.zeros((0, 3)), np.zeros(0))
     units = tuple(unit(k)._replace(parts=() if k == 1 else (part,)) for k in range(5))
     poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
@@ -66,8 +66,8 @@ def test_links_without_shapes_are_no_body_of_their_own() -> None:
     assert all([1] not in groups for groups in cuts)
 
 
-def test_what_is_fixed_to_the_base_never_rides_on_a_slide() -> None:
-    """As a mast with a lift on it: their one body would go up and down beside the mast."""
+def test_links_fixed_to_the_base_are_never_grouped_with_a_slide() -> None:
+    """A common body of a mast and its lift would move up and down beside the mast."""
     part = Part("link", np.zeros((0, 3)), np.zeros(0))
     units = tuple(unit(k)._replace(parts=(part,)) for k in range(5))
     poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
@@ -81,21 +81,21 @@ def test_what_is_fixed_to_the_base_never_rides_on_a_slide() -> None:
     ("depths", "a", "expected"),
     [
         (np.full(30, 0.002), 2, True),
-        (np.full(29, 0.002), 2, False),  # too few poses to say how deep they can be
+        (np.full(29, 0.002), 2, False),  # too few poses to bound the depth
         (np.append(np.full(29, 0.002), 0.01), 2, False),
         (np.full(30, 0.002), 1, False),  # of the base
     ],
 )
-def test_links_of_an_arm_that_pass_each_other_within_a_mesh_are_near_as_built(
+def test_arm_links_that_overlap_slightly_are_near_by_design(
     depths: np.ndarray, a: int, expected: bool
 ) -> None:
-    """As the wrist of a Stretch, 2 mm inside of the outermost tube of its drawn-in telescope."""
+    """An example is Stretch's wrist, 2 mm inside the outer tube of the retracted telescope."""
     pair, gaps = (a, 4), np.append(-depths, np.full(70, 0.2))[:, None]
     found = _grazing([unit(k) for k in range(5)], [pair], gaps)
     assert found == (frozenset({pair}) if expected else frozenset())
 
 
-def test_a_head_on_a_torso_meets_the_shoulder_that_turns_beside_it() -> None:
+def test_head_on_a_torso_is_no_neighbour_of_the_shoulder_beside_it() -> None:
     model = chain([TURN(), TURN(), TURN()])
     torso, head, shoulder = unit(2), unit(2)._replace(beside=True), unit(3)
     assert neighbours(model, torso, shoulder)
@@ -104,8 +104,7 @@ def test_a_head_on_a_torso_meets_the_shoulder_that_turns_beside_it() -> None:
 
 
 @pytest.mark.parametrize("met", [0, 3, 8])
-def test_a_spot_that_was_met_is_no_body(met: int) -> None:
-    """With too few points for a body of its links, the body encloses the whole links."""
+def test_body_with_too_few_reached_points_encloses_whole_links(met: int) -> None:
     corners = np.array(np.meshgrid([-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1])).reshape(3, -1).T
     units = tuple(
         Unit(k, f"link{k}", (f"link{k}",), k, (), corners, np.zeros(len(corners), dtype=int))
@@ -121,8 +120,8 @@ def test_a_spot_that_was_met_is_no_body(met: int) -> None:
     assert np.isfinite(body.fits[0].over_cover)
 
 
-def test_a_fingertip_of_a_hand_of_many_points_is_among_those_looked_at() -> None:
-    """A body encloses the points that others reach; points that none of them reaches stick out."""
+def test_surface_points_of_a_gripper_include_its_fingertip() -> None:
+    """Otherwise the body that encloses the surface points could leave out the fingertip."""
     palm, finger = trimesh.creation.icosphere(5, 0.05), trimesh.creation.box((0.01, 0.01, 0.1))
     finger.apply_translation((0.0, 0.0, 0.15))
     shapes = tuple(
@@ -141,10 +140,10 @@ def test_a_fingertip_of_a_hand_of_many_points_is_among_those_looked_at() -> None
     assert beyond.max() < 1e-9
 
 
-def test_groups_are_as_near_as_the_library_says_up_to_half_a_metre(
+def test_shape_distances_agree_with_the_library_up_to_half_a_metre(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Beyond it, it is only certain that they are beyond it."""
+    """Larger distances are only certain to be at least 0.5 m."""
     monkeypatch.setattr(units, "_MANY", 0)
     model = husky_panda()
     names, every = model.body_names, candidate_pairs(model)

@@ -1,4 +1,4 @@
-"""Readings of real robots: the loop behaves as with a simulator's, and names each fault."""
+"""Readings of real robots: the loop behaves as with a simulator and reports each fault."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NAN = np.full(7, np.nan)
 
 
 class Run(NamedTuple):
-    """The results of a robot in its own loop."""
+    """The results of a simulated robot in its own control loop."""
 
     base: Array
     """(3,) pose at the end."""
@@ -47,9 +47,9 @@ class Run(NamedTuple):
     nearest: float
     """[m] least distance of a pair."""
     faults: dict[str, float]
-    """[s] when each was first named."""
+    """[s] time of the first report of each fault."""
     hand: Array
-    """(k, 3) [m] way of the end-effector."""
+    """(k, 3) [m] path of the end-effector."""
     sent: Measurement
     """The last readings."""
 
@@ -62,7 +62,7 @@ def starts(robot: RobotModel, border_data: BorderData) -> dict[tuple[float, ...]
 
 @pytest.fixture(scope="module")
 def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run]:
-    """Runs a loop for a time: `bend` changes the readings on their way."""
+    """Return a function that runs a loop; `bend` changes the readings."""
 
     def run(
         bend: Bend = lambda k, m: m,
@@ -103,7 +103,7 @@ def plain(run) -> Run:
     return run()
 
 
-def held(n: int) -> Bend:
+def every_nth(n: int) -> Bend:
     last: list[Measurement] = []
 
     def bend(k: int, m: Measurement) -> Measurement:
@@ -124,13 +124,13 @@ def late(n: int) -> Bend:
     return bend
 
 
-def late_and_held(n: int) -> Bend:
-    delay, repeat = late(n), held(n)
+def late_every_nth(n: int) -> Bend:
+    delay, repeat = late(n), every_nth(n)
     return lambda k, m: repeat(k, delay(k, m))
 
 
 def lossy(share: float, every: int = 1) -> Bend:
-    """New readings each `every` steps, of which a share is lost."""
+    """A new reading every `every` steps; a share of them is lost."""
     rng, last = np.random.default_rng(0), []
 
     def bend(k: int, m: Measurement) -> Measurement:
@@ -142,7 +142,7 @@ def lossy(share: float, every: int = 1) -> Bend:
 
 
 def noisy(noise: float, bend: Bend) -> Bend:
-    """Noise [rad] of the encoders, and the noise of the velocities that a driver computes."""
+    """Add noise [rad] to the positions, and 60 times as much [rad/s] to the velocities."""
     rng = np.random.default_rng(0)
 
     def bend_and_blur(k: int, m: Measurement) -> Measurement:
@@ -153,8 +153,8 @@ def noisy(noise: float, bend: Bend) -> Bend:
     return bend_and_blur
 
 
-def begun(bend: Bend, begin: int) -> Bend:
-    """The readings change from the step `begin` on."""
+def starting_at(bend: Bend, begin: int) -> Bend:
+    """Apply `bend` from the step `begin` on."""
 
     def later(k: int, m: Measurement) -> Measurement:
         bent = bend(k, m)
@@ -164,7 +164,7 @@ def begun(bend: Bend, begin: int) -> Bend:
 
 
 def filtered(noise: float = 0.0) -> Bend:
-    """Noise [rad] of the encoders, and velocities of a driver's filter, which are 8 ms late."""
+    """Add encoder noise [rad]; the velocities are those of a filter with a delay of 8 ms."""
     rng, tracking = np.random.default_rng(0), list[VelocityTracking]()
 
     def bend(k: int, m: Measurement) -> Measurement:
@@ -180,8 +180,8 @@ def both(first: Bend, second: Bend) -> Bend:
     return lambda k, m: second(k, first(k, m))
 
 
-def without(n: int) -> Bend:
-    repeat = held(n)
+def every_nth_without_velocities(n: int) -> Bend:
+    repeat = every_nth(n)
     return lambda k, m: repeat(k, m)._replace(qd_m=NAN)
 
 
@@ -193,18 +193,21 @@ READINGS = {
     ),
     "velocities of zero": (lambda: lambda k, m: m._replace(qd_m=np.zeros(7)), {"velocity"}),
     "velocities in degrees": (lambda: lambda k, m: m._replace(qd_m=57.3 * m.qd_m), {"velocity"}),
-    "50 Hz": (lambda: held(20), {"repeated"}),
-    "30 Hz": (lambda: held(33), {"repeated"}),
-    "50 Hz without velocities": (lambda: without(20), {"repeated", "velocity"}),
+    "50 Hz": (lambda: every_nth(20), {"repeated"}),
+    "30 Hz": (lambda: every_nth(33), {"repeated"}),
+    "50 Hz without velocities": (
+        lambda: every_nth_without_velocities(20),
+        {"repeated", "velocity"},
+    ),
     "half of them lost": (lambda: lossy(0.5), {"repeated"}),
     "5 ms late": (lambda: late(5), {"lag"}),
     "20 ms late": (lambda: late(20), {"lag"}),
-    "20 ms late at 50 Hz": (lambda: late_and_held(20), {"lag", "repeated"}),
+    "20 ms late at 50 Hz": (lambda: late_every_nth(20), {"lag", "repeated"}),
     "12 ms late with noise": (lambda: noisy(2e-5, late(12)), {"lag"}),
     "20 ms late with noise": (lambda: noisy(5e-5, late(20)), {"lag"}),
-    "late from the middle of a motion": (lambda: begun(late(1), 390), {"lag", "repeated"}),
+    "late from the middle of a motion": (lambda: starting_at(late(1), 390), {"lag", "repeated"}),
     "12 ms late from the middle of a motion": (
-        lambda: both(filtered(8e-5), begun(late(12), 390)),
+        lambda: both(filtered(8e-5), starting_at(late(12), 390)),
         {"lag", "repeated"},
     ),
     "velocities that a filter delays": (lambda: filtered(), set()),
@@ -232,7 +235,9 @@ READINGS = {
 
 
 @pytest.mark.parametrize("case", READINGS)
-def test_poor_readings_are_named_and_change_little(run, plain: Run, case: str) -> None:
+def test_poor_readings_are_reported_and_change_the_motion_little(
+    run, plain: Run, case: str
+) -> None:
     make, faults = READINGS[case]
     found = run(make())
     assert set(found.faults) == faults
@@ -241,18 +246,18 @@ def test_poor_readings_are_named_and_change_little(run, plain: Run, case: str) -
     np.testing.assert_allclose(found.base, plain.base, atol=0.04)
 
 
-def test_a_delay_that_begins_while_noise_hides_it_is_reported_within_a_tenth_of_a_second(
+def test_delay_that_begins_in_noise_is_reported_within_0_1_s(
     run,
 ) -> None:
-    """Each half period of the oscillation that the delay causes, 25 ms, doubles the speeds."""
-    found = run(noisy(8e-5, begun(late(12), 300)), time=0.5)
+    """The delay causes an oscillation whose speeds double every half period of 25 ms."""
+    found = run(noisy(8e-5, starting_at(late(12), 300)), time=0.5)
     assert set(found.faults) == {"lag"}
     assert 0.3 <= found.faults["lag"] < 0.4
     assert found.share < 1.05
 
 
-def test_a_base_velocity_in_another_unit_is_named_and_causes_no_overlap(run) -> None:
-    """Slow motions look like possible ones, so joints move faster than with right readings."""
+def test_base_velocity_in_another_unit_is_reported_without_contact(run) -> None:
+    """Slow motions stay plausible in the wrong unit, so joints move faster than normally."""
     found = run(lambda k, m: m._replace(base_velocity=1000 * m.base_velocity))
     assert "velocity" in found.faults
     assert found.share < 1.5
@@ -278,8 +283,10 @@ def test_perfect_readings_have_no_fault(
     assert found.figures["fault_s"] == {}
 
 
-def test_torques_of_others_are_no_lag(robot: RobotModel, border_data: BorderData, starts) -> None:
-    """The arm is moved by another controller: the own torques explain nothing, at any age."""
+def test_motion_by_another_controller_is_not_reported_as_lag(
+    robot: RobotModel, border_data: BorderData, starts
+) -> None:
+    """The torques of the watching loop explain the motion for no delay."""
     moving, watching = (
         ControlLoop(robot, border_data, Config().changed({"barrier.rate": rate}))
         for rate in (5.0, 20.0)
@@ -297,7 +304,7 @@ def test_torques_of_others_are_no_lag(robot: RobotModel, border_data: BorderData
     ("stated", "real"),
     [(0.002, 0.002), (0.004, 0.004), (0.008, 0.008), (0.001, 0.005), (0.004, 0.001)],
 )
-def test_the_period_changes_nothing_and_a_wrong_one_is_named(
+def test_period_hardly_changes_the_motion_and_a_wrong_one_is_reported(
     run, plain: Run, stated: float, real: float
 ) -> None:
     found = run(stated=stated, real=real)
@@ -315,7 +322,7 @@ def test_the_period_changes_nothing_and_a_wrong_one_is_named(
         (0.004, "limit.velocity_rate", 200.0, "limit.velocity_rate = 200"),
     ],
 )
-def test_a_period_that_a_gain_or_nobody_can_follow_is_refused(
+def test_invalid_period_or_too_large_a_gain_for_it_is_refused(
     robot: RobotModel, border_data: BorderData, dt: float, path: str, value: float, named: str
 ) -> None:
     config = Config().changed({path: value} if path else {})
@@ -323,7 +330,7 @@ def test_a_period_that_a_gain_or_nobody_can_follow_is_refused(
         ControlLoop(robot, border_data, config, dt=dt)
 
 
-def test_joints_come_by_name_in_any_order(robot: RobotModel) -> None:
+def test_joint_states_are_sorted_by_name(robot: RobotModel) -> None:
     names = ["finger", *reversed(robot.description.arm.joints)]
     q, qd = JointOrder(robot, names)(np.arange(8.0), -np.arange(8.0))
     np.testing.assert_array_equal(q, np.arange(7.0, 0.0, -1.0))
@@ -343,9 +350,7 @@ def test_joints_come_by_name_in_any_order(robot: RobotModel) -> None:
         (lambda names: names[0], "must be a list"),
     ],
 )
-def test_joint_states_that_do_not_fit_are_refused_by_name(
-    robot: RobotModel, change, named: str
-) -> None:
+def test_wrong_joint_names_are_refused_by_name(robot: RobotModel, change, named: str) -> None:
     names = list(robot.description.arm.joints)
     with pytest.raises(MeasurementError, match=names[0]) as error:
         JointOrder(robot, change(names))
@@ -363,10 +368,10 @@ def test_velocities_are_optional(robot: RobotModel, border_data: BorderData) -> 
         assert command.faults == ("velocity",)
 
 
-def test_a_light_joint_is_damped_stably_at_each_period(
+def test_damping_of_a_light_joint_is_stable_at_each_period(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """A small force turns the last joint, with 4 g m² of inertia in place of a hand."""
+    """A small force turns the last joint, which has an inertia of 4e-5 kg m²."""
     light = RobotModel(robot.description)
     light.pin.inertias[light.pin.njoints - 1] = pin.Inertia(
         0.3, np.array([0.0, 0.0, 0.05]), np.diag([1e-4, 1e-4, 4e-5])
@@ -401,14 +406,14 @@ def turned(robot: RobotModel, border_data: BorderData) -> Callable[..., ControlS
     return turned
 
 
-def test_velocities_at_the_readings_are_no_other_period(turned) -> None:
-    """A joint that starts from rest: its velocities, summed, exceed the way by a quarter."""
+def test_acceleration_from_rest_is_not_reported_as_a_wrong_period(turned) -> None:
+    """For a joint that starts from rest, the sum of velocities exceeds the displacement."""
     for count in range(1, 21):
         assert turned(0.008, 4.0, count).ratio in (0.0, 1.0)  # unknown or right
 
 
-def test_an_external_force_is_noticed_from_the_first_reading(turned) -> None:
-    """The noise of the encoders is unknown until 8 readings."""
+def test_external_force_is_estimated_before_the_noise_is_known(turned) -> None:
+    """The noise of the encoders is unknown before 8 readings."""
     assert turned(0.004, 40.0, 7).x_est[2, 6] > 20.0
 
 
@@ -426,7 +431,7 @@ def test_an_external_force_is_noticed_from_the_first_reading(turned) -> None:
         (lambda m: m._replace(drive=[None]), "drive"),
     ],
 )
-def test_a_wrong_measurement_is_refused_by_its_field(
+def test_invalid_measurement_is_refused_by_field(
     robot: RobotModel, border_data: BorderData, change, named: str
 ) -> None:
     loop = ControlLoop(robot, border_data)
@@ -455,7 +460,7 @@ def test_readings_may_be_any_array_of_numbers(
 
 
 @pytest.mark.parametrize("factor", [57.3, -57.3])
-def test_degrees_are_refused_at_first_and_named_later(
+def test_positions_in_degrees_are_refused_first_and_reported_later(
     robot: RobotModel, border_data: BorderData, factor: float
 ) -> None:
     good = at_rest(robot, np.array(robot.description.arm.ready_position))
@@ -483,7 +488,7 @@ def test_degrees_are_refused_at_first_and_named_later(
         (Reference(pin.SE3.Identity(), ["0"] * 6, np.zeros(6)), "velocity"),  # type: ignore[arg-type]
     ],
 )
-def test_a_wrong_reference_is_refused_by_its_field(
+def test_invalid_reference_is_refused_by_field(
     robot: RobotModel, border_data: BorderData, reference: Any, named: str
 ) -> None:
     loop = ControlLoop(robot, border_data)
@@ -492,7 +497,7 @@ def test_a_wrong_reference_is_refused_by_its_field(
 
 
 def sampled(rate: float, jitter: float) -> Callable[[float, pin.SE3], Reference]:
-    """0.1 m/s to the side, in samples at a rate [Hz] with a jitter [s]."""
+    """A reference at 0.1 m/s along -y, sampled at a rate [Hz] with a jitter [s]."""
     rng = np.random.default_rng(0)
     times = np.cumsum(1.0 / rate + rng.uniform(-jitter, jitter, 200))
     last: list[Any] = [-1, None]
@@ -509,14 +514,16 @@ def sampled(rate: float, jitter: float) -> Callable[[float, pin.SE3], Reference]
 
 
 def jerk(hand: Array) -> float:
-    """[m/s³] largest one in the second half of a way at 1 kHz, of 5 ms means."""
+    """[m/s³] largest jerk in the second half of a path at 1 kHz, smoothed over 5 ms."""
     a = np.apply_along_axis(lambda x: np.convolve(x, np.ones(5) / 5, "same"), 0, hand)
     late = np.diff(a, n=3, axis=0)[len(hand) // 2 : -10]
     return float(np.linalg.norm(late, axis=1).max()) / 1e-9
 
 
 @pytest.mark.parametrize(("rate", "jitter"), [(30.0, 0.0), (10.0, 0.0), (10.0, 0.03)])
-def test_references_in_samples_make_a_smooth_motion(run, rate: float, jitter: float) -> None:
+def test_interpolation_smooths_the_motion_to_sampled_references(
+    run, rate: float, jitter: float
+) -> None:
     options = {"start": SIDE, "pull": np.zeros(3), "time": 1.6}
     smooth = run(reference=sampled(rate, jitter), **options)
     raw = run(reference=sampled(rate, jitter), interpolate=False, **options)
@@ -540,10 +547,10 @@ IN_STEPS: dict[str, Callable[[float], tuple[float, float]]] = {
 
 @pytest.mark.parametrize("dt", [0.001, 0.002, 0.004])
 @pytest.mark.parametrize("case", IN_STEPS)
-def test_no_reference_makes_a_fast_or_far_motion(
+def test_no_reference_causes_a_fast_or_far_motion(
     robot: RobotModel, border_data: BorderData, case: str, dt: float
 ) -> None:
-    """Position and velocity of a reference along y; all positions are between 0 and 0.3 m."""
+    """A case states position (0 to 0.3 m) and velocity of the reference along y."""
     loop, m = ControlLoop(robot, border_data, dt=dt), at_rest(robot, NAN)
     m = m._replace(q_m=np.array(robot.description.arm.ready_position))
     loop.step(m)
@@ -581,12 +588,12 @@ EVENTS = {
     "no pose for 0.2 s": (blind(300, 500, "base_pose"), "invalid", 0.3),
     "no positions for 0.2 s": (blind(300, 500, "q_m"), "invalid", 0.3),
     "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "velocity", 0.3),
-    "localisation jumps": (relocated, "localisation", 0.8),  # the end-effector goes back by 0.1 m
+    "localisation jumps": (relocated, "localisation", 0.8),  # the end-effector moves by 0.1 m
 }
 
 
 @pytest.mark.parametrize("case", EVENTS)
-def test_nothing_leaps_at_an_event_and_it_is_named(run, case: str) -> None:
+def test_event_is_reported_and_causes_no_jump(run, case: str) -> None:
     bend, fault, most = EVENTS[case]
     found = run(bend, start=SIDE, pull=np.zeros(3), reference=still)
     assert found.faults[fault] <= 0.5
@@ -595,10 +602,10 @@ def test_nothing_leaps_at_an_event_and_it_is_named(run, case: str) -> None:
 
 
 @pytest.mark.parametrize("called", [True, False])
-def test_after_a_protective_stop_the_arm_goes_on_without_a_leap(
+def test_arm_continues_after_a_protective_stop_without_a_jump(
     robot: RobotModel, border_data: BorderData, starts, called: bool
 ) -> None:
-    """Frozen for 0.3 s, and moved meanwhile; `reset` makes the new place the one to stay at."""
+    """The readings freeze for 0.25 s, and the arm is moved before they continue."""
     loop, plant = ControlLoop(robot, border_data), Kinematic(robot)
     plant.reset(np.zeros(3), starts[SIDE])
     hand = RobotState(robot)
@@ -619,10 +626,10 @@ def test_after_a_protective_stop_the_arm_goes_on_without_a_leap(
 
 
 @pytest.mark.parametrize("turns", [-2.0 * np.pi, 2.0 * np.pi])
-def test_a_wrapped_joint_turns_on_without_a_jump(
+def test_wrapped_joint_angle_causes_no_jump(
     robot: RobotModel, border_data: BorderData, turns: float
 ) -> None:
-    """A joint with limits beyond half a turn, whose driver wraps it."""
+    """The joint's limits exceed half a turn, and its driver wraps the angle."""
     wide = RobotModel(robot.description)
     wide.q_lower[6], wide.q_upper[6] = -9.0, 9.0
     wide.q_limits[:, 6] = -9.0, 9.0
@@ -638,7 +645,7 @@ def test_a_wrapped_joint_turns_on_without_a_jump(
     assert float(command.step.q_m[6]) == pytest.approx(angle, abs=1e-3)
 
 
-def test_a_load_is_estimated_named_and_carried_when_stated(
+def test_load_is_estimated_reported_and_compensated_if_configured(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     mass, ready = 2.0, np.array(robot.description.arm.ready_position)
@@ -662,10 +669,10 @@ def test_a_load_is_estimated_named_and_carried_when_stated(
     assert seen.p_ee[2] - fell[True] < 0.005 < seen.p_ee[2] - fell[False]
 
 
-def test_a_person_who_pulls_straight_down_is_no_load(
+def test_downward_pull_of_a_person_is_not_reported_as_a_load(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """A spring from the hand down to a person who moves away at 0.3 m/s, up to 40 N."""
+    """A spring of at most 40 N whose lower end moves down at 0.3 m/s."""
     loop, plant, seen = ControlLoop(robot, border_data), Kinematic(robot), RobotState(robot)
     plant.reset(np.zeros(3), np.array(robot.description.arm.ready_position))
     seen.update_kinematics(plant.measure())
@@ -710,7 +717,7 @@ def test_only_a_sudden_constant_vertical_force_is_a_load(case: str) -> None:
     assert not is_load or reported.index(True) < 50 + 200
 
 
-def test_gravity_has_a_name(robot: RobotModel, border_data: BorderData) -> None:
+def test_command_reports_its_gravity_torques(robot: RobotModel, border_data: BorderData) -> None:
     ready = np.array(robot.description.arm.ready_position)
     command = ControlLoop(robot, border_data).step(at_rest(robot, ready))
     np.testing.assert_allclose(command.u_a, command.gravity, atol=1e-6)
@@ -732,8 +739,10 @@ def test_a_copied_command_does_not_change(
     assert np.abs(command.gravity - gravity).max() > 0.01
 
 
-def test_the_posture_is_that_after_a_jump(robot: RobotModel, border_data: BorderData) -> None:
-    """A driver that sends zeros until it is ready."""
+def test_jump_of_the_positions_resets_the_posture(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    """An example is a driver that sends zeros until it is ready."""
     good = at_rest(robot, np.array(robot.description.arm.ready_position))
     loop = ControlLoop(robot, border_data)
     for _ in range(3):
@@ -742,8 +751,8 @@ def test_the_posture_is_that_after_a_jump(robot: RobotModel, border_data: Border
     np.testing.assert_array_equal(loop.controller.last.q_posture, good.q_m)
 
 
-def test_a_load_is_set_at_once(robot: RobotModel) -> None:
-    """A step in another thread never computes with a half of it."""
+def test_load_is_set_atomically(robot: RobotModel) -> None:
+    """A step in another thread never uses a partly set load."""
     masses = []
 
     class Watched(RobotState):

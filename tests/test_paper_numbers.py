@@ -1,4 +1,4 @@
-"""The numbers that the paper prints, in the delivered files."""
+"""The numbers printed in the paper agree with the shipped files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_joint_2_turns_101_degrees_either_way(robot: RobotModel) -> None:
 def test_wheel_radius_and_half_track_of_2_3_1(robot: RobotModel) -> None:
     base = robot.description.base
     assert (base.wheel_radius_m, base.half_track_m) == (0.165, 0.51)
-    v, w = robot.J_m @ [1.0, -1.0]  # rad/s, the wheels against each other
+    v, w = robot.J_m @ [1.0, -1.0]  # rad/s, the wheels turn in opposite directions
     assert (v, w) == (0.0, pytest.approx(0.165 / 0.51))
 
 
@@ -65,7 +65,7 @@ def test_figure_10_by_default() -> None:
     np.testing.assert_allclose(cubic(between), values, atol=1e-12)
 
 
-def test_A_B_C_of_2_3_2_for_the_hand(robot: RobotModel) -> None:
+def test_A_B_C_of_2_3_2_for_the_end_effector(robot: RobotModel) -> None:
     field = ScoreField.of(robot, "lEE")
     assert (field.A, field.B, field.C) == (525.9, 0.575, 100.0)
 

@@ -1,4 +1,4 @@
-"""Laws of the person's hand."""
+"""Properties of the simulated person's hand."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from app.errors import DbbError, TargetError
 from app.simulation.people import PersonHand, checked_target
 
 DT = 0.001  # [s]
-AT = np.array([0.5, 0.1, 0.8])  # [m] where the end-effector is taken
+AT = np.array([0.5, 0.1, 0.8])  # [m] where the person grasps the end-effector
 
 
 def settled_force(person: PersonHand, p_ee: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The force on an end-effector that does not move, long after the target came."""
+    """The steady force on an end-effector at rest, 3 s after the target was set."""
     for _ in range(3000):
         force = person.force(p_ee, np.zeros(3), target)
     return force
@@ -28,13 +28,13 @@ def test_static_force_is_stiffness_times_stretch_below_the_limit(stretch):
     np.testing.assert_allclose(force, config.stiffness * stretch * towards, rtol=1e-9)
 
 
-def test_static_force_is_the_limit_above_it_and_points_to_the_target():
+def test_static_force_saturates_at_the_limit_towards_the_target():
     config = PersonConfig(f_max=40.0)
     force = settled_force(PersonHand(config, DT), AT, AT + np.array([0.3, 0.4, 0.0]))
     np.testing.assert_allclose(force, [24.0, 32.0, 0.0], rtol=1e-9)
 
 
-def test_the_person_is_never_stronger_than_the_limit():
+def test_force_never_exceeds_the_limit():
     rng = np.random.default_rng(0)
     person = PersonHand(PersonConfig(f_max=17.0, stiffness=2000.0, damping=200.0), DT)
     strongest = 0.0
@@ -57,7 +57,7 @@ def swing(
     target: np.ndarray = AT,
     speed: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A free body [kg] that a person took hold of at `at`: its places, speeds and the forces."""
+    """Positions, velocities and forces (steps, 3) of a free body [kg] grasped at `at`."""
     person, p, v = PersonHand(config, DT), at.astype(float), np.array([speed, 0.0, 0.0])
     places, speeds, forces = [], [], []
     for _ in range(steps):
@@ -72,7 +72,7 @@ def swing(
 
 @pytest.mark.parametrize("mass", MASSES)
 @pytest.mark.parametrize("stiffness", STIFF)
-def test_at_rest_a_hand_with_a_mass_is_the_same_spring_with_the_same_limit(mass, stiffness):
+def test_mass_of_the_hand_does_not_change_the_static_force(mass, stiffness):
     config = PersonConfig(stiffness=stiffness, mass=mass, f_max=90.0)
     way = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
     soft = settled_force(PersonHand(config, DT), AT, AT + 0.02 * way)
@@ -84,7 +84,7 @@ def test_at_rest_a_hand_with_a_mass_is_the_same_spring_with_the_same_limit(mass,
 @pytest.mark.parametrize("mass", [0.0, 0.01, *MASSES])
 @pytest.mark.parametrize("body", [0.8, 3.0])
 @pytest.mark.parametrize("damping", [25.0, 200.0])
-def test_the_stiffest_hand_brings_a_light_body_to_its_target_and_to_rest(mass, body, damping):
+def test_stiffest_hand_brings_a_light_body_to_rest_at_its_target(mass, body, damping):
     config = PersonConfig(stiffness=3000.0, damping=damping, mass=mass, f_max=100.0)
     target = AT + np.array([0.2, 0.1, 0.0])
     places, speeds, _ = swing(config, body, 8000, target=target)
@@ -96,8 +96,8 @@ def test_the_stiffest_hand_brings_a_light_body_to_its_target_and_to_rest(mass, b
 @pytest.mark.parametrize("stiffness", STIFF)
 @pytest.mark.parametrize("mass", [0.0, *MASSES])
 @pytest.mark.parametrize("speed", [0.3, 1.5])
-def test_with_the_target_at_rest_no_hand_gives_a_body_energy(stiffness, mass, speed):
-    """A body comes with some speed, and the hand goes along with it: theirs never grows."""
+def test_hand_with_a_resting_target_adds_no_energy_to_a_moving_body(stiffness, mass, speed):
+    """The body moves when it is grasped, and the hand starts with its velocity."""
     config = PersonConfig(stiffness=stiffness, mass=mass, f_max=80.0)
     _, v, f = swing(config, 2.0, 4000, speed=speed)
     before = np.vstack([[speed, 0.0, 0.0], v[:-1]])
@@ -108,8 +108,8 @@ def test_with_the_target_at_rest_no_hand_gives_a_body_energy(stiffness, mass, sp
     assert energy[-1] < 0.02 * energy[0]
 
 
-def test_a_heavy_hand_hits_harder_than_its_spring_pulls_and_a_light_one_does_not():
-    """A wall 0.2 m ahead: the mass is stopped there by the grip alone."""
+def test_impact_force_grows_with_the_mass_of_the_hand():
+    """A wall stops the end-effector after 0.2 m; the grip alone stops the hand's mass."""
     strongest = {}
     for mass in (0.0, 0.2, 2.0):
         person = PersonHand(PersonConfig(stiffness=2000.0, mass=mass, f_max=60.0), DT)
@@ -125,8 +125,8 @@ def test_a_heavy_hand_hits_harder_than_its_spring_pulls_and_a_light_one_does_not
     assert 100.0 < strongest[2.0] < 60.0 + 1.2 * 1.2 * (2e4 * 2.0) ** 0.5  # v √(k m) more
 
 
-def test_targets_at_20_hertz_give_no_steps_of_force_at_1_kilohertz():
-    """The end-effector held still, the target dragged at 0.5 m/s in jumps of 25 mm."""
+def test_force_at_1_khz_is_smooth_for_targets_at_20_hz():
+    """The end-effector is fixed; the target moves at 0.5 m/s in jumps of 25 mm."""
     config = PersonConfig(f_max=150.0)
     person, forces = PersonHand(config, DT), []
     for k in range(600):
@@ -136,10 +136,10 @@ def test_targets_at_20_hertz_give_no_steps_of_force_at_1_kilohertz():
     assert np.linalg.norm(forces[0]) < 0.01 * config.stiffness * 0.025
     assert steps.max() < 0.3  # [N], where the raw target would give 7.5
     slope = np.diff(steps[1:])
-    assert np.abs(slope).max() < 0.01  # [N] and no kinks either
+    assert np.abs(slope).max() < 0.01  # [N] change between two steps
 
 
-def test_the_hand_moves_no_faster_than_a_person_and_does_not_overshoot():
+def test_hand_moves_at_1_5_mps_at_most_and_does_not_overshoot():
     person = PersonHand(PersonConfig(), DT)
     target, places = AT + np.array([1.0, 0.0, 0.0]), [AT]
     for _ in range(3000):
@@ -153,20 +153,20 @@ def test_the_hand_moves_no_faster_than_a_person_and_does_not_overshoot():
 
 @pytest.mark.parametrize("mass", [0.0, 2.0])
 @pytest.mark.parametrize("speed", [0.0, 0.8])
-def test_the_person_takes_hold_without_a_jerk(mass, speed):
+def test_grasp_causes_no_jump_of_the_force(mass, speed):
     person = PersonHand(PersonConfig(mass=mass, damping=25.0), DT)
     first = person.force(AT, np.array([speed, 0.0, 0.0]), AT + np.array([0.3, 0.0, 0.0]))
-    assert np.linalg.norm(first) <= 25.0 * speed + 0.1  # at most the damper
+    assert np.linalg.norm(first) <= 25.0 * speed + 0.1  # the force of the damper alone
 
 
 @pytest.mark.parametrize("stretch", [0.05, 0.6])
-def test_with_the_target_at_rest_the_person_only_takes_energy(stretch):
+def test_hand_with_a_resting_target_only_dissipates_energy(stretch):
     """Kinetic energy plus that of the (limited) spring never grows, in three dimensions."""
     config, mass = PersonConfig(), 3.0  # [kg]
     rng = np.random.default_rng(5)
     target = np.array([0.0, 0.0, 5.0])
     person = PersonHand(config, 1e-4)
-    person.force(target, np.zeros(3), target)  # taken at rest at the target
+    person.force(target, np.zeros(3), target)  # grasped at rest at the target
     p, v = target + stretch * np.array([0.6, 0.8, 0.0]), rng.normal(0, 0.5, 3)
 
     def energy():
@@ -197,7 +197,7 @@ def test_a_target_must_be_three_finite_numbers(target):
         checked_target(target)
 
 
-def test_other_parameters_act_at_once():
+def test_changed_parameters_apply_at_once():
     person = PersonHand(PersonConfig(), DT)
     target = AT + np.array([0.05, 0.0, 0.0])
     before = settled_force(person, AT, target)

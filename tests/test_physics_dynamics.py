@@ -40,7 +40,7 @@ def random_motion(seed: int):
 
 
 def bias_of_turning_axes(v: np.ndarray) -> np.ndarray:
-    """Acceleration that pinocchio's planar coordinates have when the world's have none."""
+    """Acceleration in pinocchio's planar coordinates for zero acceleration in the world's."""
     a = np.zeros_like(v)
     a[:2] = v[2] * v[1], -v[2] * v[0]
     return a
@@ -100,8 +100,8 @@ def test_one_step_of_forward_dynamics_agrees(plant, seed):
     np.testing.assert_allclose([s[0] for s in states], q_bullet + speeds * plant.dt, **TOLERANCE)
 
 
-def test_links_that_are_fixed_take_no_room_in_the_engine(tmp_path):
-    """The engine has room for the state of 128; hands with fingers held still have more."""
+def test_fixed_links_do_not_count_towards_the_limit_of_the_engine(tmp_path):
+    """The engine's limit is 128 links; grippers with fixed fingers can exceed it."""
     known, parts, above = husky_panda().description, [], "panda_hand"
     for k in range(140):
         parts.append(
@@ -134,8 +134,8 @@ def test_links_that_are_fixed_take_no_room_in_the_engine(tmp_path):
     np.testing.assert_allclose(nle, state.h, **TOLERANCE)
 
 
-def test_a_link_that_is_a_flat_sheet_loads_in_mujoco(tmp_path):
-    """A printed mark on the base, whose mesh has no thickness."""
+def test_mesh_without_thickness_loads_in_mujoco(tmp_path):
+    """An example is a printed mark on the base."""
     corners = np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.2], [0.1, 0.1, 0.2], [0.0, 0.1, 0.2]])
     sheet = tmp_path / "mark.stl"
     trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False).export(sheet)

@@ -102,6 +102,6 @@ def test_a_long_sentence_is_found() -> None:
 
 
 def test_the_whole_project_is_checked() -> None:
-    """`make lint` does it."""
+    """The check is part of `make lint`."""
     names = {path.name for path in plain.whole()}
     assert {"README.md", "method.md", "config.py", "oracle.py"} <= names

@@ -1,4 +1,4 @@
-"""Laws of the QP of a control step: its optimum, hard and soft limits, never stuck."""
+"""Properties of the QP of a control step: its optimum, hard and soft limits, robustness."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ def random_objective(rng: np.random.Generator) -> Objective:
 
 
 def random_limits(rng: np.random.Generator, width: float, hard: int) -> Limits:
-    """Limits that hold at some q̈, many of them met: that is nowhere near the tasks' own optimum."""
+    """Limits that are satisfied at a random q̈, which is far from the unconstrained optimum."""
     C, x = rng.normal(size=(M, N)), rng.normal(size=N)
     l, u = C @ x - width * rng.random(M), C @ x + width * rng.random(M)
-    u[rng.random(M) < 0.3] = np.inf  # as those of barriers
+    u[rng.random(M) < 0.3] = np.inf  # one-sided, like barriers
     return Limits(C, l, u, softness_of(hard))
 
 
 def softness_of(hard: int, softness: float = SOFT, m: int = M) -> Array:
-    """(m,) of as many hard rows and then soft ones."""
+    """(m,) softness of `hard` hard rows, followed by soft rows."""
     return np.repeat([0.0, softness], [hard, m - hard])
 
 
 def by_least_distance(objective: Objective, limits: Limits) -> Array:
-    """The optimum by Lawson and Hanson's way from least distance to non-negative least squares.
+    """The optimum by Lawson and Hanson's reduction to non-negative least squares.
 
-    The shortest v with G v ≥ h is -r[:-1] / r[-1] with r = E w - f, where w ≥ 0 makes E w, E the
-    rows of Gᵀ over hᵀ, come nearest to f = (0, …, 0, 1). A soft limit has a slack of length one for
-    √(ε c), with c the least C_i H⁻¹ C_iᵀ of all soft ones.
+    The shortest v with G v ≥ h is -r[:-1] / r[-1] with r = E w - f. Here E is Gᵀ above hᵀ,
+    f = (0, …, 0, 1), and w ≥ 0 minimises ‖E w - f‖. Each soft limit adds a component of v, which
+    relaxes it by √(ε c) times its value; c is the least C_i H⁻¹ C_iᵀ of all soft limits.
     """
     (H, c), (C, l, u, softness) = objective, limits
     L, free = np.linalg.cholesky(H), -np.linalg.solve(H, c)
@@ -70,7 +70,7 @@ def misses(limits: Limits, qdd: Array) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_where_no_limit_is_met_it_is_the_unconstrained_least(seed: int) -> None:
+def test_optimum_within_all_limits_is_the_unconstrained_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
     objective = random_objective(rng)
     wide = Limits(rng.normal(size=(M, N)), np.full(M, -1e6), np.full(M, 1e6), softness_of(3))
@@ -87,14 +87,12 @@ def test_another_solver_finds_the_same_optimum(seed: int, hard: int) -> None:
     qdd = solved(objective, limits)
     np.testing.assert_allclose(qdd, expected, atol=3e-6)
     far = misses(limits, np.linalg.solve(objective.H, -objective.c))
-    assert far.max() > 0.1  # else this would be the law above
+    assert far.max() > 0.1  # otherwise no limit would be active
 
 
 @pytest.mark.parametrize("hard", [0, 5])
 @pytest.mark.parametrize("seed", range(30))
-def test_where_active_sets_do_not_settle_proxqp_finds_the_same_optimum(
-    seed: int, hard: int
-) -> None:
+def test_proxqp_finds_the_optimum_of_the_active_set_solver(seed: int, hard: int) -> None:
     rng = np.random.default_rng(seed)
     objective, limits = random_objective(rng), random_limits(rng, (0.1, 1.0, 3.0)[seed % 3], hard)
     problem = *objective, *limits
@@ -114,7 +112,7 @@ def test_where_active_sets_do_not_settle_proxqp_finds_the_same_optimum(
 
 
 class Turning:
-    """A problem that moves smoothly with s from 0 to 1: tasks pull about, rows turn."""
+    """A problem whose objective and rows change smoothly with s from 0 to 1."""
 
     def __init__(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -128,7 +126,7 @@ class Turning:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_what_was_solved_before_does_not_matter(seed: int) -> None:
+def test_solution_does_not_depend_on_earlier_problems(seed: int) -> None:
     turning = Turning(seed)
     for s in np.linspace(0.0, 1.0, 201):
         problem = turning.at(s)
@@ -137,20 +135,20 @@ def test_what_was_solved_before_does_not_matter(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_soft_limit_gives_in_by_its_share_of_what_is_asked_beyond_it(seed: int) -> None:
+def test_soft_limit_yields_by_its_share_of_the_demanded_violation(seed: int) -> None:
     rng = np.random.default_rng(seed)
     objective, C = random_objective(rng), rng.normal(size=(1, N))
-    asked = float(C[0] @ np.linalg.solve(objective.H, -objective.c))
-    bound = asked - rng.uniform(0.1, 5.0)
+    demanded = float(C[0] @ np.linalg.solve(objective.H, -objective.c))
+    bound = demanded - rng.uniform(0.1, 5.0)
     for softness in (1e-3, 1e-2, 0.1):
         limits = Limits(C, np.array([-np.inf]), np.array([bound]), np.array([softness]))
         beyond = float(C[0] @ solved(objective, limits)) - bound
         share = softness / (1.0 + softness)
-        assert beyond == pytest.approx(share * (asked - bound), rel=1e-4)
+        assert beyond == pytest.approx(share * (demanded - bound), rel=1e-4)
 
 
-def test_no_light_joint_is_thrown_about_to_brake_a_heavy_one_beyond_its_torque() -> None:
-    """A shoulder that cannot brake as its limit asks, and a wrist that could react on it."""
+def test_light_joint_is_not_accelerated_to_brake_a_heavy_one() -> None:
+    """A shoulder cannot brake as its limit demands; the reaction of a wrist could help."""
     M = np.array([[2.0, 0.02], [0.02, 0.02]])
     C = np.vstack([M, np.eye(2)])
     l, u = np.array([-1.0, -5.0, -np.inf, -1.0]), np.array([1.0, 5.0, -10.0, 1.0])
@@ -161,7 +159,7 @@ def test_no_light_joint_is_thrown_about_to_brake_a_heavy_one_beyond_its_torque()
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_soft_limits_that_contradict_each_other_and_hard_ones_leave_the_hard_ones_whole(
+def test_contradictory_soft_limits_do_not_violate_hard_ones(
     seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -180,8 +178,8 @@ def test_soft_limits_that_contradict_each_other_and_hard_ones_leave_the_hard_one
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_the_answer_moves_as_the_data_do_while_limits_come_and_go(seed: int) -> None:
-    """Steps four times as fine have a largest change about a quarter as large."""
+def test_solution_is_continuous_as_limits_become_active(seed: int) -> None:
+    """Steps four times finer reduce the largest change to less than 30 %."""
 
     def largest_change(steps: int) -> tuple[float, int]:
         turning, found, met = Turning(seed), [], set()
@@ -198,7 +196,7 @@ def test_the_answer_moves_as_the_data_do_while_limits_come_and_go(seed: int) -> 
     assert fine < 0.3 * coarse
 
 
-def test_hard_limits_that_contradict_each_other_are_an_error_and_the_next_call_is_well() -> None:
+def test_contradictory_hard_limits_raise_and_the_next_call_succeeds() -> None:
     C = np.vstack([np.eye(N)[0], np.eye(N)[0]])
     both = Limits(C, np.array([1.0, -2.0]), np.array([2.0, -1.0]), np.zeros(2))
     objective = Objective(np.eye(N), np.zeros(N))
@@ -211,7 +209,7 @@ def test_hard_limits_that_contradict_each_other_are_an_error_and_the_next_call_i
 @pytest.mark.parametrize(
     ("where", "value"), [(w, v) for w in ("H", "c", "C") for v in (np.nan, -np.inf)]
 )
-def test_what_is_not_finite_has_no_solution_and_spoils_no_later_one(
+def test_data_that_are_not_finite_raise_and_the_next_call_succeeds(
     where: str, value: float
 ) -> None:
     rng = np.random.default_rng(0)
@@ -225,10 +223,10 @@ def test_what_is_not_finite_has_no_solution_and_spoils_no_later_one(
 
 
 @pytest.mark.slow
-def test_no_hard_state_is_left_without_an_answer_and_no_torque_leaves_its_range(
+def test_qp_is_solved_within_the_torque_limits_in_random_states(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """1,200 random states, many in contact, fast or at limits, torques free to change or not."""
+    """1,200 random states, many in contact, fast or at limits, with two limits of torque rate."""
     rng, room = np.random.default_rng(1), 1e-9  # [N m]
     counts = {"limited": 0, "near": 0}
     controllers = [

@@ -1,4 +1,4 @@
-"""The reachability map: the density of the solutions that a search finds, and its scale."""
+"""The reachability map: the density of inverse-kinematics solutions, and its scale."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ BODIES = ["lEE", "l3"]
 
 @pytest.fixture(scope="module")
 def maps(robot: RobotModel) -> dict[str, ReachMap]:
-    """Of the paper's robot, by body."""
+    """Maps of the paper's robot, by body."""
     return {body: sample_reach_map(robot, body, spacing=0.1) for body in BODIES}
 
 
 @pytest.fixture
 def changed(tmp_path, monkeypatch):
-    """Makes robots of the paper's by changes to its URDF and its arm."""
+    """Return a function that makes variants of the paper's robot."""
 
     def make(edit: Callable[[str], str], joints: int = 7) -> RobotModel:
         description = load_robot("husky_panda")
@@ -72,7 +72,7 @@ def changed(tmp_path, monkeypatch):
 
 
 def slide(urdf: str) -> str:
-    """The third joint as a slide of ±0.2 m."""
+    """The URDF with the third joint as a prismatic joint of ±0.2 m."""
     head, tail = urdf.split('<joint name="panda_joint3" type="revolute">')
     tail = tail.replace('lower="-2.8973" upper="2.8973"', 'lower="-0.2" upper="0.2"', 1)
     return f'{head}<joint name="panda_joint3" type="prismatic">{tail}'
@@ -81,7 +81,7 @@ def slide(urdf: str) -> str:
 def places(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N, 4, 4) T_base_point at joint positions (N, k), and (N, 6, k) its Jacobian, in the base.
 
-    Of joints that turn about their z axis; many at once, and without pinocchio.
+    All joints must turn about their z axes.
     """
     first, data = np.zeros(q.shape[1]), chain.pin.createData()
     pin.forwardKinematics(chain.pin, data, first)
@@ -104,7 +104,7 @@ def places(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def misses(T: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """(N, 6) [m] and [rad] from targets (N, 4, 4) to poses, in the base."""
+    """(N, 6) [m] and [rad] errors of poses relative to targets (N, 4, 4), in the base."""
     E = T[:, :3, :3] @ targets[:, :3, :3].transpose(0, 2, 1)
     twice = np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]])
     sine = np.linalg.norm(twice, axis=0) / 2
@@ -134,9 +134,9 @@ def found_by_newton(
 def solutions(
     model: RobotModel, chain: Chain, targets: list[pin.SE3], rng: np.random.Generator
 ) -> list[int]:
-    """How many distinct solutions a search from 40 random configurations finds for each pose.
+    """Number of distinct solutions that a search from 40 random configurations finds per pose.
 
-    The free joints are held where chance puts them. Only those within the joint limits and without
+    The free joints have random positions. Only solutions within the joint limits and without
     self-collision count.
     """
     tries, free = 40, list(free_joints(chain))
@@ -165,7 +165,7 @@ def solutions(
     return [len(each) for each in found]
 
 
-def test_the_bodies_are_those_that_three_joints_move():
+def test_bodies_with_a_map_are_moved_by_enough_joints():
     assert reach_bodies(husky_panda()) == ["lEE", "l3"]
 
 
@@ -183,7 +183,7 @@ def test_a_chains_jacobian_is_the_derivative_of_its_pose(body):
     np.testing.assert_allclose(at.rotation @ J[:3], numeric, atol=1e-7)
 
 
-def test_the_hands_chain_ends_at_the_end_effector_and_the_forearms_on_its_capsules_axis():
+def test_chains_end_at_the_end_effector_and_on_the_forearms_axis():
     model = husky_panda()
     state = RobotState(model)
     hand, forearm = Chain(model, "lEE"), Chain(model, "l3")
@@ -205,12 +205,14 @@ def test_the_hands_chain_ends_at_the_end_effector_and_the_forearms_on_its_capsul
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("joints", "body", "asked"), [(6, "lEE", 6), (4, "l3", 3)])
-def test_the_map_is_the_mean_number_of_solutions_that_a_search_finds(joints, body, asked, changed):
-    """Over poses in the band where most are reached; with fewer joints the bound is lower."""
+@pytest.mark.parametrize(("joints", "body", "expected"), [(6, "lEE", 6), (4, "l3", 3)])
+def test_the_map_is_the_mean_number_of_solutions_that_a_search_finds(
+    joints, body, expected, changed
+):
+    """The poses are at distances with many solutions."""
     model = changed(lambda urdf: urdf, joints=joints)
     chain = Chain(model, body)
-    assert (chain.coordinates, chain.free) == (asked, len(chain.joints) - asked)
+    assert (chain.coordinates, chain.free) == (expected, len(chain.joints) - expected)
     found = sample_reach_map(model, body, samples=40_000)
     band = (found.rho > 0.3) & (found.rho < 0.6)
     rng, targets = np.random.default_rng(3), []
@@ -225,7 +227,7 @@ def test_the_map_is_the_mean_number_of_solutions_that_a_search_finds(joints, bod
     assert np.mean(counted) == pytest.approx(found.found[band].mean(), abs=3 * error)
 
 
-def test_an_arm_with_a_slide_has_a_map(changed):
+def test_arm_with_a_prismatic_joint_has_a_map(changed):
     model = changed(slide)
     assert Chain(model, "lEE").turns.tolist() == [True, True, False, True, True, True, True]
     found = sample_reach_map(model, "lEE", samples=2_000)
@@ -233,21 +235,21 @@ def test_an_arm_with_a_slide_has_a_map(changed):
     assert found.found.sum() > 0
 
 
-def test_the_papers_robot_reaches_the_same_to_the_left_and_to_the_right(maps):
+def test_map_is_symmetric_left_and_right(maps):
     found = maps["lEE"]
     y = found.points[:, 1]
     left, right = found.found[y > 1e-6].sum(), found.found[y < -1e-6].sum()
     assert left == pytest.approx(right, rel=0.05)
 
 
-def test_the_same_seed_gives_the_same_map_and_another_one_nearly(robot, maps):
+def test_same_seed_gives_the_same_map_and_another_seed_a_similar_one(robot, maps):
     same, other = (sample_reach_map(robot, "l3", spacing=0.1, seed=seed) for seed in (0, 1))
     np.testing.assert_array_equal(same.found, maps["l3"].found)
     assert (other.found != same.found).any()
     assert other.found.mean() == pytest.approx(same.found.mean(), rel=0.03)
 
 
-def test_the_scale_makes_the_best_shell_100(maps):
+def test_scale_gives_the_best_shell_the_value_100(maps):
     for found in maps.values():
         profile = radial_profile(found.rho, found.reach)
         assert profile.mean[profile.peak()] == pytest.approx(100.0)
@@ -262,14 +264,14 @@ def test_the_lattice_fills_the_ball_around_its_origin():
     assert (steps == 0).all(axis=1).any()
 
 
-def test_bodies_that_cannot_be_asked_for_are_refused_with_those_that_can():
+def test_body_with_too_few_joints_is_refused_with_the_valid_bodies():
     with pytest.raises(ConfigError, match=r"only 2 of the arm's joints move this body.*lEE, l3"):
         Chain(husky_panda(), "l2")
 
 
 @pytest.mark.slow
 def test_the_forearms_coefficients_are_those_of_its_map(robot):
-    """They were counted pose by pose; a map with a quarter of the samples gives the same."""
+    """A map with a quarter of the samples reproduces them."""
     fit = fit_reachability(
         sample_reach_map(robot, "l3", samples=FINE_SAMPLES // 4, spacing=FINE_SPACING)
     )

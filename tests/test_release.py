@@ -1,4 +1,4 @@
-"""A hand that is let go inside the buffer: the base comes to rest near where it was."""
+"""After a release inside the buffer, the base comes to rest nearby."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ START, MOVE = np.array([0.95, 0.0, 0.35]), np.array([-0.30, 0.0, 0.0])
 
 
 def after_release(robot: RobotModel, data: BorderData, config: Config) -> tuple[float, float]:
-    """[m] path of the base after the hand is let go, and [m/s] its speed 10 s later."""
+    """[m] path of the base after the release, and [m/s] its speed 10 s later."""
     q_m = StartSolver(robot, data.pairs, config.border.d_b).solve(tuple(START.tolist()))
     session = Session(robot, data, config)
     session.reset(q_m)
     for s in np.linspace(0.0, 1.0, round(2.0 / DT)):
         step = session.step(pull=START + s * s * (3 - 2 * s) * MOVE)
-    assert step.control.beta_m > 0.1  # it is let go inside the buffer
+    assert step.control.beta_m > 0.1  # the release is inside the buffer
     path = speed = 0.0
     for _ in range(round(10.0 / DT)):
         speed = abs(float(session.step().measurement.base_velocity[0]))
@@ -33,10 +33,10 @@ def after_release(robot: RobotModel, data: BorderData, config: Config) -> tuple[
     return path, speed
 
 
-def test_let_go_in_front_the_base_comes_to_rest_within_0_3_m(
+def test_base_comes_to_rest_within_0_3_m_after_a_release_in_front(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """And without a reaction on the arm it would drive on."""
+    """Without the reaction on the arm it would continue to move."""
     path, speed = after_release(robot, border_data, Config())
     assert path <= 0.3
     assert speed < 1e-3

@@ -22,7 +22,7 @@ TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
 
 @pytest.fixture
 def refused(capfd) -> Callable[..., None]:
-    """Checks, in this process: status 2, nothing on standard output, one line with these words."""
+    """Return a check that a command ends with status 2 and one line that has certain words."""
 
     def refused(args: list[str], *words: str) -> None:
         with pytest.raises(SystemExit) as end:
@@ -39,8 +39,8 @@ def refused(capfd) -> Callable[..., None]:
 def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path, capfd):
     out = tmp_path / "made" / "on demand"
     main(["reproduce", "fig10", "--out", str(out), "--json"])
-    printed, told = capfd.readouterr()
-    assert told == ""
+    printed, errors = capfd.readouterr()
+    assert errors == ""
     result = json.loads(printed)
     assert json.loads((out / "metrics.json").read_text(encoding="utf-8")) == result
     assert list(result["figures"]) == ["fig10"]
@@ -57,7 +57,7 @@ def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path, capfd
     assert (float(rows[0]["beta"]), float(rows[-1]["beta"])) == (1.0, 0.0)
 
 
-def test_an_unknown_figure_is_refused_with_those_that_exist(refused, tmp_path):
+def test_unknown_figure_is_refused_with_the_valid_names(refused, tmp_path):
     refused(["reproduce", "fig9", "--out", str(tmp_path)], "fig9", *FIGURES)
     assert list(tmp_path.iterdir()) == []
 
@@ -94,7 +94,7 @@ def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path, capfd):
     with (tmp_path / "fig14.csv").open(encoding="utf-8") as file:
         drawn = [row for row in csv.DictReader(file) if row["direction"] == "lateral"]
     with (log / "log.csv").open(encoding="utf-8") as file:
-        next(file)  # about the run
+        next(file)  # metadata of the run
         logged = list(csv.DictReader(file))[::10]
     for column in ("t_s", "d_lm-lEE_m", "beta_lm-l3"):
         assert [float(row[column]) for row in drawn] == [float(row[column]) for row in logged]
@@ -105,7 +105,7 @@ def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path, capfd):
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_it_and_its_workers(tmp_path):
+def test_ctrl_c_ends_the_command_and_its_workers(tmp_path):
     psutil = pytest.importorskip("psutil")
     with subprocess.Popen(
         [sys.executable, "-m", "app", "reproduce", "fig12", "--out", str(tmp_path)],

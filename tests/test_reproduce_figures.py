@@ -36,7 +36,7 @@ from tests.reproduction import every, short_run, sources_of
 
 @pytest.fixture(scope="module")
 def sources(robot: RobotModel, border_data: BorderData) -> Sources:
-    """A second of guiding into the buffer, for every experiment on a line."""
+    """Two seconds of guiding into the buffer, used for every experiment on a line."""
     run = short_run(robot, border_data, LATERAL, 2.0)
     tracking = [TRACKING, TRACKING_REPULSIVE, TRACKING_NONE, WHEEL_AXIS]
     return sources_of(robot, border_data, every([*tracking, *COMPARED, *AS_PRINTED], run))
@@ -57,7 +57,7 @@ def lines(drawing: Drawing) -> list[tuple[Axes, np.ndarray, np.ndarray]]:
 
 
 def contains(table: Any, values: np.ndarray) -> bool:
-    """Whether the values stand in one of the table's columns, one after the other."""
+    """Whether a column of the table contains the values in sequence."""
     columns = [c for c in table.values() if c.dtype.kind == "f"]
     n = len(values)
     return any(
@@ -145,7 +145,7 @@ def test_the_determinant_is_symmetric_about_x_and_the_score_changes_sign(drawn):
     np.testing.assert_allclose(np.abs(score), determinant * table["reachability"], rtol=1e-12)
 
 
-def test_the_fit_of_reachability_is_drawn_with_its_own_numbers(drawn):
+def test_drawn_fit_of_reachability_has_the_reported_coefficients(drawn):
     drawing = drawn["fig6"]
     table, m = drawing.tables[""], drawing.measured
     fit = m["C"] - m["A_per_m2"] * (table["rho_m"] - m["B_m"]) ** 2
@@ -154,7 +154,7 @@ def test_the_fit_of_reachability_is_drawn_with_its_own_numbers(drawn):
     np.testing.assert_allclose(table["paper"], paper)
 
 
-def test_the_components_of_the_force_are_orthogonal_and_add_up(drawn, sources: Sources):
+def test_force_components_are_orthogonal_and_add_up(drawn, sources: Sources):
     rng, force = np.random.default_rng(3), acting.turning(sources)
     for p_b, p_n, f in rng.normal(size=(20, 3, 3)):
         closest, found = force.closest._replace(p_b=p_b), force.acting._replace(p_n=p_n)
@@ -173,7 +173,7 @@ def test_too_large_a_step_loses_the_component_along_the_line(drawn):
     assert large["share_along_line"] < 0.5 * chosen["share_along_line"]
 
 
-def test_the_moment_is_where_the_hand_is_nearest(drawn, sources: Sources):
+def test_drawn_instant_has_the_least_distance(drawn, sources: Sources):
     force = acting.force_at(sources, LATERAL, acting.deepest(sources))
     d = sources.runs[LATERAL].trace["d_lm-lEE_m"]
     assert force.closest.d == pytest.approx(d.min(), abs=1e-9)
@@ -181,7 +181,7 @@ def test_the_moment_is_where_the_hand_is_nearest(drawn, sources: Sources):
     assert np.abs(height - force.closest.p_b[2]).max() <= 0.005 + 1e-9
 
 
-def test_no_other_moment_shows_both_components_better(sources: Sources):
+def test_instant_of_figure_7_shows_both_components(sources: Sources):
     def smaller(force: acting.Force) -> float:
         return min(float(np.linalg.norm(v)) for v in force.components)
 
@@ -189,12 +189,12 @@ def test_no_other_moment_shows_both_components_better(sources: Sources):
     assert smaller(acting.turning(sources)) >= smaller(deepest) - 1.0 > 0.0
 
 
-def test_the_activation_is_the_controllers(drawn):
+def test_drawn_activation_is_that_of_the_controller(drawn):
     table = drawn["fig10"].tables[""]
     assert table["beta"].tolist() == [activation(d, 0.15, 0.05) for d in table["d_m"]]
 
 
-def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
+def test_lines_of_base_acceleration_are_columns_of_the_log(sources: Sources):
     run = sources.runs[LATERAL]
     np.testing.assert_array_equal(
         approach._avoidance_columns(run, "repulsive")["linear_mps2"], run.trace["base_a_mps2"]
@@ -204,7 +204,7 @@ def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
     )
 
 
-def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
+def test_logged_path_of_the_end_effector_agrees_with_the_kinematics(sources: Sources):
     run = sources.runs[LATERAL]
     path, state = run.trace.of("p_ee"), RobotState(sources.model)
     for k in (0, 77, 199):
@@ -215,13 +215,13 @@ def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
         np.testing.assert_allclose(path[k], state.T_world_ee.translation, atol=1e-12)
 
 
-def test_closest_points_do_not_depend_on_where_the_base_is(sources: Sources):
+def test_closest_points_do_not_depend_on_the_base_pose(sources: Sources):
     run = sources.runs[LATERAL]
     found = sources.closest_points(run.trace.of("q_m")[::50])
     np.testing.assert_allclose([c.d for c in found], run.trace["d_lm-lEE_m"][::50], atol=1e-9)
 
 
-def test_a_thinned_border_is_a_part_of_it_still_sorted(sources: Sources):
+def test_thinned_border_is_a_sorted_subset(sources: Sources):
     border = construct_dbb(sources.data.clouds["lm-lEE"], 0.15, 0.01)
     thin = density.thinned(border, 500)
     assert len(thin) == 500
@@ -236,7 +236,7 @@ def test_a_cloud_thinned_to_a_share_has_a_border_of_that_share(sources: Sources)
     assert thin == pytest.approx(0.4 * whole, rel=0.03)
 
 
-def test_a_picture_shows_at_most_so_many_points_and_each_once():
+def test_picture_shows_a_limited_number_of_distinct_points():
     rng = np.random.default_rng(0)
     assert offline._some(10, rng).tolist() == list(range(10))
     many = offline._some(10**5, rng)
@@ -245,7 +245,7 @@ def test_a_picture_shows_at_most_so_many_points_and_each_once():
 
 @pytest.mark.slow
 def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeypatch):
-    """Both rows of Figure 13; the target stands where the scenario ends."""
+    """Both rows of Figure 13, with four pictures each."""
     monkeypatch.setattr(approach, "_SHARES", (0.0, 0.05, 0.1, 0.2))
     with styled():
         drawing = approach.figure_13.draw(sources)
@@ -261,7 +261,7 @@ def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeyp
 
 @pytest.mark.slow
 def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border_data: BorderData):
-    """Of the run's first moments: the door is where its angle says, and its shape is magenta."""
+    """The run lasts 0.2 s; the shape of the door is magenta."""
     run = short_run(robot, border_data, DOOR, 0.2, physics="planar")
     sources = sources_of(robot, border_data, every([DOOR, DOOR_NONE], run))
     with styled():
@@ -292,7 +292,7 @@ def test_the_drawn_door_turns_about_its_hinge_by_its_angle():
 def test_the_printed_form_is_worse_at_each_departure(
     sources: Sources, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """But for the two that compare runs, which here are one and the same."""
+    """Measures that compare two runs are exceptions, because both are the same run here."""
     monkeypatch.setattr(departures, "_STATES", 4)
     monkeypatch.setattr(departures, "_LINE", 20)
     with styled():

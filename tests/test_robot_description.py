@@ -20,7 +20,7 @@ ORIGINAL = from_toml((assets.ASSETS / "husky_panda/robot.toml").read_text(encodi
 
 
 def toml(value: object) -> str:
-    """TOML of a value, in line."""
+    """A value as inline TOML."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{k} = {toml(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
@@ -30,7 +30,7 @@ def toml(value: object) -> str:
 
 @pytest.fixture
 def write(tmp_path):
-    """Writes the paper's robot with one change; gives the file."""
+    """Return a function that writes the paper's description with one change."""
 
     def write(change: Callable[[dict], object] = lambda data: None):
         data = copy.deepcopy(ORIGINAL)
@@ -42,7 +42,7 @@ def write(tmp_path):
     return write
 
 
-def test_the_original_survives_being_written_again(write):
+def test_rewritten_description_equals_the_original(write):
     assert load_description(write()) == load_robot("husky_panda")
 
 
@@ -130,7 +130,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("change", "expected"), REFUSED.values(), ids=REFUSED.keys())
-def test_a_wrong_field_is_named_with_what_would_be_right(write, change, expected):
+def test_invalid_field_is_named_with_its_valid_values(write, change, expected):
     path = write(change)
     with pytest.raises(DescriptionError) as refusal:
         load_description(path)
@@ -162,7 +162,7 @@ def test_a_missing_or_broken_file_is_named(tmp_path):
         load_description(tmp_path)
 
 
-def test_an_unknown_robot_lists_those_that_exist():
+def test_unknown_robot_is_refused_with_the_valid_names():
     with pytest.raises(UnknownNameError) as refusal:
         load_robot("husky_pand")
     assert "did you mean 'husky_panda'" in str(refusal.value)
@@ -221,7 +221,7 @@ def test_a_description_that_the_urdf_contradicts_is_refused(write, change, expec
 
 @pytest.fixture
 def with_urdf(tmp_path, monkeypatch):
-    """Puts the paper's robot with a changed URDF into an asset folder of its own."""
+    """Return a function that gives the paper's robot a changed URDF in a new asset folder."""
 
     def make(change: Callable[[str], str] | None):
         folder = tmp_path / "husky_panda"
@@ -246,7 +246,7 @@ def test_a_missing_mesh_is_named(with_urdf):
     description = with_urdf(lambda text: text.replace("top_plate.stl", "roof.stl"))
     with pytest.raises(AssetError, match=r"roof\.stl: no such file in the installed package"):
         resolved_urdf(description)
-    RobotModel(description)  # the method knows shapes, no meshes
+    RobotModel(description)  # the model needs shapes, not meshes
 
 
 def test_a_urdf_that_is_not_xml_is_named(with_urdf):
@@ -260,7 +260,7 @@ def test_a_urdf_without_links_is_refused(with_urdf):
         RobotModel(description)
 
 
-def test_a_continuous_arm_joint_is_refused_with_a_way_out(with_urdf):
+def test_continuous_arm_joint_is_refused_with_an_alternative(with_urdf):
     def change(text):
         head, tail = text.split('<joint name="panda_joint7" type="revolute">')
         return head + '<joint name="panda_joint7" type="continuous">' + tail
@@ -302,7 +302,7 @@ def test_no_package_address_is_left_in_a_resolved_urdf():
     assert "package://" not in resolved_urdf(load_robot("husky_panda"))
 
 
-def test_meshes_are_resolved_whatever_their_quotes_and_escapes(tmp_path, monkeypatch):
+def test_mesh_paths_are_resolved_with_any_quotes_and_escapes(tmp_path, monkeypatch):
     folder = tmp_path / "you & me"
     folder.mkdir()
     (folder / "a & b.stl").touch()
