@@ -386,7 +386,7 @@ class Oracle:
     # Limits
 
     def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
-        """Torques, joints, distances: "none", "all", or those of links with "buffers"."""
+        """Limits of torques, joints and `distances`: "none", "all", or "buffers", d_b for links."""
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
@@ -439,7 +439,7 @@ class Oracle:
         return np.array([np.minimum(lower, there + own), np.maximum(upper, there - own)])
 
     def _barrier(self, k: int, slowness: float, buffers: bool) -> float:
-        """ḧ + 2 λ ḣ + λ² h >= 0 with h = d − d_min, which counts down to −v/λ."""
+        """ḧ + 2 λ ḣ + λ² h >= 0 with h = d − d_min, bounded below by −v/λ."""
         w, keep = self.w, self.config.barrier
         rate, leaving = keep.rate / slowness, keep.max_separation_speed / slowness
         d_min = w.d_b if buffers and not self.rows[k].mobile else keep.d_min

@@ -91,7 +91,7 @@ def test_acting_points_left_and_right_are_mirror_images(finder: ActingPointFinde
     np.testing.assert_allclose(left.p_act * [1, -1, 1], right.p_act, atol=0.004)
 
 
-def test_a_height_without_points_falls_back_to_the_exact_offset(
+def test_exact_offset_replaces_a_height_without_border_points(
     offset: OffsetContours, field: ScoreField
 ) -> None:
     empty = Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)))

@@ -183,7 +183,7 @@ def test_projection_to_the_cone_is_idempotent_and_mirror_symmetric() -> None:
 
 
 @pytest.mark.parametrize("before", [0.2, -0.2])
-def test_a_moving_car_does_not_turn_back_for_a_small_advantage(before: float) -> None:
+def test_moving_car_does_not_reverse_for_a_small_advantage(before: float) -> None:
     for v in (-0.01, 0.0, 0.01):
         found, _ = nearest_in_cone(v, 1.0, KAPPA, RADIUS, before)
         assert np.sign(found) == np.sign(before)

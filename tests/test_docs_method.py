@@ -115,7 +115,7 @@ def test_index_lists_every_public_function_with_an_equation() -> None:
     assert found == listed
 
 
-def test_the_method_prints_every_equation_once_and_in_order() -> None:
+def test_method_page_prints_every_equation_once_and_in_order() -> None:
     assert [int(n) for n in re.findall(r"\\tag\{(\d+)\}", page("method"))] == list(EQUATIONS)
 
 

@@ -67,7 +67,7 @@ class RunningEstimate:
         return read._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
 
 
-class Pushed:
+class PushedArm:
     """An arm that moves by its equation of motion under torques and a push; its base rests."""
 
     def __init__(self, robot: RobotModel, q_m: Array) -> None:
@@ -89,13 +89,13 @@ class Pushed:
 
 
 @pytest.fixture
-def ready(robot: RobotModel) -> Pushed:
+def ready(robot: RobotModel) -> PushedArm:
     """The arm at rest in its ready pose."""
-    return Pushed(robot, np.array(robot.description.arm.ready_position))
+    return PushedArm(robot, np.array(robot.description.arm.ready_position))
 
 
-def followed(
-    arm: Pushed, push: Array, steps: int, noise: float = 0.0, of_velocity: float = 1.0
+def estimated_motion(
+    arm: PushedArm, push: Array, steps: int, noise: float = 0.0, of_velocity: float = 1.0
 ) -> tuple[RunningEstimate, Array, Array]:
     """The estimate after a motion; estimated and true positions and velocities (steps, 2, 7).
 
@@ -123,32 +123,34 @@ def followed(
     return estimate, found, truth
 
 
-def test_estimated_push_stays_small_during_a_motion_without_a_push(ready: Pushed) -> None:
-    estimate, found, truth = followed(ready, np.zeros(7), 300)
+def test_estimated_push_stays_small_during_a_motion_without_a_push(ready: PushedArm) -> None:
+    estimate, found, truth = estimated_motion(ready, np.zeros(7), 300)
     assert np.abs(truth[:, 1]).max() > 0.05
     assert np.abs(estimate.pushed).max() < 0.1
     np.testing.assert_allclose(found, truth, atol=1e-9)
 
 
-def test_push_is_estimated_within_10_ms_without_noise(ready: Pushed) -> None:
+def test_push_is_estimated_within_10_ms_without_noise(ready: PushedArm) -> None:
     qdd = np.array([1.0, -2.0, 1.0, 2.0, -1.0, 1.5, -1.0])
-    estimate, found, truth = followed(ready, ready.state.M[2:, 2:] @ qdd, 10)
+    estimate, found, truth = estimated_motion(ready, ready.state.M[2:, 2:] @ qdd, 10)
     np.testing.assert_allclose(estimate.pushed, qdd, atol=0.1)
     np.testing.assert_allclose(found, truth, atol=1e-3)
 
 
 @pytest.mark.parametrize("of_velocity", [0.0, -1.0, 0.9])
-def test_wrong_velocities_are_corrected_by_the_positions(ready: Pushed, of_velocity: float) -> None:
-    estimate, found, truth = followed(ready, np.zeros(7), 300, 0.0, of_velocity)
+def test_wrong_velocities_are_corrected_by_the_positions(
+    ready: PushedArm, of_velocity: float
+) -> None:
+    estimate, found, truth = estimated_motion(ready, np.zeros(7), 300, 0.0, of_velocity)
     assert np.abs(truth[:, 1]).max() > 0.05
     np.testing.assert_allclose(found[20:], truth[20:], atol=1e-4)
     assert np.abs(estimate.pushed).max() < 0.1
 
 
 @pytest.mark.parametrize("noise", [3e-4, 1e-3, 3e-3])
-def test_noise_is_estimated_and_filtered(ready: Pushed, noise: float) -> None:
+def test_noise_is_estimated_and_filtered(ready: PushedArm, noise: float) -> None:
     """The remaining error changes slowly from step to step."""
-    estimate, found, truth = followed(ready, np.zeros(7), 1000, noise)
+    estimate, found, truth = estimated_motion(ready, np.zeros(7), 1000, noise)
     np.testing.assert_allclose(estimate.noise[0], noise, rtol=0.4)
     off = (found - truth)[300:]
     assert off[:, 0].std() < 0.5 * noise
@@ -158,7 +160,7 @@ def test_noise_is_estimated_and_filtered(ready: Pushed, noise: float) -> None:
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
 def test_velocities_differentiated_from_noisy_positions_are_filtered(
-    ready: Pushed, noise: float
+    ready: PushedArm, noise: float
 ) -> None:
     """They agree with the positions by construction; less than 10 % of their noise remains."""
     rng, still = np.random.default_rng(2), ready.measurement
@@ -173,14 +175,14 @@ def test_velocities_differentiated_from_noisy_positions_are_filtered(
     assert found[300:].std() < 0.1 * np.sqrt(2.0) * noise / DT
 
 
-def test_push_is_estimated_from_noisy_readings(ready: Pushed) -> None:
+def test_push_is_estimated_from_noisy_readings(ready: PushedArm) -> None:
     qdd = np.array([5.0, -10.0, 5.0, 10.0, -5.0, 7.0, -5.0])
-    estimate, _, _ = followed(ready, ready.state.M[2:, 2:] @ qdd, 200, 1e-3)
+    estimate, _, _ = estimated_motion(ready, ready.state.M[2:, 2:] @ qdd, 200, 1e-3)
     assert np.abs(estimate.pushed - qdd).max() < 0.9 * np.abs(qdd).max()
     assert (estimate.pushed * qdd).sum() > 0.7 * (qdd**2).sum()
 
 
-def test_large_jump_of_the_positions_restarts_the_estimate(ready: Pushed) -> None:
+def test_large_jump_of_the_positions_restarts_the_estimate(ready: PushedArm) -> None:
     """Only jumps that no motion explains restart the estimate; smaller ones are noise."""
     robot, there = ready.state.model, ready.measurement
     estimate, config = RunningEstimate(robot.n_m), Config().estimate
@@ -200,7 +202,7 @@ def test_large_jump_of_the_positions_restarts_the_estimate(ready: Pushed) -> Non
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.01, 0.1])
-def test_push_is_estimated_with_little_overshoot_at_any_period(ready: Pushed, dt: float) -> None:
+def test_push_is_estimated_with_little_overshoot_at_any_period(ready: PushedArm, dt: float) -> None:
     """The arm is at rest because its torques balance the push."""
     state, push = ready.state, np.array([1.0, -2.0, 1.0, 2.0, -1.0, 1.5, -1.0])
     estimate, qdd = RunningEstimate(7), np.linalg.solve(state.M[2:, 2:], push)
@@ -211,7 +213,7 @@ def test_push_is_estimated_with_little_overshoot_at_any_period(ready: Pushed, dt
 
 
 def test_estimated_push_survives_a_gap_in_the_readings_but_not_a_reset(
-    ready: Pushed, robot: RobotModel, border_data: BorderData
+    ready: PushedArm, robot: RobotModel, border_data: BorderData
 ) -> None:
     controller, gap = Controller(robot, border_data, Config()), np.full(7, np.nan)
     for _ in range(20):
@@ -236,7 +238,7 @@ def least_distance(
 ) -> float:
     """[m] distance from the base after 3 s of a downward force of 40 N on the end-effector."""
     controller = Controller(robot, data, Config())
-    arm, d = Pushed(robot, q_m), np.inf
+    arm, d = PushedArm(robot, q_m), np.inf
     for k in range(3000):
         if not estimates_push:
             controller.last.v_last[:] = np.nan  # a gap: the estimate restarts at each reading

@@ -49,7 +49,7 @@ def test_a_motion_passes_its_pose_at_half_its_time() -> None:
     np.testing.assert_allclose(motion.at(0.3)[0].q_m, q, atol=1e-12)
 
 
-def test_a_pose_in_the_buffer_is_inside_of_it_and_touches_nothing() -> None:
+def test_pose_in_the_buffer_is_inside_of_it_without_contact() -> None:
     robot = load(ROBOT)
     reader = PairDistances(robot.model, robot.data.pairs.all)
     for seed in range(5):
@@ -101,7 +101,7 @@ def test_sides_are_those_of_the_bases_box() -> None:
     assert {p: side(p, ROBOT) for p in places} == places
 
 
-def test_rows_come_in_the_order_of_their_cases_from_several_processes() -> None:
+def test_several_processes_return_rows_in_the_order_of_their_cases() -> None:
     assert played(abs, [-3, -1, -2], 2, "numbers") == [3, 1, 2]
 
 

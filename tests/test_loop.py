@@ -336,7 +336,7 @@ def test_scenario_plays_until_a_reset(loop: SimulationLoop) -> None:
     np.testing.assert_allclose(free.p_ee, START, atol=1e-3)
 
 
-def test_impossible_scenario_is_refused_in_the_snapshot_and_changes_nothing(
+def test_impossible_scenario_is_refused_in_the_snapshot(
     loop: SimulationLoop,
 ) -> None:
     before = until(loop, lambda s: s.t > 0.05)

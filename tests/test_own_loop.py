@@ -30,7 +30,7 @@ from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import VelocityTracking
 
 Array = np.ndarray
-Bend = Callable[[int, Measurement], Measurement]
+Degradation = Callable[[int, Measurement], Measurement]
 
 PULL = np.array([-12.0, 0.0, 0.0])  # [N] on the end-effector, into the buffer
 FRONT, SIDE = (0.92, 0.10, 0.30), (0.30, 0.72, 0.35)  # [m] starts of the end-effector
@@ -62,10 +62,10 @@ def starts(robot: RobotModel, border_data: BorderData) -> dict[tuple[float, ...]
 
 @pytest.fixture(scope="module")
 def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run]:
-    """Return a function that runs a loop; `bend` changes the readings."""
+    """Return a function that runs a loop; `degrade` changes the readings."""
 
     def run(
-        bend: Bend = lambda k, m: m,
+        degrade: Degradation = lambda k, m: m,
         *,
         stated: float = 0.001,
         real: float = 0.001,
@@ -84,7 +84,7 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
             sent = plant.measure()
             share = max(share, float((np.abs(sent.qd_m) / robot.qd_max).max()))
             wanted = reference(k * real, origin) if reference else None
-            command = loop.step(bend(k, sent), wanted)
+            command = loop.step(degrade(k, sent), wanted)
             nearest = min(nearest, float(command.step.d.min()))
             for name in command.faults:
                 faults.setdefault(name, k * real)
@@ -103,84 +103,84 @@ def plain(run) -> Run:
     return run()
 
 
-def every_nth(n: int) -> Bend:
+def every_nth(n: int) -> Degradation:
     last: list[Measurement] = []
 
-    def bend(k: int, m: Measurement) -> Measurement:
+    def degrade(k: int, m: Measurement) -> Measurement:
         if k % n == 0:
             last[:] = [m]
         return last[0]
 
-    return bend
+    return degrade
 
 
-def late(n: int) -> Bend:
+def late(n: int) -> Degradation:
     seen: list[Measurement] = []
 
-    def bend(k: int, m: Measurement) -> Measurement:
+    def degrade(k: int, m: Measurement) -> Measurement:
         seen.append(m)
         return seen[max(0, k - n)]
 
-    return bend
+    return degrade
 
 
-def late_every_nth(n: int) -> Bend:
+def late_every_nth(n: int) -> Degradation:
     delay, repeat = late(n), every_nth(n)
     return lambda k, m: repeat(k, delay(k, m))
 
 
-def lossy(share: float, every: int = 1) -> Bend:
+def lossy(share: float, every: int = 1) -> Degradation:
     """A new reading every `every` steps; a share of them is lost."""
     rng, last = np.random.default_rng(0), []
 
-    def bend(k: int, m: Measurement) -> Measurement:
+    def degrade(k: int, m: Measurement) -> Measurement:
         if not last or (k % every == 0 and rng.random() > share):
             last[:] = [m]
         return last[0]
 
-    return bend
+    return degrade
 
 
-def noisy(noise: float, bend: Bend) -> Bend:
+def noisy(noise: float, degrade: Degradation) -> Degradation:
     """Add noise [rad] to the positions, and 60 times as much [rad/s] to the velocities."""
     rng = np.random.default_rng(0)
 
-    def bend_and_blur(k: int, m: Measurement) -> Measurement:
+    def degrade_with_noise(k: int, m: Measurement) -> Measurement:
         q, v = noise * rng.standard_normal((2, 7))
-        m = bend(k, m)
+        m = degrade(k, m)
         return m._replace(q_m=m.q_m + q, qd_m=m.qd_m + 60.0 * v)
 
-    return bend_and_blur
+    return degrade_with_noise
 
 
-def starting_at(bend: Bend, begin: int) -> Bend:
-    """Apply `bend` from the step `begin` on."""
+def starting_at(degrade: Degradation, begin: int) -> Degradation:
+    """Apply `degrade` from the step `begin` on."""
 
     def later(k: int, m: Measurement) -> Measurement:
-        bent = bend(k, m)
-        return m if k < begin else bent
+        degraded = degrade(k, m)
+        return m if k < begin else degraded
 
     return later
 
 
-def filtered(noise: float = 0.0) -> Bend:
+def filtered(noise: float = 0.0) -> Degradation:
     """Add encoder noise [rad]; the velocities are those of a filter with a delay of 8 ms."""
     rng, tracking = np.random.default_rng(0), list[VelocityTracking]()
 
-    def bend(k: int, m: Measurement) -> Measurement:
+    def degrade(k: int, m: Measurement) -> Measurement:
         if not tracking:
             tracking.append(VelocityTracking(m.q_m, m.qd_m, 0.001))
         q = m.q_m + noise * rng.standard_normal(7)
         return m._replace(q_m=q, qd_m=tracking[0].update(q))
 
-    return bend
+    return degrade
 
 
-def both(first: Bend, second: Bend) -> Bend:
+def both(first: Degradation, second: Degradation) -> Degradation:
     return lambda k, m: second(k, first(k, m))
 
 
-def every_nth_without_velocities(n: int) -> Bend:
+def every_nth_without_velocities(n: int) -> Degradation:
     repeat = every_nth(n)
     return lambda k, m: repeat(k, m)._replace(qd_m=NAN)
 
@@ -573,11 +573,11 @@ def still(t: float, origin: pin.SE3) -> Reference:
     return Reference(origin, np.zeros(6), np.zeros(6))
 
 
-def blind(first: int, last: int, field: str) -> Bend:
-    def bend(k: int, m: Measurement) -> Measurement:
+def blind(first: int, last: int, field: str) -> Degradation:
+    def degrade(k: int, m: Measurement) -> Measurement:
         return m._replace(**{field: np.nan * getattr(m, field)}) if first <= k < last else m
 
-    return bend
+    return degrade
 
 
 def relocated(k: int, m: Measurement) -> Measurement:
@@ -594,8 +594,8 @@ EVENTS = {
 
 @pytest.mark.parametrize("case", EVENTS)
 def test_event_is_reported_and_causes_no_jump(run, case: str) -> None:
-    bend, fault, most = EVENTS[case]
-    found = run(bend, start=SIDE, pull=np.zeros(3), reference=still)
+    degrade, fault, most = EVENTS[case]
+    found = run(degrade, start=SIDE, pull=np.zeros(3), reference=still)
     assert found.faults[fault] <= 0.5
     assert found.share < most
     assert np.linalg.norm(np.diff(found.hand, axis=0), axis=1).max() < 0.0006  # 0.6 m/s
@@ -724,9 +724,7 @@ def test_command_reports_its_gravity_torques(robot: RobotModel, border_data: Bor
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
-def test_a_copied_command_does_not_change(
-    robot: RobotModel, border_data: BorderData, copied
-) -> None:
+def test_copied_command_does_not_change(robot: RobotModel, border_data: BorderData, copied) -> None:
     loop, m = (
         ControlLoop(robot, border_data),
         at_rest(robot, np.array(robot.description.arm.ready_position)),

@@ -71,7 +71,7 @@ def test_A_B_C_of_2_3_2_for_the_end_effector(robot: RobotModel) -> None:
 
 
 @pytest.mark.parametrize("printed", [0.139, 1.011])
-def test_9_as_printed_is_zero_at_two_distances_and_ours_stays_positive(
+def test_9_as_printed_has_two_roots_where_the_implementation_is_positive(
     robot: RobotModel, printed: float
 ) -> None:
     field = ScoreField.of(robot, "lEE")
@@ -81,7 +81,7 @@ def test_9_as_printed_is_zero_at_two_distances_and_ours_stays_positive(
     assert 0.0 < float(field.reachability(p)) < 0.05 * field.C
 
 
-def test_the_best_reach_is_c_at_b(robot: RobotModel) -> None:
+def test_largest_reachability_is_c_at_b(robot: RobotModel) -> None:
     field = ScoreField.of(robot, "lEE")
     assert field.reachability(field.p_base + np.array([0.575, 0.0, 0.0])) == pytest.approx(100.0)
 
@@ -121,7 +121,7 @@ def test_tracking_goes_0_2_m_along_minus_y_in_30_s_by_a_cubic() -> None:
 
 
 @pytest.mark.parametrize("name", ["guiding-lateral", "guiding-front"])
-def test_guiding_comes_from_the_side_and_from_the_front(name: str) -> None:
+def test_guiding_moves_from_the_side_or_from_the_front(name: str) -> None:
     """§4.2.2: towards the base, without other tasks than avoidance."""
     scenario = scenario_by_name(name)
     axis = {"guiding-lateral": 1, "guiding-front": 0}[name]

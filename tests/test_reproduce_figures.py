@@ -229,7 +229,7 @@ def test_thinned_border_is_a_sorted_subset(sources: Sources):
     assert set(map(tuple, thin.points)) <= set(map(tuple, border.points))
 
 
-def test_a_cloud_thinned_to_a_share_has_a_border_of_that_share(sources: Sources):
+def test_border_of_a_thinned_cloud_has_the_same_share_of_points(sources: Sources):
     cloud = sources.data.clouds["lm-lEE"]
     whole = len(construct_dbb(cloud, 0.15, 0.01))
     thin = len(construct_dbb(density.thinned_cloud(cloud, 0.4), 0.15, 0.01))
@@ -260,7 +260,9 @@ def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeyp
 
 
 @pytest.mark.slow
-def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border_data: BorderData):
+def test_figures_of_the_refrigerator_show_door_and_robot(
+    robot: RobotModel, border_data: BorderData
+):
     """The run lasts 0.2 s; the shape of the door is magenta."""
     run = short_run(robot, border_data, DOOR, 0.2, physics="planar")
     sources = sources_of(robot, border_data, every([DOOR, DOOR_NONE], run))
@@ -289,7 +291,7 @@ def test_the_drawn_door_turns_about_its_hinge_by_its_angle():
         assert body.mesh.bounds[0][0] > door.hinge_position[0]
 
 
-def test_the_printed_form_is_worse_at_each_departure(
+def test_printed_form_is_worse_at_each_departure(
     sources: Sources, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Measures that compare two runs are exceptions, because both are the same run here."""

@@ -210,7 +210,7 @@ UNFIT = {
 
 
 @pytest.mark.parametrize(("change", "expected"), UNFIT.values(), ids=UNFIT.keys())
-def test_a_description_that_the_urdf_contradicts_is_refused(write, change, expected):
+def test_description_that_contradicts_the_urdf_is_refused(write, change, expected):
     description = load_description(write(change))
     with pytest.raises(DescriptionError) as refusal:
         RobotModel(description)
@@ -287,18 +287,18 @@ def test_continuous_arm_joint_is_refused_with_an_alternative(with_urdf):
         "",
     ],
 )
-def test_a_package_address_cannot_leave_its_package(uri):
+def test_package_uri_cannot_leave_its_package(uri):
     with pytest.raises(AssetError):
         resolve_package_uri(uri)
 
 
-def test_a_package_address_finds_its_file():
+def test_package_uri_finds_its_file():
     path = resolve_package_uri("package://pybullet_data/husky/meshes/top_plate.stl")
     assert path.is_file()
     assert path.parts[-3:] == ("husky", "meshes", "top_plate.stl")
 
 
-def test_no_package_address_is_left_in_a_resolved_urdf():
+def test_resolved_urdf_contains_no_package_uri():
     assert "package://" not in resolved_urdf(load_robot("husky_panda"))
 
 

@@ -1,4 +1,4 @@
-"""Laws of kinematics and dynamics in the reduced coordinates."""
+"""Properties of kinematics and dynamics in the reduced coordinates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEEDS = range(5)
 
 
 def moved(m: Measurement, dq: np.ndarray) -> Measurement:
-    """A measurement after a small displacement (wheels, arm), by the law of the rolling base."""
+    """A measurement after a small displacement (wheels, arm) of a robot with rolling wheels."""
     forward, turn = husky_panda().J_m @ dq[:2]
     x, y, phi = m.base_pose
     middle = phi + turn / 2
@@ -29,8 +29,8 @@ def state_at(m: Measurement) -> RobotState:
     return state
 
 
-def carried(joint: int, p_world: np.ndarray, at: RobotState, to: RobotState) -> np.ndarray:
-    """Where a point of a joint's body goes between two states."""
+def moved_point(joint: int, p_world: np.ndarray, at: RobotState, to: RobotState) -> np.ndarray:
+    """(3,) [m] position in the state `to` of the body's point that is at `p_world` in `at`."""
     return to.data.oMi[joint].act(at.data.oMi[joint].actInv(p_world))
 
 
@@ -48,7 +48,7 @@ def test_end_effector_jacobian_is_the_derivative_of_its_pose(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_end_effector_bias_is_the_derivative_of_its_jacobian_times_the_velocity(seed):
+def test_end_effector_bias_is_the_jacobians_derivative_times_velocity(seed):
     m = random_measurement(np.random.default_rng(seed))
     state = state_at(m)
     qd = state.qd.copy()
@@ -66,14 +66,14 @@ def test_point_jacobian_is_the_derivative_of_the_point(seed):
         p = state.data.oMi[joint].translation + rng.uniform(-0.3, 0.3, 3)
 
         def point(dq, joint=joint, p=p):
-            return carried(joint, p, state, state_at(moved(m, dq)))
+            return moved_point(joint, p, state, state_at(moved(m, dq)))
 
         expected = jacobian(point, state.model.n)
         np.testing.assert_allclose(state.point_jacobian(joint, p), expected, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_point_bias_is_the_acceleration_of_the_point_at_rest_of_the_joints_acceleration(seed):
+def test_point_bias_is_the_acceleration_at_zero_joint_acceleration(seed):
     rng = np.random.default_rng(seed)
     m = random_measurement(rng)
     state = state_at(m)
@@ -83,13 +83,13 @@ def test_point_bias_is_the_acceleration_of_the_point_at_rest_of_the_joints_accel
 
         def velocity(t, joint=joint, p=p):
             then = state_at(moved(m, qd * t))
-            return then.point_jacobian(joint, carried(joint, p, state, then)) @ qd
+            return then.point_jacobian(joint, moved_point(joint, p, state, then)) @ qd
 
         np.testing.assert_allclose(state.point_bias(joint, p), derivative(velocity), atol=1e-7)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_inertia_matrix_is_symmetric_positive_definite_and_holds_the_kinetic_energy(seed):
+def test_inertia_matrix_is_positive_definite_and_gives_kinetic_energy(seed):
     state = random_state(np.random.default_rng(seed))
     np.testing.assert_allclose(state.M, state.M.T, atol=1e-12)
     assert np.linalg.eigvalsh(state.M).min() > 0
@@ -153,7 +153,7 @@ def test_equal_wheels_drive_straight_and_opposite_ones_turn_on_the_spot():
     np.testing.assert_allclose(J_m @ [1.0, -1.0], [0.0, 0.4], atol=1e-15)
 
 
-def test_base_frame_and_world_are_inverse_to_each_other():
+def test_to_base_and_to_world_are_inverse_to_each_other():
     rng = np.random.default_rng(3)
     state = random_state(rng)
     p = rng.normal(size=3)
@@ -161,7 +161,7 @@ def test_base_frame_and_world_are_inverse_to_each_other():
     np.testing.assert_allclose(state.to_world(np.zeros(3))[:2], state.measurement.base_pose[:2])
 
 
-def test_moving_the_base_moves_the_whole_robot_with_it():
+def test_base_pose_does_not_change_the_robot_in_the_base_frame():
     rng = np.random.default_rng(4)
     m = random_measurement(rng)
     here, home = state_at(m), state_at(m._replace(base_pose=np.zeros(3)))
@@ -173,7 +173,7 @@ def test_moving_the_base_moves_the_whole_robot_with_it():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_kinematics_alone_are_those_of_a_whole_update(seed):
+def test_update_kinematics_agrees_with_a_full_update(seed):
     rng = np.random.default_rng(seed)
     state, m = state_at(random_measurement(rng)), random_measurement(rng)
     whole = state_at(m)
@@ -188,8 +188,8 @@ def test_kinematics_alone_are_those_of_a_whole_update(seed):
             np.testing.assert_allclose(here, there, atol=1e-11)
 
 
-def test_measurements_may_be_read_only_or_parts_of_larger_arrays():
-    """Those of snapshots are; measured arrays are never written to."""
+def test_measurements_may_be_read_only_or_strided_arrays():
+    """The arrays of snapshots are read-only."""
     robot = husky_panda()
     m = random_measurement(np.random.default_rng(5))
     frozen = Measurement(*(np.repeat(values, 2)[::2] for values in m))

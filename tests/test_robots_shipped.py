@@ -1,4 +1,4 @@
-"""The robots that ship: their descriptions hold, and with their package installed they load."""
+"""The shipped robots: their descriptions are valid, and they load with their package."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ PACKAGES = {
     "frankie": "rtbdata",
     "tiago": "example-robot-data",
 }
-"""Where the meshes of each come from; all but the first belong to the extra `robots`."""
+"""The package of each robot's meshes; all but the first belong to the extra `robots`."""
 
 
-def test_the_robots_that_were_made_ship() -> None:
+def test_all_robots_of_the_list_are_shipped() -> None:
     assert set(PACKAGES) <= set(robot_names())
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_a_description_is_read_without_its_meshes_and_has_a_source_for_each_number(
+def test_description_is_read_without_meshes_and_states_its_sources(
     name: str,
 ) -> None:
     description = load_robot(name)
@@ -38,7 +38,7 @@ def test_a_description_is_read_without_its_meshes_and_has_a_source_for_each_numb
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_with_its_package_it_has_the_same_dynamics_in_both_libraries(name: str) -> None:
+def test_robot_has_the_same_dynamics_in_both_engines(name: str) -> None:
     if not package_roots(PACKAGES[name]):
         pytest.skip("pip install '.[robots]'")
     model = RobotModel(load_robot(name))
@@ -47,7 +47,7 @@ def test_with_its_package_it_has_the_same_dynamics_in_both_libraries(name: str) 
         assert row.outcome == "passed", row
 
 
-def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_is_reported_with_its_installation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(assets, "share_folders", list)
     for name, how in (
@@ -61,7 +61,7 @@ def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("name", [n for n in PACKAGES if n != "husky_panda"])
-def test_no_mesh_is_copied_and_none_stands_by_a_path_of_one_machine(name: str) -> None:
+def test_no_mesh_is_copied_and_all_mesh_paths_are_package_uris(name: str) -> None:
     folder = assets.ASSETS / name
     assert not [p for p in folder.rglob("*") if p.suffix.lower() in {".stl", ".dae", ".obj"}]
     if load_robot(name).urdf.startswith("package://"):

@@ -1,4 +1,4 @@
-"""The leading point's motion: where it begins and ends, and that its derivatives are its own."""
+"""The motion of the leading point: its start, its end and consistent derivatives."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_tracking_is_the_papers_line(scenario):
     assert tracking.duration * tracking.moving == 30.0
 
 
-def test_it_leads_from_start_to_start_plus_move_and_holds(scenario):
+def test_motion_goes_from_start_by_move_and_then_rests(scenario):
     start, move = np.array(scenario.start), np.array(scenario.move)
     moving = scenario.duration * scenario.moving
     np.testing.assert_allclose(scenario.place(0.0), start)
@@ -57,7 +57,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_position(scenario)
         np.testing.assert_allclose((after[1] - before[1]) / (2 * h), at[2], atol=1e-7)
 
 
-def test_the_reference_holds_the_orientation_and_has_the_points_motion(scenario):
+def test_reference_has_a_constant_orientation_and_the_points_motion(scenario):
     R = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     reference = scenario.reference(1.3, R)
     p, v, a = motion_of(scenario, 1.3)
@@ -67,7 +67,7 @@ def test_the_reference_holds_the_orientation_and_has_the_points_motion(scenario)
     np.testing.assert_array_equal(reference.acceleration, [*a, 0, 0, 0])
 
 
-def test_a_change_keeps_the_rest(scenario):
+def test_changed_scenario_differs_in_the_changed_fields_only(scenario):
     changed = scenario.changed(move=(0.1, 0.0, 0.0), duration=2.0)
     assert changed == LineScenario(
         scenario.name,
@@ -82,7 +82,7 @@ def test_a_change_keeps_the_rest(scenario):
     assert scenario.changed(start=(1.0, 0.0, 0.5)).start == (1.0, 0.0, 0.5)
 
 
-def test_a_change_of_what_a_scenario_does_not_have_lists_what_it_has(scenario):
+def test_unknown_option_is_refused_with_the_valid_options(scenario):
     with pytest.raises(ConfigError, match=r"--door-width: .*duration, .*move"):
         scenario.changed(door_width=0.5)
     with pytest.raises(ConfigError, match=r"--move: .*door-width"):
@@ -94,7 +94,7 @@ GUIDING = [name for name, each in LINES.items() if each.mode == "guiding"]
 
 @pytest.mark.parametrize("name", GUIDING)
 @pytest.mark.parametrize("duration", [3.0, 25.0])
-def test_who_lets_go_keeps_the_scenarios_own_pace_whatever_the_duration(name, duration):
+def test_motion_with_a_release_does_not_depend_on_the_duration(name, duration):
     own = LINES[name]
     released = own.changed(release_at=2.0, duration=duration)
     assert released.duration == duration
@@ -104,9 +104,9 @@ def test_who_lets_go_keeps_the_scenarios_own_pace_whatever_the_duration(name, du
     np.testing.assert_allclose(own.changed(duration=16.0).place(4.0), own.place(2.0))
 
 
-def test_nobody_holds_the_hand_from_the_release_until_it_is_taken_again():
+def test_nobody_pulls_between_release_and_regrasp():
     line = LINES["guiding-front"].changed(release_at=2.0, regrasp_at=3.5)
-    for t, held in [
+    for t, grasped in [
         (0.0, True),
         (1.999, True),
         (2.0, False),
@@ -114,15 +114,15 @@ def test_nobody_holds_the_hand_from_the_release_until_it_is_taken_again():
         (3.5, True),
         (7.9, True),
     ]:
-        assert line.holds(t) == held, t
+        assert line.holds(t) == grasped, t
         lead = line.driver(_Stands(t))(_Stands(t))
-        assert (lead.pull is not None) == held
+        assert (lead.pull is not None) == grasped
         assert lead.reference is None
     assert LINES["guiding-front"].holds(7.9)
 
 
 class _Stands:
-    """As much of a session as a driver reads."""
+    """The part of a session that a driver reads."""
 
     def __init__(self, t: float) -> None:
         self.t, self.T_world_ee = t, pin.SE3.Identity()
@@ -146,13 +146,13 @@ class _Stands:
         ),
     ],
 )
-def test_who_cannot_let_go_then_is_told_so_in_one_line(name, changes, words):
+def test_invalid_release_is_refused_in_one_line(name, changes, words):
     with pytest.raises(ConfigError, match=words) as caught:
         SCENARIOS[name].changed(**changes)
     assert "\n" not in str(caught.value)
 
 
-def test_an_unknown_name_lists_those_that_exist():
+def test_unknown_scenario_is_refused_with_the_valid_names():
     with pytest.raises(UnknownNameError, match="tracking") as caught:
         scenario_by_name("trackin")
     assert caught.value.choices == sorted(SCENARIOS)
@@ -160,7 +160,7 @@ def test_an_unknown_name_lists_those_that_exist():
 
 
 @pytest.mark.parametrize("name", ["tracking", "guiding-front"])
-def test_a_path_that_ends_below_the_floor_is_refused_before_anything_moves(
+def test_path_that_ends_below_the_floor_is_refused_before_the_run(
     robot: RobotModel, border_data: BorderData, name: str
 ):
     below = SCENARIOS[name].changed(move=(0.0, 0.0, -0.5))

@@ -1,4 +1,4 @@
-"""Pictures without a display: of the requested size and content, the same each time."""
+"""Pictures without a display have the requested size and content and are reproducible."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LOOK = Look(width=200, height=150)
 
 @pytest.fixture(scope="module")
 def snapshots(robot, border_data):
-    """A fast pull, on the plant that costs least."""
+    """Snapshots of a fast pull on the kinematic plant, which needs the least time."""
     scenario = scenario_by_name("guiding-front").changed(duration=1.5)
     run = RunSpec("husky_panda", scenario, Config(), physics="kinematic")
     return filmed(run, robot, border_data, [0.333, 1.0])
@@ -42,7 +42,7 @@ def snapshots(robot, border_data):
 
 @pytest.fixture(scope="module")
 def take(browser, snapshots, robot, border_data):
-    """Takes pictures of the run, as arrays."""
+    """Return a function that takes pictures of the run, as arrays."""
 
     def pictures(look, times=(0.0, 1.0)):
         taken = take_pictures(browser, snapshots, times, robot, border_data.clouds, look)
@@ -63,14 +63,14 @@ def share(a, b, least=8):
     return float((np.abs(a - b).max(axis=-1) > least).mean())
 
 
-def test_a_run_is_filmed_up_to_the_last_time_that_is_asked_for(snapshots):
+def test_run_is_recorded_up_to_the_last_requested_time(snapshots):
     times = [s.t for s in snapshots]
     assert times[-1] == pytest.approx(1.0, abs=1e-9)
     assert min(abs(t - 0.333) for t in times) < 1e-9
     assert len(times) == 51 + 1
 
 
-def test_a_film_shows_what_had_been_until_a_time():
+def test_recorded_loop_shows_the_snapshots_up_to_a_time():
     rows = random_snapshots(1, 40)
     film = RecordedLoop(rows)
     for k in (39, 0, 17):
@@ -83,7 +83,7 @@ def test_a_film_shows_what_had_been_until_a_time():
     assert film.go_to(-5.0) is rows[0]
 
 
-def test_a_strip_has_the_pictures_side_by_side_with_their_times_in_a_corner():
+def test_strip_shows_pictures_side_by_side_with_their_times():
     pictures = [Image.new("RGB", (300, 200), colour) for colour in ("red", "green", "blue")]
     whole = strip(pictures, [0.0, 1.25, 8.0], dark=True)
     assert whole.size == (900, 200)
@@ -95,7 +95,7 @@ def test_a_strip_has_the_pictures_side_by_side_with_their_times_in_a_corner():
         assert share(part[:40, 200:], plain[:40, 200:]) == 0.0
 
 
-def test_without_a_browser_it_is_said_what_provides_one(monkeypatch, tmp_path):
+def test_missing_browser_is_reported_with_its_installation(monkeypatch, tmp_path):
     monkeypatch.setenv(VARIABLE, str(tmp_path / "none"))
     with pytest.raises(BrowserError, match="does not exist"):
         browser_path("")
@@ -109,7 +109,7 @@ def test_without_a_browser_it_is_said_what_provides_one(monkeypatch, tmp_path):
 
 
 @pytest.mark.browser
-def test_a_picture_has_the_asked_size_and_is_the_same_each_time(take, taken):
+def test_picture_has_the_requested_size_and_is_reproducible(take, taken):
     """Pictures of several times show the motion from one viewpoint."""
     for picture, again in zip(taken, take(LOOK), strict=True):
         assert picture.shape == (150, 200, 3)
@@ -118,8 +118,8 @@ def test_a_picture_has_the_asked_size_and_is_the_same_each_time(take, taken):
 
 
 @pytest.mark.browser
-def test_only_the_scene_is_to_be_seen(taken):
-    """Towards the upper edge the floor has faded: there is nothing but the ground."""
+def test_picture_shows_only_the_scene(taken):
+    """The floor fades towards the upper edge, so the background there has one colour."""
     edge = taken[1][:10]
     assert np.ptp(edge.reshape(-1, 3), axis=0).max() <= 2
 
@@ -130,12 +130,12 @@ def test_only_the_scene_is_to_be_seen(taken):
     [({"layer": "none"}, 0.03), ({"layer": "reachability", "light": True}, 0.5)],
     ids=["no-layer", "layer-light"],
 )
-def test_each_option_changes_what_is_to_be_seen(take, taken, change, least):
+def test_each_option_changes_the_picture(take, taken, change, least):
     for before, picture in zip(taken, take(replace(LOOK, **change)), strict=True):
         assert share(before, picture) > least
 
 
-def test_a_layer_colours_the_border_of_the_shown_or_of_the_named_pair():
+def test_layer_colours_the_border_of_the_default_or_the_named_pair():
     for layer, pair, wanted in (
         ("reachability", "", ["reachability", HIDDEN]),
         ("reachability", "lm-l3", [HIDDEN, "reachability"]),
@@ -148,7 +148,7 @@ def test_a_layer_colours_the_border_of_the_shown_or_of_the_named_pair():
 
 
 @pytest.mark.browser
-def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(take):
+def test_picture_of_the_page_shows_panels_and_is_reproducible(take):
     """Also after a picture of another time."""
     a, _, b = take(Look(width=1000, height=420, page=True), (1.0, 0.0, 1.0))
     assert a.shape == (420, 1000, 3)
@@ -161,7 +161,7 @@ def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(ta
 
 @pytest.mark.browser
 def test_ctrl_c_ends_the_browser_too(tmp_path):
-    """The signal goes to all of the group, as from a terminal, once the browser runs."""
+    """The signal goes to the process group, as from a terminal, after the browser has started."""
     out = tmp_path / "a.png"
     process = subprocess.Popen(
         [sys.executable, "-m", "app", "screenshot", "tracking", "--at", "29", "--out", str(out)],
@@ -217,8 +217,8 @@ with suppress(Exception), chromium():  # playwright's, of any kind: its browser 
 
 
 @pytest.mark.browser
-def test_what_a_browser_has_put_beside_goes_with_it_even_if_it_was_killed():
-    """In a process of its own: the tests' browsers in this one are to live on."""
+def test_temporary_files_of_a_killed_browser_are_removed():
+    """The test runs in a separate process, because the browser of other tests must survive."""
     with tempfile.TemporaryDirectory() as short:  # the path of a browser's socket has a limit
         found = subprocess.run(
             [sys.executable, "-c", _KILLED],

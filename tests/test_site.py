@@ -1,4 +1,4 @@
-"""The site of files: replays, borders, and the page that leads to them."""
+"""The static site: replays, borders and the page with links to them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def made(tmp_path_factory) -> Path:
     return out
 
 
-def test_its_page_leads_to_replays_and_shows_the_border(browser, made):
+def test_start_page_links_to_replays_and_borders(browser, made):
     page, errors = browser.new_page(), []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto((made / "index.html").as_uri())
@@ -45,7 +45,7 @@ def test_its_page_leads_to_replays_and_shows_the_border(browser, made):
     assert errors == []
 
 
-def test_a_border_page_goes_over_the_buffer_distances(browser, made):
+def test_border_page_shows_the_border_and_the_buffer_distance(browser, made):
     page = new_context(browser, (640, 480)).new_page()
     page.goto((made / "border/lm-lEE-score.html").as_uri())
     page.wait_for_function(_BORDER, timeout=60_000)

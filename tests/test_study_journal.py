@@ -1,4 +1,4 @@
-"""The journal of a study: nothing lost, nothing twice, nothing mixed."""
+"""The journal of a study loses, repeats and mixes no case."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def fill(folder: Path, count: int) -> bytes:
     return (folder / "cases.jsonl").read_bytes()
 
 
-def test_what_was_added_is_there_when_it_is_opened_again(tmp_path):
+def test_added_rows_are_read_when_the_journal_is_reopened(tmp_path):
     fill(tmp_path, 3)
     with Journal(tmp_path, IDENTITY) as journal:
         assert journal.rows == {row["case"]: row for row in rows(3)}
 
 
-def test_a_row_is_on_the_disk_before_add_returns(tmp_path):
+def test_row_is_on_the_disk_before_add_returns(tmp_path):
     with Journal(tmp_path, IDENTITY) as journal:
         for k, row in enumerate(rows(3), start=1):
             journal.add(row)
@@ -41,7 +41,7 @@ def test_a_row_is_on_the_disk_before_add_returns(tmp_path):
 
 
 @pytest.mark.parametrize("left", range(1, 24))
-def test_a_line_that_was_cut_off_anywhere_is_dropped_and_done_again(tmp_path, left):
+def test_incomplete_last_line_is_dropped_and_its_case_added_again(tmp_path, left):
     whole = fill(tmp_path, 2)
     last = whole.splitlines(keepends=True)[-1]
     (tmp_path / "cases.jsonl").write_bytes(whole[: len(whole) - len(last) + left])
@@ -52,7 +52,7 @@ def test_a_line_that_was_cut_off_anywhere_is_dropped_and_done_again(tmp_path, le
     assert (tmp_path / "cases.jsonl").read_bytes() == whole
 
 
-def test_a_case_is_counted_once(tmp_path):
+def test_repeated_case_is_ignored(tmp_path):
     whole = fill(tmp_path, 2)
     with Journal(tmp_path, IDENTITY) as journal:
         journal.add({"case": 1, "value_m": 9.0})
@@ -70,7 +70,7 @@ def test_a_case_is_counted_once(tmp_path):
         ({"envelope": 1}, ["envelope: None, not 1"]),
     ],
 )
-def test_a_folder_of_another_study_is_refused_and_left_alone(tmp_path, change, words):
+def test_folder_of_another_study_is_refused_and_not_changed(tmp_path, change, words):
     whole = fill(tmp_path, 2)
     with pytest.raises(StudyError) as caught:
         Journal(tmp_path, {**IDENTITY, **change})
@@ -78,21 +78,21 @@ def test_a_folder_of_another_study_is_refused_and_left_alone(tmp_path, change, w
     assert (tmp_path / "cases.jsonl").read_bytes() == whole
 
 
-def test_two_cannot_work_in_one_folder(tmp_path):
+def test_second_journal_in_one_folder_is_refused(tmp_path):
     busy = pytest.raises(StudyError, match="another dbb study uses")
     with Journal(tmp_path, IDENTITY), busy:
         Journal(tmp_path, IDENTITY)
     fill(tmp_path, 1)
 
 
-def test_a_damaged_line_in_the_middle_is_named(tmp_path):
+def test_damaged_line_in_the_middle_is_reported_by_number(tmp_path):
     whole = fill(tmp_path, 3)
     (tmp_path / "cases.jsonl").write_bytes(whole.replace(b'"case": 1', b'"case" 1'))
     with pytest.raises(StudyError, match="line 2 of"):
         Journal(tmp_path, IDENTITY)
 
 
-def test_a_line_without_an_end_takes_no_memory(tmp_path):
+def test_line_without_an_end_is_refused_with_little_memory(tmp_path):
     fill(tmp_path, 3)
     with (tmp_path / "cases.jsonl").open("ab") as file:
         file.truncate(file.tell() + 30_000_000)

@@ -25,7 +25,7 @@ from app.strict import explain
 Array = np.ndarray
 
 DEVIATION = {1.0: 0.005, 2.0: 0.03}
-"""[-] of the longest semi-axis, by the largest exponent: the bound of the shape's docstring."""
+"""[-] bound of the polytope's deviation per longest semi-axis, by the largest exponent."""
 EXTREMES = [(e1, e2) for e1 in (0.1, 0.2, 1.0, 1.5, 2.0) for e2 in (0.1, 0.2, 1.0, 1.5, 2.0)]
 
 
@@ -37,7 +37,7 @@ def shape_of(axes, e1: float, e2: float, **placed) -> Superquadric:
 
 
 def random_shape(rng: np.random.Generator, greatest: float) -> tuple[Superquadric, float]:
-    """A placed shape, and the bound [m] of its distances' excess."""
+    """A placed shape, and the bound [m] of the error of its distances."""
     axes = rng.uniform(0.03, 1.0, 3)
     shape = shape_of(
         axes,
@@ -57,7 +57,7 @@ def random_pose(rng: np.random.Generator, reach: float) -> pin.SE3:
 def gauge(p: Array, shape: Superquadric) -> Array:
     """Growth of the shape at which `p`, (3,) or (k, 3), is on its surface.
 
-    Written as the sums of powers of the definition, and so without the module's own form of it.
+    It uses the sums of powers of the definition, independently of the module.
     """
     x, y, z = (np.abs(p) / np.array(shape.semi_axes_m)).T
     plan = (x ** (2 / shape.e2) + y ** (2 / shape.e2)) ** (shape.e2 / 2)
@@ -120,8 +120,8 @@ def depth_of_point(shape: Superquadric, p: Array) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("greatest", [1.0, 2.0])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_distance_from_a_box_is_that_of_a_constrained_minimisation(seed: int, greatest: float):
-    """As between the door and the base; too large by no more than the polytope's deviation."""
+def test_distance_from_a_box_agrees_with_constrained_minimisation(seed: int, greatest: float):
+    """The distance exceeds the exact one by at most the polytope's deviation."""
     rng = np.random.default_rng(seed)
     shape, most = random_shape(rng, greatest)
     half, apart = rng.uniform(0.05, 0.5, 3), 0.0
@@ -134,9 +134,7 @@ def test_the_distance_from_a_box_is_that_of_a_constrained_minimisation(seed: int
 
 @pytest.mark.parametrize("greatest", [1.0, 2.0])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_penetration_of_a_ball_is_that_of_a_constrained_minimisation(
-    seed: int, greatest: float
-):
+def test_penetration_of_a_ball_agrees_with_constrained_minimisation(seed: int, greatest: float):
     """The signed distance of a ball whose centre is inside: -(centre to the surface + radius)."""
     rng = np.random.default_rng(100 + seed)
     shape, most = random_shape(rng, greatest)
@@ -150,7 +148,7 @@ def test_the_penetration_of_a_ball_is_that_of_a_constrained_minimisation(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_with_both_exponents_one_it_is_an_ellipsoid(seed: int):
+def test_both_exponents_one_give_an_ellipsoid(seed: int):
     """The collision library has an ellipsoid of its own."""
     rng = np.random.default_rng(seed)
     shape, most = shape_of(axes := rng.uniform(0.1, 1.0, 3), 1.0, 1.0), 0.005
@@ -171,8 +169,8 @@ def test_with_both_exponents_one_it_is_an_ellipsoid(seed: int):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("e1", "e2"), EXTREMES)
-def test_the_polytope_is_as_near_to_the_surface_as_is_said(e1: float, e2: float):
-    """Its vertices are on it; the farthest points outside of its faces are between them."""
+def test_polytope_deviates_from_the_surface_by_at_most_the_bound(e1: float, e2: float):
+    """Its vertices are on the surface; the largest deviations are between them."""
     rng = np.random.default_rng(3)
     for axes in ((1.0, 1.0, 1.0), (1.0, 0.3, 0.1), (0.07, 0.5, 1.4)):
         shape = shape_of(axes, e1, e2)
@@ -189,7 +187,7 @@ def test_the_polytope_is_as_near_to_the_surface_as_is_said(e1: float, e2: float)
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_function_is_the_definitions_sum_of_powers(seed: int):
+def test_implicit_function_agrees_with_the_definition(seed: int):
     rng = np.random.default_rng(seed)
     axes, (e1, e2) = rng.uniform(0.05, 2.0, 3), rng.uniform(0.1, 2.0, 2)
     p = rng.normal(size=(7, 5, 3)) * axes
@@ -203,7 +201,7 @@ def test_the_function_is_the_definitions_sum_of_powers(seed: int):
 
 
 @pytest.mark.parametrize("far", [1e-9, 1e3, 1e9])
-def test_the_way_to_the_surface_does_not_depend_on_how_far_away_one_starts(far: float):
+def test_projection_to_the_surface_does_not_depend_on_the_distance(far: float):
     p = np.array([[0.3, -0.2, 0.7], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     for e1, e2 in ((0.1, 0.1), (0.1, 2.0), (2.0, 0.1)):
         near = onto_surface(p, (0.4, 0.2, 0.9), e1, e2)
@@ -217,13 +215,13 @@ def test_all_corners_of_the_box_lie_on_the_superquadric_around_it(e1: float, e2:
     shape = shape_of(axes, e1, e2)
     corners = np.array(np.meshgrid(*([-0.5, 0.5],) * 3)).reshape(3, 8).T * size
     np.testing.assert_allclose(gauge(corners, shape), 1.0, atol=1e-9)
-    # The polytope has them too, and so holds the whole box.
+    # The polytope contains them too, and therefore the whole box.
     faces = ConvexHull(shape.vertices()).equations
     assert (faces[:, :3] @ corners.T + faces[:, 3:]).max() < 1e-9
     assert (np.array(axes) > size / 2).all()
 
 
-def test_the_superquadric_around_a_box_nears_it_as_the_exponents_fall():
+def test_superquadric_around_a_box_shrinks_with_its_exponents():
     growth = [around_box((2.0, 2.0, 2.0), e, e)[0] for e in (1.0, 0.5, 0.2, 0.1)]
     assert growth == sorted(growth, reverse=True)
     assert growth[0] == pytest.approx(np.sqrt(3))  # the ellipsoid's
@@ -231,7 +229,7 @@ def test_the_superquadric_around_a_box_nears_it_as_the_exponents_fall():
 
 
 @pytest.mark.parametrize(("e1", "e2"), EXTREMES)
-def test_the_mesh_for_drawing_lies_on_the_surface_and_has_all_of_it(e1: float, e2: float):
+def test_mesh_for_drawing_covers_the_whole_surface(e1: float, e2: float):
     shape = shape_of((0.4, 0.25, 0.8), e1, e2)
     mesh = shape_mesh(shape)
     np.testing.assert_allclose(gauge(mesh.vertices, shape), 1.0, atol=1e-9)
@@ -243,8 +241,8 @@ def test_the_mesh_for_drawing_lies_on_the_surface_and_has_all_of_it(e1: float, e
     assert 0.975 * whole < mesh.volume < whole * (1 + 1e-9)
 
 
-def test_the_polytope_cannot_be_changed_by_who_gets_it():
-    """It is shared: the same numbers give the same array."""
+def test_polytope_is_shared_and_read_only():
+    """Equal parameters give the same array."""
     vertices = polytope_vertices((0.3, 0.2, 0.1), 0.5, 0.5)
     assert polytope_vertices((0.3, 0.2, 0.1), 0.5, 0.5) is vertices
     with pytest.raises(ValueError, match="read-only"):
@@ -266,7 +264,7 @@ def test_the_polytope_cannot_be_changed_by_who_gets_it():
         ({"xyz_m": (0.0, float("nan"), 0.0)}, "xyz_m[1]: Input should be a finite"),
     ],
 )
-def test_a_bad_parameter_is_refused_with_its_name_and_what_would_be_right(change, message: str):
+def test_invalid_parameter_is_refused_with_its_name_and_valid_values(change, message: str):
     given = {"type": "superquadric", "semi_axes_m": (0.1, 0.2, 0.3), "e1": 0.5, "e2": 0.5}
     Superquadric.model_validate(given)
     with pytest.raises(ValidationError) as caught:

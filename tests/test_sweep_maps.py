@@ -78,7 +78,7 @@ def bars(ax: Any) -> list[Rectangle]:
 
 
 def middle(bar: Rectangle) -> float:
-    """[deg] of the direction around which a bar stands."""
+    """[deg] direction at the middle of a bar."""
     return float(np.degrees(bar.get_x() + bar.get_width() / 2))
 
 
@@ -95,13 +95,13 @@ def test_a_clearance_is_red_below_the_limit_and_blue_above(clearance: float) -> 
 
 
 @given(st.floats(0.0, 0.6), st.floats(0.0, 0.6))
-def test_scales_rise_with_the_value_and_stay_within_their_ends(a: float, b: float) -> None:
+def test_colour_scales_are_monotonic_and_bounded(a: float, b: float) -> None:
     for quantity in (ERROR, CLEARANCE, TIME):
         low, high = sorted((a, b))
         assert 0.0 <= quantity.share(low) <= quantity.share(high) <= 1.0
 
 
-def test_each_direction_has_its_bar_and_each_closed_one_its_hatch(robot: RobotModel) -> None:
+def test_each_direction_has_a_bar_that_is_hatched_without_a_value(robot: RobotModel) -> None:
     shown = result()
     with styled():
         figure = polar_map(shown, 0.3, 0.025, robot)
@@ -113,7 +113,7 @@ def test_each_direction_has_its_bar_and_each_closed_one_its_hatch(robot: RobotMo
         assert hatched == ({90, 180, 270} if k == 5 else {180})
 
 
-def test_the_lobes_in_which_a_controller_fails_are_red_and_long(robot: RobotModel) -> None:
+def test_directions_in_which_a_controller_fails_are_red_and_long(robot: RobotModel) -> None:
     with styled():
         figure = polar_map(result(), 0.3, 0.025, robot)
     dbb, barrier = (bars(ax) for ax in figure.axes[:2])
@@ -133,7 +133,7 @@ def test_the_base_is_drawn_to_scale_with_its_wheel_axis(robot: RobotModel) -> No
         assert any(np.array_equal(line.get_xdata(), [0, 0]) for line in ax.get_lines())
 
 
-def test_seen_from_above_every_place_has_a_square(robot: RobotModel) -> None:
+def test_map_from_above_has_a_square_for_every_place(robot: RobotModel) -> None:
     with styled():
         figure = above_map(result(("dbb",)), 0.025, robot)
     for ax in figure.axes:
@@ -145,7 +145,7 @@ def test_seen_from_above_every_place_has_a_square(robot: RobotModel) -> None:
 
 
 @pytest.mark.slow
-def test_files_hold_every_path_and_every_start_that_failed(tmp_path: Path) -> None:
+def test_files_contain_every_path_and_every_unreachable_start(tmp_path: Path) -> None:
     shown = result()
     names = write_sweep(shown, tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)

@@ -1,4 +1,4 @@
-"""One viewer's place in time."""
+"""The timeline of one viewer."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def line_of(past: Past) -> Timeline:
     return Timeline(past, past.strip)
 
 
-def test_it_begins_live_and_follows_the_simulation():
+def test_timeline_begins_live_and_follows_the_simulation():
     past = Past(2.0)
     timeline = line_of(past)
     assert timeline.live
@@ -54,7 +54,7 @@ def test_it_begins_live_and_follows_the_simulation():
 
 
 @pytest.mark.parametrize("t", [5.98, 5.5, 2.67, 1.0])
-def test_looking_back_shows_that_instant_though_the_simulation_goes_on(t):
+def test_past_instant_stays_shown_while_the_simulation_continues(t):
     past = Past(6.0)
     timeline = line_of(past)
     timeline.go_to(t)
@@ -65,7 +65,7 @@ def test_looking_back_shows_that_instant_though_the_simulation_goes_on(t):
     assert timeline.shown().t == pytest.approx(9.0)
 
 
-def test_steps_go_on_and_back_by_single_snapshots():
+def test_steps_move_by_single_snapshots():
     timeline = line_of(Past(6.0))
     timeline.go_to(3.0)
     timeline.step(FRAME)
@@ -74,7 +74,7 @@ def test_steps_go_on_and_back_by_single_snapshots():
     assert timeline.shown().t == pytest.approx(3.0 - FRAME)
 
 
-def test_what_is_older_than_a_minute_is_still_there_in_steps():
+def test_instants_older_than_a_minute_are_shown_at_lower_resolution():
     timeline = line_of(Past(90.0))
     timeline.go_to(10.0)
     assert timeline.shown().t == pytest.approx(10.0, abs=2 * BIN)
@@ -82,7 +82,7 @@ def test_what_is_older_than_a_minute_is_still_there_in_steps():
     assert timeline.shown().t == pytest.approx(0.0, abs=2 * BIN)
 
 
-def test_a_restart_of_the_simulation_ends_looking_back_and_an_open_mark():
+def test_restart_returns_to_live_and_removes_an_open_mark():
     past = Past(6.0)
     timeline = line_of(past)
     timeline.go_to(5.0)
@@ -100,7 +100,7 @@ def mark(timeline: Timeline, begin: float, end: float) -> None:
     timeline.mark_end()
 
 
-def test_the_marked_interval_is_what_is_exported():
+def test_marked_interval_is_exported():
     timeline = line_of(Past(6.0))
     mark(timeline, 2.0, 5.0)
     times = [snapshot.t for snapshot in timeline.interval()]
@@ -110,7 +110,7 @@ def test_the_marked_interval_is_what_is_exported():
 
 
 @pytest.mark.parametrize("then", [(6.0, 100.0), (0.0, 1.0)])
-def test_a_marked_interval_is_kept_whole_however_long_ago_and_after_a_restart(then):
+def test_marked_interval_stays_complete_later_and_after_a_restart(then):
     past = Past(6.0)
     timeline = line_of(past)
     mark(timeline, 2.0, 5.0)
@@ -119,7 +119,7 @@ def test_a_marked_interval_is_kept_whole_however_long_ago_and_after_a_restart(th
     assert len(timeline.interval()) == round(3.0 / FRAME) + 1
 
 
-def test_an_interval_that_is_open_is_kept_from_its_begin_on_and_ends_by_itself():
+def test_open_interval_is_stored_from_its_begin_and_ends_automatically():
     past = Past(6.0)
     timeline = line_of(past)
     timeline.go_to(5.0)
@@ -129,18 +129,18 @@ def test_an_interval_that_is_open_is_kept_from_its_begin_on_and_ends_by_itself()
         past.run(second, second + 1)
         timeline.shown()
     assert len(timeline.interval()) == round(95.0 / FRAME) + 1
-    timeline.begin = 100.0 - MOST_MARKED  # as if it had been so long
+    timeline.begin = 100.0 - MOST_MARKED  # an interval of the greatest length
     past.run(100.0, 101.0)
     timeline.shown()
     assert timeline.end == pytest.approx(100.0)
 
 
-def test_without_marks_all_of_the_last_minute_is_exported():
+def test_whole_history_is_exported_without_marks():
     past = Past(6.0)
     assert len(line_of(past).interval()) == len(past.history(-1.0))
 
 
-def test_a_single_instant_is_refused_by_name():
+def test_interval_without_a_duration_is_refused():
     timeline = line_of(Past(6.0))
     mark(timeline, 5.0, 5.01)
     timeline.unmark()
@@ -150,7 +150,7 @@ def test_a_single_instant_is_refused_by_name():
         timeline.interval()
 
 
-def test_an_end_before_the_begin_takes_the_begin_away():
+def test_end_before_the_begin_removes_the_begin():
     timeline = line_of(Past(6.0))
     timeline.go_to(5.0)
     timeline.mark_begin()
@@ -161,19 +161,23 @@ def test_an_end_before_the_begin_takes_the_begin_away():
 
 
 @pytest.mark.parametrize("speed", [0.25, 1.0, 4.0])
-def test_the_past_plays_at_its_speed_up_to_now_and_stops_on_request(speed, monkeypatch):
+def test_replay_runs_at_its_speed_to_the_present_and_stops_on_request(speed, monkeypatch):
     clock = [100.0]
     monkeypatch.setattr("app.dashboard.timeline.monotonic", lambda: clock[0])
     timeline = line_of(Past(12.0))
     timeline.play(speed)
     assert timeline.plays
-    assert timeline.shown().t == pytest.approx(2.0, abs=FRAME), "from now it plays the last 10 s"
+    assert timeline.shown().t == pytest.approx(2.0, abs=FRAME), (
+        "a replay from the present shows the last 10 s"
+    )
     clock[0] += 1.0
     assert timeline.shown().t == pytest.approx(2.0 + speed, abs=FRAME)
     timeline.play(speed)
     clock[0] += 1.0
     assert not timeline.plays
-    assert timeline.shown().t == pytest.approx(2.0 + speed, abs=FRAME), "it stands where it stopped"
+    assert timeline.shown().t == pytest.approx(2.0 + speed, abs=FRAME), (
+        "the replay stays where it stopped"
+    )
     timeline.play(speed)
     clock[0] += 100.0
     timeline.shown()

@@ -29,9 +29,7 @@ def box(tab, label):
     return tab.row(label).locator("input[type=text], input[inputmode]").last
 
 
-def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
-    browser, served, tmp_path, monkeypatch
-):
+def test_both_viewers_see_typed_loaded_and_undone_values(browser, served, tmp_path, monkeypatch):
     server, loop = served
     tabs = [DashboardTab(browser, server.address) for _ in range(2)]
     for tab in tabs:
@@ -57,8 +55,8 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
     first.click("Undo")
     wait_for(lambda: box(second, "Buffer distance d_b [m]").input_value() == "0.225")
 
-    said = []
-    monkeypatch.setattr(Notifier, "warn", lambda self, client, text: said.append(text))
+    warnings = []
+    monkeypatch.setattr(Notifier, "warn", lambda self, client, text: warnings.append(text))
     for wrong in ("7", "abc", ""):
         box(second, "Buffer distance d_b [m]").click()
         second.page.keyboard.press("Control+a")
@@ -68,7 +66,7 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
         named = f"“{wrong}”" if wrong else "nothing"
         range_ = "needs a number from 0.05 to 0.3"
         line = f"Buffer distance d_b [m] {range_}, not {named}; the value stays 0.225."
-        wait_for(lambda line=line: said[-1:] == [line], what=line)
+        wait_for(lambda line=line: warnings[-1:] == [line], what=line)
         assert box(second, "Buffer distance d_b [m]").input_value() == "0.225"
     assert configured(loop)[-1] == Config().replace("border.d_b", 0.225)
     assert all(config.border.d_b <= 0.25 for config in configured(loop))

@@ -1,4 +1,4 @@
-"""A sleeping viewer releases, a silent connection is renewed, and a hanging loop is reported."""
+"""A sleeping viewer's pull ends, a silent connection is closed, a hanging loop is reported."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.raw_client import RawClient
 
 pytestmark = pytest.mark.slow
 
-HELD = 2.0  # [s] that a viewer holds still, longer than one that sleeps is waited for
+MOTIONLESS = 2.0  # [s] of a pull without motion, longer than the timeout of a sleeping viewer
 
 
 @pytest.fixture
@@ -35,25 +35,25 @@ def visitor(served):
         yield raw, page
 
 
-def hold_on(page: Page) -> None:
-    time.sleep(HELD)
+def pull_without_motion(page: Page) -> None:
+    time.sleep(MOTIONLESS)
     assert page.grip.holds_anything
 
 
-def test_a_pull_ends_when_its_viewer_sleeps_and_not_when_he_holds_still(served):
+def test_pull_ends_if_its_browser_sleeps_but_not_without_motion(served):
     with visitor(served) as (raw, page):
-        hold_on(page)
+        pull_without_motion(page)
         with raw.asleep():
             begin = time.monotonic()
-            wait_for(lambda: not page.grip.holds_anything, what="letting go")
+            wait_for(lambda: not page.grip.holds_anything, what="the end of the pull")
             assert time.monotonic() - begin < 3.0
-        # The page lets go first, and then tells the loop, in a thread of its own.
-        wait_for(lambda: isinstance(served.loop.commands[-1], Release), what="its release")
+        # The page ends the pull first; another thread then sends the release to the loop.
+        wait_for(lambda: isinstance(served.loop.commands[-1], Release), what="the release")
         assert served.server.watchdog.closed == 0
         assert not page.closed
 
 
-def test_a_viewer_who_pulls_holds_although_his_browser_is_too_busy_to_answer(served):
+def test_pull_continues_while_a_busy_browser_moves_it_without_answers(served):
     with visitor(served) as (raw, page), raw.asleep():
         for x in np.linspace(0.6, 0.5, 20):
             page.grip.pull(np.array([x, 0.0, 0.7]), None)
@@ -62,7 +62,7 @@ def test_a_viewer_who_pulls_holds_although_his_browser_is_too_busy_to_answer(ser
 
 
 @pytest.mark.parametrize("why", ["reads nothing", "is sent nothing"])
-def test_a_connection_that_delivers_nothing_is_closed_and_counted(served, why, monkeypatch, caplog):
+def test_connection_that_delivers_nothing_is_closed_and_counted(served, why, monkeypatch, caplog):
     monkeypatch.setattr(viser_compat, "STUCK", 6)
     monkeypatch.setattr(viser_compat._Knocks, "_said", {})
     with RawClient(served.server.address) as raw, RawClient(served.server.address) as other:
@@ -71,7 +71,7 @@ def test_a_connection_that_delivers_nothing_is_closed_and_counted(served, why, m
         if why == "reads nothing":
             with raw.asleep():
                 wait_for(lambda: number not in served.server.pages, what="the end of the page")
-        else:  # as when the wake-up of its queue was lost
+        else:  # as after a lost wake-up of its queue
             inner = served.server.viser._websock_server
             queue = inner._client_state_from_id[number].message_buffer
             queue.message_event.set = lambda: None
@@ -84,13 +84,13 @@ def test_a_connection_that_delivers_nothing_is_closed_and_counted(served, why, m
         assert other._thread.is_alive()
 
 
-def test_a_silent_simulation_is_told_on_the_page_until_it_speaks_again(served):
+def test_page_reports_a_silent_simulation_until_it_responds_again(served):
     with RawClient(served.server.address):
-        told = served.page()._hung
-        assert not told.visible
+        warning = served.page()._hung
+        assert not warning.visible
         served.loop.silence = 1.2
-        wait_for(lambda: told.visible, what="the banner")
-        assert "The simulation does not respond" in told.content
+        wait_for(lambda: warning.visible, what="the banner")
+        assert "The simulation does not respond" in warning.content
         served.loop.silence = 0.0
-        wait_for(lambda: not told.visible, what="its end")
+        wait_for(lambda: not warning.visible, what="the end of the banner")
     assert hung_html(0.9) == ""

@@ -31,13 +31,13 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_meshes")
-def test_a_mesh_that_comes_with_pybullet_says_so() -> None:
+def test_missing_mesh_of_pybullet_is_reported_with_its_installation() -> None:
     with pytest.raises(AssetError, match="it comes with pybullet: pip install"):
         resolve_package_uri("package://pybullet_data/husky/meshes/base_link.stl")
 
 
 @pytest.mark.usefixtures("no_meshes")
-def test_a_robot_without_its_meshes_is_drawn_by_its_bodies_and_its_title_says_so(caplog) -> None:
+def test_robot_without_meshes_is_drawn_by_its_bodies_with_a_notice(caplog) -> None:
     model = RobotModel(load_robot("husky_panda"))
     parts = RobotParts(model)
     assert "convex bodies" in parts.title
@@ -50,7 +50,7 @@ def test_a_robot_without_its_meshes_is_drawn_by_its_bodies_and_its_title_says_so
         np.testing.assert_allclose(look.mesh.bounds, body.mesh.bounds, atol=1e-9)
 
 
-def test_with_its_meshes_it_is_drawn_by_them(robot) -> None:
+def test_robot_with_meshes_is_drawn_by_its_meshes(robot) -> None:
     pytest.importorskip("pybullet_data")
     parts = RobotParts(robot)
     assert parts.title == robot.description.title
@@ -58,7 +58,7 @@ def test_with_its_meshes_it_is_drawn_by_them(robot) -> None:
 
 
 @pytest.mark.usefixtures("no_meshes")
-def test_the_dynamics_do_not_depend_on_meshes(robot) -> None:
+def test_dynamics_do_not_depend_on_meshes(robot) -> None:
     bare = RobotModel(load_robot("husky_panda")).pin
     assert bare.inertias.tolist() == robot.pin.inertias.tolist()
     assert bare == robot.pin
@@ -76,7 +76,7 @@ for command in sys.argv[1:]:
 
 
 @pytest.mark.slow
-def test_commands_run_and_what_needs_pybullet_says_so_in_one_line() -> None:
+def test_commands_run_or_report_the_missing_pybullet_in_one_line() -> None:
     short = "run guiding-lateral --duration 0.1 --json --physics"
     commands = ["robots --json", f"{short} kinematic", f"{short} planar"]
     done = subprocess.run(
@@ -97,7 +97,7 @@ def test_commands_run_and_what_needs_pybullet_says_so_in_one_line() -> None:
 
 
 @pytest.mark.parametrize(("missing", "default"), [(True, "mujoco"), (False, "planar")])
-def test_the_default_plant_is_pybullets_where_it_is_installed(missing: bool, default: str) -> None:
+def test_default_plant_is_that_of_pybullet_if_it_is_installed(missing: bool, default: str) -> None:
     if not missing:
         pytest.importorskip("pybullet")
     code = (WITHOUT if missing else "") + (
