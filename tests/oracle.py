@@ -50,7 +50,7 @@ class Limits(NamedTuple):
 
 
 class Oracle:
-    """One controller with its own memory; `step` gives its quantities by the table's names."""
+    """One controller with its own memory; `step` returns its quantities by the table's names."""
 
     def __init__(
         self, model: RobotModel, data: BorderData, config: Config, name: str, dt: float
@@ -177,13 +177,13 @@ class Oracle:
         w.biases = np.array([pin.getAcceleration(model, data, j, pin.WORLD).vector for j in joints])
 
     def _jacobian(self, joint: int, p: Array) -> Array:
-        """(3, n) of the point of a joint's body that is now at p."""
+        """(3, n) Jacobian of the point of a joint's body that is now at p."""
         J = pin.getJointJacobian(self.model.pin, self.pin_data, joint, AXES)
         lever = pin.skew(p - self.pin_data.oMi[joint].translation)
         return (J[:3] - lever @ J[3:]) @ self.S
 
     def _bias(self, joint: int, p: Array) -> Array:
-        """(3,) its acceleration at q̈ = 0."""
+        """(3,) acceleration of that point at q̈ = 0."""
         a = pin.getClassicalAcceleration(self.model.pin, self.pin_data, joint, AXES)
         w, r = self._turning(joint), p - self.pin_data.oMi[joint].translation
         return a.linear + np.cross(a.angular, r) + np.cross(w, np.cross(w, r))

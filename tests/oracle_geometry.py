@@ -19,7 +19,7 @@ Placed = tuple[Shape, pin.SE3]
 
 
 def signed_distance(placed: Placed, p: Array) -> tuple[Array, Array]:
-    """(…) [m] of points (…, 3) [m] to a shape, negative inside, and the gradients (…, 3)."""
+    """Distances (…) [m] of points (…, 3) [m] to a shape, negative inside; gradients (…, 3)."""
     shape, T = placed
     x = (p - T.translation) @ T.rotation
     if isinstance(shape, Box):
@@ -58,7 +58,7 @@ class Body:
         return list(zip(self.geometries, self.shapes(T), strict=True))
 
     def core(self, T: pin.SE3) -> tuple[Array, Array]:
-        """Points (K, 3) [m] of which one is nearest to a face, and the radii (K,) around them."""
+        """Points (K, 3) [m], one of which is nearest to a plane face, with radii (K,) [m]."""
         nodes, radii = [], []
         for shape, placement in self.shapes(T):
             if isinstance(shape, Box):
@@ -79,9 +79,9 @@ def closest_points(
 ) -> Array:
     """p_a, p_b, n and the point of the core (4, 3) between the shapes a and b.
 
-    The mean over the core of b, with weights exp(−d/τ); the normal is the mean of those of the
-    shapes of a, with such weights. Of a box as b, the points nearest to the corners of l_a belong
-    to its core.
+    The point of the core is the mean over the core of b with weights exp(−d/τ). The normal is the
+    mean over the shapes of a with such weights. The core of a box b also has its points that are
+    nearest to the corners of l_a.
     """
     nodes, radii = core
     for face in (each for each in b if isinstance(each[0], Box)):
@@ -257,5 +257,5 @@ def square(way: complex, along: complex) -> complex:
 
 
 def dot(a: complex, b: complex) -> float:
-    """Of two vectors x + iy."""
+    """Scalar product of two vectors x + iy."""
     return float((a * b.conjugate()).real)

@@ -26,7 +26,7 @@ def husky_panda() -> RobotModel:
 
 
 def with_mobile_shapes(shapes: tuple[Shape, ...]) -> RobotModel:
-    """The paper's robot with another l_m."""
+    """The paper's robot with other shapes of the mobile body l_m."""
     description = husky_panda().description
     first, *others = description.bodies
     bodies = (first.model_copy(update={"shapes": shapes}), *others)

@@ -28,7 +28,7 @@ FLATS = [0.38 + D_B, 1.1 + D_B, POST_TOP + D_B]  # [m] heights at which the offs
 
 
 def distance(p: np.ndarray) -> np.ndarray:
-    """(…) [m] of points (…, 3) outside of deck, tower and post."""
+    """Distances (…) [m] of points (…, 3) [m] to deck, tower and post; 0 inside."""
     out = [np.linalg.norm(np.maximum(np.abs(p - c) - h, 0.0), axis=-1) for c, h in (DECK, TOWER)]
     aside = np.maximum(np.linalg.norm(p[..., :2] - POST_AT, axis=-1) - POST_RADIUS, 0.0)
     return np.min([*out, np.hypot(aside, np.maximum(p[..., 2] - POST_TOP, 0.0))], axis=0)

@@ -28,7 +28,7 @@ Normals = tuple[tuple[float, float, float], tuple[float, float, float]]
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 DECK = Box(type="box", size_m=(0.99, 0.69, 0.3803), xyz_m=(0.0, 0.0, 0.0579))
 WALL = Box(type="box", size_m=(0.99, 0.10, 0.50), xyz_m=(0.0, 0.30, 0.50))
-"""Stands on the deck's left edge: a concave corner beside the arm."""
+"""It stands on the deck's left edge and forms a concave corner beside the arm."""
 FRONT, REAR = (
     Box(type="box", size_m=(0.495, 0.69, 0.3803), xyz_m=(x, 0.0, 0.0579)) for x in (0.2475, -0.2475)
 )

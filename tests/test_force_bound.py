@@ -1,4 +1,4 @@
-"""The largest contact force that the arm can balance with torques within their limits."""
+"""The bound of a push towards a body that the arm can balance within its torque limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.robots import random_measurement
 
 
 class Distance(NamedTuple):
-    """A pair's distance, its row and its rate."""
+    """A pair's distance, its Jacobian and its rate."""
 
     d: float
     J: np.ndarray
@@ -92,7 +92,7 @@ def test_bound_of_touching_bodies_is_zero(robot, border_data):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_steady_torques_plus_own_inertia_are_the_torques_of_a_motion(robot, border_data, seed):
-    """With the force of the bound added, one joint is at its torque limit."""
+    """Unless the bound is zero, its force brings one joint to its torque limit."""
     near = Near(robot, border_data, seed)
     state, rng = near.state, np.random.default_rng(seed)
     qdd = rng.uniform(-20.0, 20.0, 9)

@@ -58,7 +58,7 @@ def taken(take):
 
 
 def share(a, b, least=8):
-    """[-] of the pixels that differ."""
+    """[-] share of the pixels that differ."""
     assert a.shape == b.shape
     return float((np.abs(a - b).max(axis=-1) > least).mean())
 
@@ -149,7 +149,7 @@ def test_layer_colours_the_border_of_the_default_or_the_named_pair():
 
 @pytest.mark.browser
 def test_picture_of_the_page_shows_panels_and_is_reproducible(take):
-    """Also after a picture of another time."""
+    """A picture of another time is taken between the two."""
     a, _, b = take(Look(width=1000, height=420, page=True), (1.0, 0.0, 1.0))
     assert a.shape == (420, 1000, 3)
     assert share(a, b, least=0) <= 0.005
