@@ -12,7 +12,7 @@ Array = np.ndarray
 FEWEST = 8  # samples of the noise before the filter begins
 CLEAR = 0.01  # share of a top speed; a larger change is an external acceleration before that
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
-SMALL = np.array([[1e-11], [1e-5]])  # [rad², rad²/s²] variances with no outliers
+SMALL = 1e-11  # [rad²] variance without outliers
 FARTHEST = 10.0  # [-] of the way at a joint's top speed
 
 
@@ -70,15 +70,13 @@ class Estimate:
         counted = np.isfinite(of_q)
         self.samples += int(counted[0])
         share = max(1 / max(self.samples, 1), -np.expm1(-self._dt / window))
-        samples, weights = np.array([of_q, of_qd]), np.full((2, len(q)), share)
+        self.variances[1] += share * (of_qd - self.variances[1])
+        weights = np.full(len(q), share)
         if self.samples >= FEWEST:  # an outlier counts as the largest plausible sample
-            largest = PLAUSIBLE * np.maximum(self.variances, SMALL)
-            outlying = samples > largest
-            samples[outlying] = largest[outlying]
-            weights[outlying] = -np.expm1(-self._dt / window)
-        changes = weights * (samples - self.variances)
-        self.variances[1] += changes[1]
-        self.variances[0, counted] += changes[0, counted]
+            largest = PLAUSIBLE * np.maximum(self.variances[0], SMALL)
+            weights[of_q > largest] = -np.expm1(-self._dt / window)
+            of_q = np.minimum(of_q, largest)
+        self.variances[0, counted] += (weights * (of_q - self.variances[0]))[counted]
         self.last = np.array([speed, q, unknown])
 
     def _filter(self, q: Array, qd: Array, known: Array, noise: Array, drift: float) -> None:
