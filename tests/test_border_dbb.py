@@ -21,7 +21,7 @@ def ball_cloud(count: int, seed: int = 0) -> Cloud:
 
 @pytest.mark.parametrize("d_b", [0.06, 0.1, 0.15, 0.2, 0.3])
 @pytest.mark.parametrize("eps", [0.002, 0.01, 0.02])
-def test_border_contains_exactly_the_points_within_eps_of_d_b(d_b, eps):
+def test_3_border_contains_exactly_the_points_within_eps_of_d_b(d_b, eps):
     cloud = ball_cloud(200_000)
     border = construct_dbb(cloud, d_b, eps)
     measured = np.linalg.norm(border.points, axis=1) - 0.3

@@ -132,8 +132,8 @@ def test_nearest_point_of_the_surface_changes_continuously(
 ) -> None:
     """The medial axes are excluded: inside the base and above its top.
 
-    Around an edge at distance d, the nearest point moves d_b/d times as far as p, and its tangent
-    turns by 1/d.
+    Around an edge at distance d, the nearest point moves by the factor d_b/d, and its tangent turns
+    by 1/d per metre.
     """
     step = 1e-5 * np.array([np.cos(direction), np.sin(direction), climb])
     p = np.array([x, y, z])
@@ -159,7 +159,7 @@ def test_nearest_point_moves_around_an_edge_without_a_jump(
     assert ratio < 1.3 * D_B / (D_B - depth)
 
 
-def test_surface_is_symmetric_to_the_vertical_plane(surface: BorderSearch) -> None:
+def test_surface_is_symmetric_about_the_midplane_of_the_base(surface: BorderSearch) -> None:
     rng = np.random.default_rng(1)
     for p in rng.uniform([-0.6, 0.35, 0.0], [0.6, 0.49, 0.3], (50, 3)):
         left, right = surface.nearest(p), surface.nearest(p * [1, -1, 1])

@@ -550,7 +550,7 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     out = tmp_path / "out"
     process = command("run", "guiding-lateral", "--duration", "3000", "--out", str(out))
     deadline = time.monotonic() + 60
-    while not out.exists() and time.monotonic() < deadline:  # just before the run starts
+    while not out.exists() and time.monotonic() < deadline:  # created just before the run
         time.sleep(0.05)
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)

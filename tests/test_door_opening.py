@@ -332,7 +332,7 @@ def test_tangent_is_horizontal_unit_and_normal_to_the_radius(sense: float):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("wrong", [-1.0, -0.5, 0.0, 0.5, 1.0])  # [rad]
-def test_door_opens_towards_the_approach_direction(side: float, wrong: float):
+def test_door_opens_towards_the_robot(side: float, wrong: float):
     door = Hinged(side=side)
     reference = run(door, opening_of(door, wrong), 0.5)[-1].reference
     assert reference.velocity[:3] @ -door.closed.rotation[:, 2] > 0

@@ -88,5 +88,5 @@ def test_encoder_noise_does_not_shake_a_tracking_arm(
     here = Reference(session.T_world_ee.copy(), np.zeros(6), np.zeros(6))
     steps = [session.step(reference=here) for _ in range(2000)][500:]
     session.close()
-    assert max((np.abs(s.truth.qd_m) / robot.qd_max).max() for s in steps) < 0.2  # once 0.9
+    assert max((np.abs(s.truth.qd_m) / robot.qd_max).max() for s in steps) < 0.2  # formerly 0.9
     assert max(s.ee_error for s in steps) < 2e-3

@@ -137,7 +137,7 @@ def test_sweep_through_a_joint_is_computed_once(
 
 
 def test_sweep_encloses_the_links_in_all_positions_of_the_joints_between() -> None:
-    """Hand, flange and link 5 of the Panda, seen from link 6, for any position of joint 7."""
+    """Points on links 5, 6 and 7 of the Panda, seen from link 6, in random poses."""
     model = husky_panda()
     rng = np.random.default_rng(1)
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}  # joints 5, 6, 7
@@ -155,7 +155,7 @@ def test_sweep_encloses_the_links_in_all_positions_of_the_joints_between() -> No
             assert (seen @ planes[:, :3].T + planes[:, 3]).max() < 1e-6
 
 
-def test_base_parts_are_merged_at_least_added_volume(
+def test_base_parts_are_merged_with_the_least_added_volume(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """No hull is computed twice, which saves a minute for Centauro's 25 parts."""

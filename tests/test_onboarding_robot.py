@@ -177,7 +177,7 @@ def test_own_mesh_is_named_relative_to_the_robot_even_on_the_import_path(
 def test_folder_of_the_current_directory_is_no_installed_package(
     reference: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`python -m app` also imports from the current directory, but only there."""
+    """`python -m app` searches it too, but elsewhere the address would be invalid."""
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
     mesh = tmp_path / "src" / "m.stl"
@@ -429,7 +429,7 @@ def test_pair_that_hardly_ever_meets_may_have_no_border(
     assert without(first, *others) == "failed"
 
 
-def test_pair_that_random_poses_hardly_bring_together_is_searched(made: NewRobot) -> None:
+def test_rarely_colliding_pair_is_sampled_separately(made: NewRobot) -> None:
     model = written(made)
     few = sample_meetings(model, made.meetings.units, samples=60, seed=3, d_b=0.15)
     never = [
@@ -478,7 +478,7 @@ def test_line_outside_the_buffer_has_nothing_to_show(
     ],
     ids=["compensates", "inner half", "outer half", "cannot compensate", "cannot, and near"],
 )
-def test_base_that_does_not_move_fails_unless_it_would_drag_the_hand(
+def test_base_that_stands_still_fails_unless_it_would_drag_the_arm(
     finished: tuple[NewRobot, BorderData],
     monkeypatch: pytest.MonkeyPatch,
     lost: float,

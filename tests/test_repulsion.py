@@ -39,7 +39,7 @@ def motion_of(state: RobotState, closest: ClosestPoints) -> Motion:
 
 
 class Moving:
-    """A robot in a random state, from which steps are integrated."""
+    """A robot in a random state, the start of each integration."""
 
     def __init__(self, robot: RobotModel, seed: int) -> None:
         rng = np.random.default_rng(seed)

@@ -39,7 +39,7 @@ OF_CONNECTIONS = {
     "_server_thread",
 }
 OF_AN_EVENT = {"_value", "_waiters"}
-"""Private names of asyncio, for which viser's queue waits."""
+"""Private names of asyncio's events; viser's queue waits for one."""
 ALSO = {"gate.py": {"_messages"}}
 """Viser's own message types define the messages of a page."""
 
@@ -124,7 +124,7 @@ def test_invalid_messages_of_a_page_are_ignored() -> None:
     assert heard == [2.0, "now"]
 
 
-def test_repeatable_errors_are_logged_once_a_minute(caplog, monkeypatch) -> None:
+def test_errors_caused_by_clients_are_logged_once_a_minute(caplog, monkeypatch) -> None:
     monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
     close_server(open_server("127.0.0.1", 0))
     modules = job, notifications, server, viser_compat
