@@ -133,7 +133,7 @@ def test_nearest_point_of_the_surface_changes_continuously(
     """The medial axes are excluded: inside the base and above its top.
 
     Around an edge at distance d, the nearest point moves by the factor d_b/d, and its tangent turns
-    by 1/d per metre.
+    by 1/d [rad/m].
     """
     step = 1e-5 * np.array([np.cos(direction), np.sin(direction), climb])
     p = np.array([x, y, z])

@@ -34,7 +34,7 @@ def ready(model: RobotModel) -> RobotState:
 
 
 def uncompensated(state: RobotState, speed: float) -> Array:
-    """(3, n_b) [m, m/rad] part of the base motion that the arm does not compensate."""
+    """(3, n_b) [-, m/rad] part of the base motion that the arm does not compensate."""
     model = state.model
     return uncompensated_base_jacobian(state.J_ee, model.qd_max, model.J_m_inv, speed)
 

@@ -177,7 +177,7 @@ def test_own_mesh_is_named_relative_to_the_robot_even_on_the_import_path(
 def test_folder_of_the_current_directory_is_no_installed_package(
     reference: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`python -m app` searches it too, but elsewhere the address would be invalid."""
+    """`python -m app` searches that folder too, but elsewhere the address would be invalid."""
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
     mesh = tmp_path / "src" / "m.stl"
