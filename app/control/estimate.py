@@ -93,8 +93,7 @@ def estimate_arm(
     last: Array,
     samples: Array,
     known: Array,
-    q: Array,
-    qd: Array,
+    read: Array,
     qd_max: Array,
     v_error: Array,
     gains: Any,
@@ -113,8 +112,7 @@ def estimate_arm(
         samples: () number of samples of the noise; updated.
         known: (k, n_m) accelerations by `predicted_joint_acceleration` in each of the k periods
             since the last reading; no rows after a gap.
-        q: (n_m,) [rad or m] positions.
-        qd: (n_m,) [rad/s or m/s] velocities; NaN without a reading.
+        read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN without a velocity.
         qd_max: (n_m,) joint speed limits.
         v_error: (n_m,) recent errors of velocities that were predicted over several periods; the
             process noise of the external acceleration is at least as large as they imply.
@@ -123,7 +121,7 @@ def estimate_arm(
     Returns:
         Whether the arm cannot have moved to the reading.
     """
-    steps, dt = len(known), gains.dt
+    steps, dt, q, qd = len(known), gains.dt, read[0], read[1]
     jumped = steps > 0 and _jumped(x, q, qd_max, steps, dt)
     continued = steps > 0 and not jumped
     if continued:
