@@ -1,4 +1,4 @@
-"""Laws of β (Figure 10) and (28)."""
+"""β of Figure 10 and β_m of (28)."""
 
 import numpy as np
 import pytest

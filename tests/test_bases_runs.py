@@ -44,7 +44,7 @@ def figures(kind: str, path: str, mode: str, physics: str = "kinematic") -> dict
 @pytest.mark.parametrize(
     ("path", "mode"), [("left", "guiding"), ("right", "tracking"), ("front", "tracking")]
 )
-def test_the_base_gives_way_without_contact(kind: str, path: str, mode: str) -> None:
+def test_a_base_gives_way_without_contact(kind: str, path: str, mode: str) -> None:
     result = figures(kind, path, mode)
     assert result["min_clearance_m"] >= 0.03
     assert result["contacts"] == result["solver_failures"] == 0

@@ -61,7 +61,7 @@ def test_a_picture_has_the_requested_size_and_shows_the_scene(tab, tmp_path):
         assert (picture.format, picture.size) == ("PNG", (642, 358))
         grey = np.array(picture.convert("L")).astype(float)
     middle = grey[60:300, 200:450]
-    assert middle.max() - middle.min() > 120, "a white arm in front of a dark background"
+    assert middle.max() - middle.min() > 120, "no contrast between arm and background"
 
 
 @pytest.mark.parametrize("kind", ["CSV", "Parquet"])
@@ -104,7 +104,7 @@ def offline(browser):
     page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
     yield page
     context.close()
-    assert errors == [], "the console of the file's page"
+    assert errors == [], "errors in the console of the page"
 
 
 @pytest.mark.usefixtures("made_here")

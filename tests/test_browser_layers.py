@@ -41,7 +41,7 @@ def opened(browser, served):
 @pytest.fixture
 def tab(opened):
     yield opened
-    assert opened.errors == [], "the page's console"
+    assert opened.errors == [], "errors in the page's console"
 
 
 class Layer(NamedTuple):
@@ -65,7 +65,7 @@ class Layer(NamedTuple):
     share: float = 0.9
 
 
-def of(function: Callable[[Snapshot], object]) -> Callable[[Served], Array]:
+def from_snapshot(function: Callable[[Snapshot], object]) -> Callable[[Served], Array]:
     """Places computed from the latest snapshot."""
     return lambda served: np.array(function(served.loop.latest())).reshape(-1, 3)
 
@@ -101,12 +101,12 @@ def contour(served: Served) -> Array:
     return np.concatenate(curves)[::5]
 
 
-def lines(snapshot: Snapshot) -> list[Array]:
+def closest_lines(snapshot: Snapshot) -> list[Array]:
     """Places along the lines between closest points."""
     return [p for pair in snapshot.pairs for p in between(pair.p_a, pair.p_b)]
 
 
-def acting(snapshot: Snapshot) -> list[Array]:
+def acting_points(snapshot: Snapshot) -> list[Array]:
     """Places at the acting points and along the arrows above them."""
     places = []
     for a in snapshot.acting:
@@ -116,7 +116,7 @@ def acting(snapshot: Snapshot) -> list[Array]:
     return places
 
 
-def pushed(snapshot: Snapshot) -> list[Array]:
+def person_force(snapshot: Snapshot) -> list[Array]:
     """Places along the person's force and above the base."""
     tip = snapshot.p_ee + METRES_PER_NEWTON * snapshot.hand_force
     base = np.append(snapshot.base_pose[:2], 0.45)
@@ -124,7 +124,7 @@ def pushed(snapshot: Snapshot) -> list[Array]:
     return [*between(snapshot.p_ee, tip), base, *around_base]
 
 
-def passed(served: Served) -> Array:
+def trails(served: Served) -> Array:
     """Places along the trails of base and end-effector."""
     tracks = served.server.shared.tracks
     ways = [track.until(np.inf) for track in tracks.values()]
@@ -136,10 +136,10 @@ LAYERS = (
     Layer("Convex bodies", robot, 110, 5000, ROOT),
     Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the arm", contour, 20, 150, ROOT),
-    Layer("Closest points", of(lines), 110, 60),
-    Layer("Acting points", of(acting), 60, 200, share=0.7),
-    Layer("Forces", of(pushed), 60, 100),
-    Layer("Trails", passed, 12, 40),
+    Layer("Closest points", from_snapshot(closest_lines), 110, 60),
+    Layer("Acting points", from_snapshot(acting_points), 60, 200, share=0.7),
+    Layer("Forces", from_snapshot(person_force), 60, 100),
+    Layer("Trails", trails, 12, 40),
 )
 
 
@@ -220,7 +220,7 @@ def test_the_checkbox_switches_the_theme_between_dark_and_light(tab):
     tab.wait_for_picture(dark, most=3000)
 
 
-def looked(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
+def preset_view(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Eye and target of a preset in the viewer's window."""
     window = served.page()._camera.window
     return placed(PRESETS[name], [served.loop.latest()], served.server.shared.parts.extent, window)
@@ -229,7 +229,7 @@ def looked(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "door"])
 def test_a_preset_places_the_camera_and_centres_its_target(tab, served, name):
     tab.click(name)
-    eye, target = looked(served, name)
+    eye, target = preset_view(served, name)
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3, what=f"{eye}, not {tab.camera()}")
     tab.render(2)
     left, top, right, bottom = tab.canvas_box()
@@ -240,7 +240,7 @@ def test_a_preset_places_the_camera_and_centres_its_target(tab, served, name):
 def test_the_camera_follows_the_base_only_if_enabled_and_without_ghosts(tab, served):
     tab.click("iso")
     start = served.loop.latest().base_pose.copy()
-    eye, _ = looked(served, "iso")
+    eye, _ = preset_view(served, "iso")
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3)
     step = np.array([0.4, -0.3, 0.0])
     served.loop.place(start + step)

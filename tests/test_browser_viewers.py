@@ -16,8 +16,8 @@ from tests.robots import husky_panda
 pytestmark = pytest.mark.browser
 
 
-def hold(tab: DashboardTab, axis: int, metres: float) -> None:
-    """Drag the end-effector without a release."""
+def drag_without_release(tab: DashboardTab, axis: int, metres: float) -> None:
+    """Drag the end-effector and keep the mouse button down."""
     tab.drag_gizmo(GIZMO, axis=axis, metres=metres, scale=SCALE, steps=5, drop=False)
 
 
@@ -33,7 +33,9 @@ def test_two_viewers_have_separate_layers_and_times_and_both_pull(browser):
         first.open_tab("View")
         first.choose("hand – base", "hidden")
         wait_for(lambda: not first.is_shown(f"{ROOT}/border_lm-lEE"))
-        assert second.is_shown(f"{ROOT}/border_lm-lEE"), "each viewer has separate layers"
+        assert second.is_shown(f"{ROOT}/border_lm-lEE"), (
+            "the layers of one viewer changed those of the other"
+        )
 
         served.pull_at_base(3.0)
         first.look_at(1.5)
@@ -41,7 +43,7 @@ def test_two_viewers_have_separate_layers_and_times_and_both_pull(browser):
         then, now = page_of_first.timeline.shown(), loop.latest()
         wait_for(lambda: np.linalg.norm(first.position(GIZMO) - then.p_ee) < 1e-3)
         wait_for(lambda: np.linalg.norm(second.position(GIZMO) - now.p_ee) < 1e-3)
-        assert np.linalg.norm(now.p_ee - then.p_ee) > 0.1, "each viewer has a separate time"
+        assert np.linalg.norm(now.p_ee - then.p_ee) > 0.1, "both viewers show the same time"
         first.click("Back to now")
         served.begin_anew()
         first.open_tab("Run")
@@ -49,15 +51,15 @@ def test_two_viewers_have_separate_layers_and_times_and_both_pull(browser):
         first.page.get_by_role("button", name="Continue", exact=True).first.wait_for(timeout=40_000)
         loop.send(Pause(False))
 
-        hold(first, 1, 0.15)
-        hold(second, 1, -0.15)
+        drag_without_release(first, 1, 0.15)
+        drag_without_release(second, 1, -0.15)
         wait_for(lambda: len(loop.latest().pulls) == 2, what="two pulls")
         for tab in (first, second):
             wait_for(lambda tab=tab: tab.is_shown("/pull/0") and tab.is_shown("/pull/1"))
         second.close()  # during its drag
         wait_for(lambda: len(loop.latest().pulls) == 1, what="a closed page ends its pull")
         wait_for(lambda: not first.is_shown("/pull/1"))
-        assert first.is_shown("/pull/0"), "the other viewer still pulls"
+        assert first.is_shown("/pull/0"), "the pull of the other viewer has ended"
         first.close()
         wait_for(lambda: loop.latest().pulls == ())
         assert (first.errors, second.errors) == ([], [])
@@ -83,4 +85,4 @@ def test_the_page_reconnects_to_a_new_server_and_reports_a_failed_loop(browser):
         tab.page.reload()
         tab.page.get_by_text("The simulation has stopped").wait_for(timeout=60_000)
     unexpected = [text for text in tab.errors if "ERR_CONNECTION_REFUSED" not in text]
-    assert unexpected == [], "only refused connections are allowed while no server runs"
+    assert unexpected == [], "errors other than refused connections"

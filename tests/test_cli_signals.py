@@ -151,7 +151,7 @@ def test_a_signal_ends_a_command_with_a_blocked_main_thread(number, guarded, tmp
         guard.kill()
     process.send_signal(number)
     assert process.wait(timeout=30) == 128 + number
-    assert list(tmp_path.iterdir()) == [], "temporary folders are deleted"
+    assert list(tmp_path.iterdir()) == [], "temporary folders remain"
 
 
 HANGING = DEAF.replace("ctypes.CDLL", "ctypes.PyDLL").replace(

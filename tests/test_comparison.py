@@ -206,5 +206,5 @@ def test_a_pull_after_a_scenario_does_not_change_the_scores(make):
     steps = run(ensemble, 0.5)
     assert ensemble.scores() == before
     ghost = ensemble.ghosts[0].reading().clearance
-    assert ghost != before[1].clearance, "the ghost's reading continues"
+    assert ghost != before[1].clearance, "the ghost's reading has stopped"
     assert steps[-1].t > 0.9

@@ -198,7 +198,7 @@ def test_a_mass_error_scales_the_arm_and_not_the_base(robot: RobotModel, error):
     np.testing.assert_array_equal(wrong.M, right.M)
 
 
-def test_a_mass_error_changes_the_torques_live(make):
+def test_a_mass_error_changes_the_torques_during_a_run(make):
     session = make()
     before = pulled(session, 20)[-1].control.u_cmd
     session.configure(Config().replace("disturbance.mass_error", 0.2))

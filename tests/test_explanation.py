@@ -324,7 +324,7 @@ def test_a_joint_braked_before_its_limit_reports_the_limit(robot, dbb, kind, upp
 
 
 def test_a_torque_rate_limit_is_reported_until_the_torque_is_reached(robot, dbb):
-    slow = Config()  # and a robot that stands still is not held
+    slow = Config()  # with the limit of the torque rate
     m = near(robot, "l1-l3", 0)
     dbb.reset()
     dbb.configure(slow)

@@ -29,7 +29,7 @@ def served():
         yield served
 
 
-def goes_on(served) -> bool:
+def is_responsive(served) -> bool:
     """Whether the loop runs and a new viewer gets a page.
 
     A late message may pause or restart the loop, so the command to continue is repeated.
@@ -42,12 +42,12 @@ def goes_on(served) -> bool:
         return served.loop.latest().t > before + 0.1
 
     wait_for(passes, what="a running loop")
-    with visitor(served):
+    with new_viewer(served):
         return served.server.error is None
 
 
 @contextmanager
-def visitor(served):
+def new_viewer(served):
     """A raw client and the page that the server has built for it."""
     known = set(served.server.pages)
     with RawClient(served.server.address) as client:
@@ -67,13 +67,13 @@ def labelled(page, label):
 
 def test_no_widget_accepts_values_of_a_wrong_type_or_out_of_range(served, caplog):
     first = served.loop.latest().config
-    with visitor(served) as (client, page):
+    with new_viewer(served) as (client, page):
         handles = widgets(page)
         assert len(handles) > 60
         for handle in handles:
             for value in WRONG:
                 client.set_widget(handle, value)
-        assert goes_on(served)
+        assert is_responsive(served)
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []
     for command in served.loop.commands:  # these commands have passed their own checks
         if isinstance(command, Configure):
@@ -86,7 +86,7 @@ def test_no_widget_accepts_values_of_a_wrong_type_or_out_of_range(served, caplog
 
 def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
     config = served.loop.latest().config
-    with visitor(served) as (client, page):
+    with new_viewer(served) as (client, page):
         handle = widgets(page)[0]
         for message in (
             _messages.GuiUpdateMessage("no such widget", {"value": 1}),
@@ -95,7 +95,7 @@ def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
             _messages.TransformControlsUpdateMessage("/no/such/node", (1, 0, 0, 0), (9, 9, 9)),
         ):
             client.send(message)
-        assert goes_on(served)
+        assert is_responsive(served)
         assert handle.label != "forged"
     assert served.loop.latest().config == config
 
@@ -103,7 +103,7 @@ def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
 def test_a_picture_of_another_size_gives_the_viewer_a_warning(served, monkeypatch, caplog):
     monkeypatch.setattr(_viser, "_make_uuid", lambda: "asked")
     warnings, small = [], png(Image.new("RGBA", (8, 4)))
-    with visitor(served) as (client, page):
+    with new_viewer(served) as (client, page):
         monkeypatch.setattr(page._notifier, "warn", lambda _, text: warnings.append(text))
         button = labelled(page, "Picture (PNG)")
         client.set_widget(button, True)
@@ -118,7 +118,7 @@ def test_a_picture_of_another_size_gives_the_viewer_a_warning(served, monkeypatc
 
 
 def test_a_picture_that_does_not_arrive_can_be_cancelled(served):
-    with visitor(served) as (client, page):
+    with new_viewer(served) as (client, page):
         files = page.viewer.files
         client.set_widget(labelled(page, "Picture (PNG)"), True)
         wait_for(lambda: files.progress is not None, what="the start of the picture")
@@ -127,7 +127,7 @@ def test_a_picture_that_does_not_arrive_can_be_cancelled(served):
 
 
 def test_thousands_of_messages_do_not_stop_the_loop_and_the_last_counts(served):
-    with visitor(served) as (client, page):
+    with new_viewer(served) as (client, page):
         slider = page.tuning_panel.widgets["border.d_b"].handle
         served.loop.send(Pause(False))
         begin, before = time.monotonic(), served.loop.latest().t
@@ -135,8 +135,8 @@ def test_thousands_of_messages_do_not_stop_the_loop_and_the_last_counts(served):
             client.set_widget(slider, 0.10 + 0.1 * (i % 2) if i < FLOOD - 1 else 0.22)
         wait_for(lambda: served.loop.latest().config.border.d_b == 0.22, 60.0, "the last value")
         passed = time.monotonic() - begin
-        assert served.loop.latest().t - before > 0.25 * passed, "the loop has continued meanwhile"
-        assert goes_on(served)
+        assert served.loop.latest().t - before > 0.25 * passed, "the loop has stalled meanwhile"
+        assert is_responsive(served)
     served.loop.send(Configure(type(served.loop.latest().config)()))
 
 
@@ -155,7 +155,7 @@ def test_pages_of_many_viewers_are_built_one_by_one_for_open_clients(served, mon
             super().draw(**how)
 
     monkeypatch.setattr("app.dashboard.server.Page", Slow)
-    with visitor(served), ExitStack() as stack:
+    with new_viewer(served), ExitStack() as stack:
         built.clear()
         texts.clear()
         for _ in range(4):

@@ -269,9 +269,9 @@ def test_pages_of_another_version_are_closed_without_output(capfd):
 
     with served() as server:
         for protocols in (None, ["viser-v0.0.1"]):
-            logged = asyncio.run(reason(server, protocols))
-            assert logged.code == 1002  # by this code a page does not try again
-            assert "another version" in logged.reason
+            closed = asyncio.run(reason(server, protocols))
+            assert closed.code == 1002  # by this code a page does not try again
+            assert "another version" in closed.reason
     assert "ersion" not in capfd.readouterr().out
 
 
@@ -588,13 +588,13 @@ def test_any_camera_message_is_complete_and_finite_or_refused(changes):
 
 
 def test_messages_to_a_closed_viewer_are_dropped_without_a_warning():
-    with warnings.catch_warnings(record=True) as logged, served() as server:
+    with warnings.catch_warnings(record=True) as warned, served() as server:
         with RawClient(f"http://127.0.0.1:{server.get_port()}"):
             wait_for(server.get_clients, what="the client")
             [client] = server.get_clients().values()
         wait_for(lambda: not server.get_clients(), what="the end of the viewer")
         client.gui.add_text("x", "")
-    assert [str(each.message) for each in logged] == []
+    assert [str(each.message) for each in warned] == []
 
 
 def messages_of_kind(kind, server, client):
@@ -660,7 +660,7 @@ async def _set_between_look_and_wait(event: asyncio.Event) -> bool:
     """Whether a waiter wakes if another thread sets the event just before the wait starts."""
     waiter = asyncio.ensure_future(event.wait())
     await asyncio.sleep(0)
-    event._value = True  # the thread's call: it saw no waiter yet
+    event._value = True  # the thread's call, which saw no waiter yet
     asyncio.get_running_loop().call_soon(event.set)
     done, _ = await asyncio.wait([waiter], timeout=0.2)
     waiter.cancel()
@@ -703,8 +703,8 @@ def test_viewers_and_broadcasts_use_the_queue_without_lost_wake_ups():
     ],
 )
 def test_an_invalid_widget_value_is_reported_and_reset_at_its_sender(updates, monkeypatch):
-    logged, sent = [], []
-    monkeypatch.setattr(Notifier, "warn", lambda _, client, text: logged.append(text))
+    notices, sent = [], []
+    monkeypatch.setattr(Notifier, "warn", lambda _, client, text: notices.append(text))
     with served() as server:
         slider = server.gui.add_slider("x", min=0.0, max=1.0, step=0.1, initial_value=0.3)
         state = dict(vars(slider._impl))
@@ -715,7 +715,7 @@ def test_an_invalid_widget_value_is_reported_and_reset_at_its_sender(updates, mo
             raw.send(_messages.GuiUpdateMessage(slider._impl.uuid, updates))
             wait_for(lambda: sent, what="the valid value")
         assert [message.updates for message in sent] == [{"value": 0.3}]
-        assert len(logged) == 1
+        assert len(notices) == 1
         assert vars(slider._impl) == state
 
 

@@ -64,7 +64,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Toy:
     return Toy(compiled(content, path), bare, meetings)
 
 
-def test_only_links_that_always_touch_are_nested(toy: Toy) -> None:
+def test_only_links_that_touch_when_their_units_touch_are_nested(toy: Toy) -> None:
     """Neither other links that move with the torso nor links that only can collide are nested."""
     assert nested_links(toy.bare, toy.meetings, 0, UPPER) == [("torso", "upper")]
     assert nested_links(toy.bare, toy.meetings, 0, 2) == [("torso", "shoulder")]  # neighbours

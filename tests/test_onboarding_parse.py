@@ -299,7 +299,7 @@ def test_the_tip_must_be_a_link_of_the_arms_file(tmp_path: Path) -> None:
         parse(options)
 
 
-def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
+def test_a_missing_mesh_is_reported_with_its_address(tmp_path: Path) -> None:
     pytest.importorskip("pybullet_data")
     for file, why in (
         ("meshes/none.stl", "there is no file"),

@@ -128,7 +128,7 @@ class Plant:
         return self._base.drive_acceleration(self.v, self.drive, self.v_cmd)
 
     def move(self, u: Array, v_cmd: Array, force: Array) -> None:
-        """One period with torques u and a force (3,) [N] on the end-effector."""
+        """Advance one period with torques u and a force (3,) [N] on the end-effector."""
         model, n_b = self._robot, self._robot.n_b
         q = model.configuration(self.pose, self.q)
         twist = self._base.T @ self.v
@@ -148,7 +148,7 @@ class Plant:
 
 
 def reference_at(t: float, start: pin.SE3, way: str) -> Reference | None:
-    """In and out along a direction within the path's time, or None on a guided path."""
+    """The reference in and out along a direction during the path; None for a guided path."""
     if way == "pulled":
         return None
     along = np.array([0.0, -0.12, 0.0] if way == "beside" else [-0.08, 0.0, -0.03])

@@ -87,7 +87,7 @@ def test_only_a_few_lines_are_simulated() -> None:
         assert 1 < len(tried) < 6
 
 
-def looked_at(
+def tried_lines(
     monkeypatch: pytest.MonkeyPatch,
     sides: Sequence[str] = SIDES,
     *,
@@ -117,7 +117,7 @@ def looked_at(
 @pytest.fixture(scope="module")
 def lines_of_papers() -> dict[str, list[Place]]:
     with pytest.MonkeyPatch.context() as patch:
-        return looked_at(patch)
+        return tried_lines(patch)
 
 
 def test_no_line_is_run_that_ends_near_an_unsuccessful_one(
@@ -134,7 +134,7 @@ def test_no_line_is_run_that_ends_near_an_unsuccessful_one(
 def test_a_short_arm_starts_just_outside_the_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Formerly, lines started at least 0.25 m beside the base for any buffer."""
     monkeypatch.setattr(postures, "_FARTHEST", 0.22)
-    lines = looked_at(monkeypatch, ["guiding-lateral"], d_b=0.06)["guiding-lateral"]
+    lines = tried_lines(monkeypatch, ["guiding-lateral"], d_b=0.06)["guiding-lateral"]
     assert lines
     assert all(0.0 < np.abs(line.move).max() < 0.22 for line in lines)
 
@@ -153,7 +153,7 @@ def test_lines_with_a_compensating_arm_come_first(
 ) -> None:
     """A Kinova's slow joints cannot compensate the base at most heights."""
     sides = ["guiding-lateral"]
-    left = looked_at(monkeypatch, sides, carried=lambda at: float(at[1] > 0.0))
+    left = tried_lines(monkeypatch, sides, carried=lambda at: float(at[1] > 0.0))
     [first, *_], [other, *_] = lines_of_papers[sides[0]], left[sides[0]]
     assert first.start[1] > 0.0 > other.start[1]
 

@@ -99,7 +99,7 @@ def test_repeated_snapshots_count_once_and_a_restart_clears_the_path(snapshot, t
     assert track.until(10.0)[-1, 0] == pytest.approx(0.2, abs=SPACING)
 
 
-def led(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
+def at_time(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
     first, *others = snapshot.pairs
     return replace(
         snapshot,
@@ -117,13 +117,16 @@ def test_a_scenario_shows_its_progress_and_then_its_figures(snapshot, d, result)
     course = Course()
     past = Past(snapshot, course)
     assert course_html(course, "") == ""
-    run = [led(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0), led(snapshot, 4.0, "way-out")]
-    past.extend([led(snapshot, 0.0, "way-out"), *run])
+    run = [
+        at_time(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0),
+        at_time(snapshot, 4.0, "way-out"),
+    ]
+    past.extend([at_time(snapshot, 0.0, "way-out"), *run])
     text = course_html(course, "")
     assert "The robot starts inside a buffer" in text
     assert "width:50%" in text
     assert "4.0 of 8 s" in text
-    past.extend([led(snapshot, 7.98, "way-out"), led(snapshot, 8.0, "", d=-1.0, x=9.0)])
+    past.extend([at_time(snapshot, 7.98, "way-out"), at_time(snapshot, 8.0, "", d=-1.0, x=9.0)])
     text = course_html(course, "")
     for part in (
         f"way-out ended: {result}<",
@@ -145,21 +148,21 @@ def test_a_scenario_shows_its_progress_and_then_its_figures(snapshot, d, result)
 )
 def test_leaving_an_initial_contact_is_not_an_overlap(snapshot, distances, result):
     course = Course()
-    shown = [led(snapshot, float(t), "way-out", d=d) for t, d in enumerate(distances)]
-    Past(snapshot, course).extend([*shown, led(snapshot, 8.0, "")])
+    shown = [at_time(snapshot, float(t), "way-out", d=d) for t, d in enumerate(distances)]
+    Past(snapshot, course).extend([*shown, at_time(snapshot, 8.0, "")])
     assert f": {result}<" in course_html(course, "")
 
 
 def test_contact_is_reported_by_the_plant(snapshot):
     course = Course()
-    touching = replace(led(snapshot, 1.0, "way-out"), floor_contact=True)
-    Past(snapshot, course).extend([led(snapshot, 0.0, "way-out"), touching])
+    touching = replace(at_time(snapshot, 1.0, "way-out"), floor_contact=True)
+    Past(snapshot, course).extend([at_time(snapshot, 0.0, "way-out"), touching])
     assert course.outcome == "contact"
 
 
 def test_an_unlisted_scenario_has_no_description(snapshot):
     course = Course()
-    Past(snapshot, course).extend([led(snapshot, 1.0, "of-a-case")])
+    Past(snapshot, course).extend([at_time(snapshot, 1.0, "of-a-case")])
     assert ">.<" not in course_html(course, "")
 
 
@@ -168,17 +171,17 @@ def test_a_scenario_whose_last_snapshots_are_missing_has_ended(snapshot, missing
     """A busy machine skips snapshots; only an earlier one without a scenario means a stop."""
     course = Course()
     past = Past(snapshot, course)
-    past.extend([led(snapshot, 8.0 - missing, "guiding-front"), led(snapshot, 8.0, "")])
+    past.extend([at_time(snapshot, 8.0 - missing, "guiding-front"), at_time(snapshot, 8.0, "")])
     assert "guiding-front ended: no contact" in course_html(course, "")
 
 
 def test_an_early_end_is_reported_as_a_stop_and_cleared_by_a_reset(snapshot):
     course = Course()
     past = Past(snapshot, course)
-    past.extend([led(snapshot, 3.0, "guiding-front"), led(snapshot, 3.02, "")])
+    past.extend([at_time(snapshot, 3.0, "guiding-front"), at_time(snapshot, 3.02, "")])
     assert "guiding-front stopped at 3.0 s" in course_html(course, "")
     assert "Preparing refrigerator" in course_html(course, "preparing refrigerator")
-    past.extend([led(snapshot, 0.0, "")])
+    past.extend([at_time(snapshot, 0.0, "")])
     assert course_html(course, "") == course.name == ""
 
 

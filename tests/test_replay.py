@@ -72,7 +72,7 @@ def test_a_replay_plays_from_a_file_without_a_network(browser, replay):
     assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
 
 
-def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
+def test_a_replay_of_ten_seconds_is_smaller_than_ten_megabytes(tmp_path, replay, capsys):
     """The log repeats the same run seven times."""
     log = read_trace(replay.with_suffix(".parquet"))
     rows = [replace(s, t=s.t + 1.5 * k) for k in range(7) for s in log.snapshots]

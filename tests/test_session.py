@@ -205,7 +205,7 @@ def test_a_configuration_applies_at_once_and_a_buffer_gradually(make):
     assert session.controller.d_b == pytest.approx(0.30)
     beta = np.array([step.control.beta_m for step in after])
     assert beta[-1] > 0.1
-    assert np.abs(np.diff(beta)).max() < 0.05, "a jump of β would jerk the arm"
+    assert np.abs(np.diff(beta)).max() < 0.05, "β_m jumps"
     assert session.config is wide
     session.configure(Config().replace("hand.f_max", 1.0))
     assert max(np.linalg.norm(step.hand_force) for step in pulled(session, 300)) <= 1.0 + 1e-9

@@ -96,7 +96,7 @@ def test_the_end_effector_points_down_by_45_degrees_in_free_space(robot, solver)
 @pytest.mark.parametrize(
     ("lean", "any_direction"), [(0.0, False), (0.3, False), (1.2, True), (3.1, False)]
 )
-def test_only_a_strongly_tilted_arm_may_point_in_any_direction(
+def test_only_a_sideways_mounted_arm_may_point_in_any_direction(
     robot, border_data, lean, any_direction
 ):
     """An Alicia-D on a Jackal, tilted by 69°, cannot point away and down."""

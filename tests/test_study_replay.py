@@ -135,7 +135,7 @@ def loop(sources, case):
     loop.stop()
 
 
-def begun(loop: SimulationLoop) -> None:
+def wait_for_pull(loop: SimulationLoop) -> None:
     """Wait until the pull has started."""
     end = time.monotonic() + 60
     while loop.latest().hand_target is None:
@@ -148,7 +148,7 @@ def test_the_loop_repeats_the_run_and_releases_the_robot_at_its_end(sources, dra
     trace = run_from_spec(spec_of(drawn, FAST), sources.model, sources.data).trace
     log = {round(t, 3): k for k, t in enumerate(trace.t)}
     loop.send(Play(case.scenario()))
-    begun(loop)
+    wait_for_pull(loop)
     end, seen = time.monotonic() + 60, {}
     while time.monotonic() < end and loop.latest().t < case.options["duration"] + 0.1:
         seen |= {s.t: s for s in loop.history(-1.0) if s.hand_target is not None}
@@ -167,7 +167,7 @@ def test_the_loop_repeats_the_run_and_releases_the_robot_at_its_end(sources, dra
 @pytest.mark.parametrize("command", [Pull((0.9, 0.0, 0.5)), Reset()])
 def test_a_pull_or_a_reset_ends_the_replay(case, loop, command):
     loop.send(Play(case.scenario()))
-    begun(loop)
+    wait_for_pull(loop)
     loop.send(command)
     time.sleep(0.3)
     target = loop.latest().hand_target

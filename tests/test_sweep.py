@@ -128,7 +128,7 @@ def test_a_fast_target_close_above_the_deck_is_reached_in_time(
     speed: float,
     hold: float,
 ) -> None:
-    """Links above the end-effector are near other buffers, so the base must make room for them.
+    """Parts of the arm above the end-effector come near their buffers; the base must make room.
 
     On the wheel axis, the force at the base's edge has only the horizontal part of the normal.
     """

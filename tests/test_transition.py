@@ -157,7 +157,7 @@ def test_the_cost_grows_linearly_with_the_rows(seed: int) -> None:
 
 
 def run_into_walls(blend, seed: int, k_v: float) -> tuple[float, float]:
-    """Kinetic energy [J] of a unit mass before and after it meets two walls at an angle.
+    """Squared speed [m²/s²] of a point mass before and after it meets two walls at an angle.
 
     Their rows enter and leave one after the other. With orthogonal normals every blend would be
     the same.
