@@ -477,7 +477,7 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> None:
     for k in range(count):
         difference = speed = 0.0
         for i in range(len(q)):
-            variance = max(w.noise_var[0, i], SMALL[0]) + (time * w.v_error[i]) ** 2
+            variance = max(w.noise_var[0, i], SMALL) + (time * w.v_error[i]) ** 2
             errors[k] += (q[i] - x[0, i]) ** 2 / variance
             difference += (qd[i] - x[1, i]) ** 2
             speed += x[1, i] ** 2
@@ -600,6 +600,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
         q,
         qd,
         robot.qd_max,
+        w.v_error,
         gains,
     )
     w.faults[JUMP] = 1.0 if jumped else 0.0
