@@ -27,7 +27,7 @@ _FEWEST = 20  # [-] smallest number of values in a shell whose mean can be the p
 
 @dataclass(frozen=True)
 class ScoreField:
-    """The score for one robot and one body of its arm; points are (…, 3) [m]."""
+    """The score 𝒮 of points (…, 3) [m] in the base's frame, for one body of a robot's arm."""
 
     base: BaseKind
     """The kind of base, which defines the signed measure that replaces the determinant of (7)."""

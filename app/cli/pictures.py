@@ -1,4 +1,4 @@
-"""`dbb screenshot`, `film`, `replay` and `report`: pictures of a scenario, pages of a log."""
+"""`dbb screenshot` and `film`: pictures of a scenario; `replay` and `report`: HTML of a log."""
 
 from __future__ import annotations
 

@@ -169,8 +169,8 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
     """(k,) [m] lower bound of the arm's smallest distance to the base, for each d_b (k,) [m].
 
-    Each d_b must be larger than d_full. The bound is minus infinity if the base does not reach the
-    approach speed at any distance.
+    Each d_b must be larger than d_full. The bound is minus infinity if the base cannot retreat as
+    fast as the arm approaches (`approach.v`) at any distance.
     """
     ways = list(_ways(approach, base, config))
     return np.array([max(_bound(each, *way) for way in ways) for each in d_b])

@@ -179,8 +179,9 @@ class Superquadric(_Placed):
 def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
-    It is 0.1 mm thick if the points are only three, or on a line. trimesh would correct the winding
-    of slivers with networkx, which is possibly not installed.
+    If scipy finds no hull with a volume, for example of three points or of points on a line, the
+    hull gets a thickness of 0.1 mm. trimesh's own correction of inward triangles is not used,
+    because it needs networkx, which is possibly not installed.
     """
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError

@@ -1,4 +1,7 @@
-"""Elements of a URDF as numbers, poses, triangles and colours, read alike by all parts."""
+"""Functions that read elements of a URDF: numbers, poses, triangles and colours.
+
+All parts of the program use these functions, so they all read an element in the same way.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Jumps of the base's commanded acceleration along smooth motions inside the buffer.
 
-With a smaller step the change at a slope becomes smaller, but the change at a jump does not. The
-step is refined around the places with the largest changes, and the limit at a step of zero is the
-jump.
+The change of the acceleration in one step is large if the acceleration is steep, or if it jumps. A
+smaller step reduces the change of a steep acceleration, but not that of a jump. Therefore the step
+is refined around the places with the largest changes. The limit of the change at a step of zero is
+the jump.
 """
 
 from __future__ import annotations

@@ -370,10 +370,10 @@ def _ranked(
     mobile: Sequence[int],
     slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
-    """All divisions of the chain into groups with shapes, with lower bounds of their costs.
+    """All divisions of the chain into groups with shapes, each with a lower bound of its cost.
 
-    The cost of ideal bodies, which overlap exactly if their links do, determines the order.
-    `slides` are the units on prismatic joints of the arm.
+    The order is by the cost that a division would have with ideal bodies: two ideal bodies overlap
+    exactly if links of both overlap. `slides` are the units on prismatic joints of the arm.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

@@ -143,8 +143,8 @@ def figure_7(sources: Sources) -> drawing.Drawing:
 def figure_8(sources: Sources) -> drawing.Drawing:
     """(a) The method starts at p_n, the border point nearest to the end-effector, and steps along
     the tangent towards a better score, to p_t. The acting point is the border point nearest to p_t.
-    (b) If the step is too large, the force may have no component along the line between the
-    end-effector and the border. Therefore the step is bounded.
+    (b) If the step is too large, the acting point can be so far away that the force has no
+    component along the line between the end-effector and the border. Therefore the step is bounded.
     """
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}

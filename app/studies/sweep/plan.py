@@ -97,7 +97,7 @@ def point_of(p: Array) -> Point:
 
 
 def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
-    """Paths of the kind `side` from all directions, every `step` [deg], at each height [m]."""
+    """Paths of the kind `side`, at each height [m] from all directions, `step` [deg] apart."""
     for height, k in product(heights, range(round(360.0 / step))):
         yield Approach("side", height, k * step)
 
