@@ -130,7 +130,7 @@ def late_and_held(n: int) -> Bend:
 
 
 def lossy(share: float, every: int = 1) -> Bend:
-    """New readings each `every` steps, of which a share is lost."""
+    """New readings each `every` steps; a share of them is lost."""
     rng, last = np.random.default_rng(0), []
 
     def bend(k: int, m: Measurement) -> Measurement:

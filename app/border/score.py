@@ -201,7 +201,7 @@ class ReachFit(NamedTuple):
     """[-] share of the variance of the shells' means that (9) explains; each mean is weighted by
     the number of positions in the shell."""
     rms: float
-    """[-] root mean square of the residuals of the shells' means, weighted likewise."""
+    """[-] root mean square of the residuals of the shells' means, with the same weights."""
     r_squared_positions: float
     """[-] share of the variance of single positions that (9) explains. The other causes of the
     variance are the sampling and the direction of a position."""

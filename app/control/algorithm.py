@@ -210,8 +210,8 @@ def algorithm_2(
 def activate_pairs(gains: Any, w: Any) -> None:
     """The activation of each pair, a function of its distance alone, not of time (Fig. 10).
 
-    `w.d_b` is the buffer distance in force, which approaches a new d_b at `BUFFER_RATE`; the border
-    is that of the new d_b at once.
+    `w.d_b` is the buffer distance of this step. If the configured d_b changes, `w.d_b` approaches
+    it at the rate `BUFFER_RATE`, but the border belongs to the new d_b at once.
     """
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
@@ -535,9 +535,10 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """Set up the QP of a_free: base and arm together, without the base's rows.
 
     Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖², with the rows between links as
-    springs; b_ee and these rows have slow gains. Subject to −τ_max ≤ u(q̈) ≤ τ_max, the bounds of
-    the joints at their full rates, and |J_m q̈_b| ≤ a_max. A method whose base takes part in the
-    barriers moves its base to rest in place of T_ee, and has the barriers of all pairs.
+    springs; b_ee and these rows have slow gains. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the
+    bounds of the joints at their full rates, and |J_m q̈_b| ≤ a_max. A method whose base takes part
+    in the barriers has a task that brings the base to rest instead of T_ee, and has the barriers of
+    all pairs.
 
     Returns:
         The number of its limits.
@@ -587,11 +588,11 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
     Minimise ‖q̈ − q̈_0‖ in the metric H, with q̈_0 the optimum of the cost for the base's response
     to its present command: the smallest change with which the arm fulfils T_ee within its limits.
-    The cost is that of base and arm, with a far higher weight of T_ee, and with the base's rows in
-    proportion to their activation. Subject to all constraints of the arm above T_ee: torques,
-    joints, and for methods with a lookahead the distances of L_m and the buffers of the arm's
-    links. Their approach rates match the base's slow response, so the base reacts early: a wrist
-    that nears its limit turns the base in time.
+    The cost is the sum of the tasks of base and arm, with a far higher weight of T_ee, and with the
+    base's rows in proportion to their activation. The constraints are all constraints of the arm
+    above T_ee: torques, joints, and for methods with a lookahead the distances of L_m and the
+    buffers of the arm's links. The approach rates of these constraints match the base's slow
+    response, so the base reacts early: it turns in time if a wrist joint comes near its limit.
 
     Returns:
         The number of its limits.

@@ -99,8 +99,8 @@ def estimate_arm(
     """Update the estimate (x, P) by one reading of positions and velocities.
 
     After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading.
-    Until the noise has enough samples, the position and velocity are those of the reading, and only
-    a clear change of the velocity changes the external acceleration.
+    Until the estimate of the noise has enough samples, position and velocity are copied from the
+    reading, and only a clear change of the velocity changes the external acceleration.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
