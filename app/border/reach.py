@@ -193,8 +193,8 @@ def sample_reach_map(
 ) -> ReachMap:
     """Compute the density of solutions of a body's pose in the arm's whole workspace.
 
-    The positions form a lattice in a ball around the mount that contains the whole workspace. The
-    Jacobian of the area formula is that of the joints that are not fixed.
+    The positions form a lattice in a ball around the mount that contains the whole workspace. In
+    the area formula, J has a column for each joint of the chain that is not fixed.
 
     Args:
         model: The robot.

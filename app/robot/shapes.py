@@ -118,7 +118,7 @@ class ConvexMesh(_Placed):
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
 
     def hull(self) -> trimesh.Trimesh:
-        """The hull, in the shape's own frame.
+        """The convex hull of the mesh's scaled vertices, in the shape's frame (see `placement`).
 
         Raises:
             AssetError: The file is missing, or reading it takes more time or memory than a valid

@@ -89,7 +89,8 @@ def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[flo
 def rgba(material: Element) -> list[float] | None:
     """Red, green, blue and opacity [0, 1] of a material; None where it states none.
 
-    Colours up to 255 and without opacity are read as meant; others that are none do not count.
+    Values up to 255, commas and a missing opacity are common mistakes and are accepted. The result
+    is None if there are not three or four finite numbers.
     """
     found = material.find("color")
     stated = "" if found is None else found.get("rgba", "").replace(",", " ")

@@ -44,8 +44,8 @@ class FittedBody(NamedTuple):
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
-    There are only as many shapes, and as many polytopes instead of boxes, as save contacts of l_m
-    in poses in which no links touch.
+    l_m has one box if possible. Each further shape, and each polytope instead of a box, must save
+    `_SAVES` contacts of l_m with the arm per pose, in poses in which no links touch.
     """
     units, base = meetings.units, meetings.units[0]
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -64,9 +64,10 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[Array]]:
-    """Groups of parts: one group, two groups, up to four groups; each has the corners of its hull.
+    """Divisions of the parts into one group, into two groups, and so on, up to four groups.
 
-    From one division to the previous one, the two groups are merged whose hull grows the least.
+    Each group is represented by the corners of its hull. From a division, the one with one group
+    less is made by merging two groups, such that the volume of their hulls grows the least.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, tuple[Array, float]]] = {}  # growth and merged hull

@@ -89,9 +89,10 @@ def deepest(sources: Sources) -> int:
 
 
 def turning(sources: Sources) -> Force:
-    """The force at the instant of the run along the wheel axis that shows both components best.
+    """The force in a row of the run along the wheel axis in which both its components are large.
 
-    Of every 20th row in the buffer, this is the row in which the smaller component is largest.
+    In each row the smaller component counts. Every 20th row in the buffer is compared, and the row
+    in which the smaller component is largest is chosen.
     """
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]
