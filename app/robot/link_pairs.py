@@ -161,8 +161,8 @@ class PairDistances:
         return tuple(rows[: len(self.pairs)].tolist())
 
     def write_distances(self, into: Array) -> None:
-        """Write distances [m] into an array: first the distances of all pairs, then the distances of
-        each part of the bodies `a` that have several parts.
+        """Write distances [m] into an array: first the distances of all pairs, then the distances
+        of each part of the bodies `a` that have several parts.
         """
         _write_least(self._signed, self._order, self._firsts, into)
 
