@@ -31,8 +31,8 @@ Base and arm are computed one after the other, because the base follows its comm
 compete with them, (29). It is subject to its limits, for the present acceleration of the base
 (`assume_base`). The torques follow from q̈, (26).
 
-The compared method `hqp` solves neither of these problems: its q̈ is that of the paper's hierarchy,
-which `app.control.hqp` solves.
+The compared method `hqp` solves neither of these problems: its q̈ is the solution of the paper's
+hierarchy (`app.control.hqp`).
 """
 
 import math
@@ -359,7 +359,7 @@ def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
 
 @compiled()
 def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
-    """T_sca: the base's rows, those between links, and T_rep of the compared method."""
+    """T_sca: the base's rows, the rows between links, and the task T_rep of method `repulsive`."""
     n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
     b_r, beta_r = link_accelerations(robot, gains, w), np.zeros(links)
     if gains.link_rows:
@@ -566,8 +566,8 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
     """A base acceleration near a_des that drags the end-effector along as little as possible.
 
-    Minimise (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖², `limit_ee_drag`, with a_des
-    clipped to a_max before; at β_m = 0 it is a_des.
+    First a_des is clipped to ±a_max. Then `limit_ee_drag` minimises
+    (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². At β_m = 0 the result is a_des.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -612,10 +612,10 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     """Set up the QP of the arm, for the base's assumed acceleration.
 
-    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. Subject
-    to the torques of this step, the bounds of the joints and the barriers of distances. There is no
-    slack variable: the slack of a task or a row is its demand minus the result
-    (`explanation.row_slacks`). Torques are hard limits, the others are soft.
+    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. The
+    torque limits of this step are hard; the bounds of the joints and the barriers of distances are
+    soft. There is no slack variable: the slack of a task or a row is its demand minus the result
+    (`explanation.row_slacks`).
 
     Returns:
         The number of its limits.

@@ -133,7 +133,7 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b with which the distance of arm and base stays at least the reserve.
 
-    The docstring of the module lists the assumptions. The delay and the slip are those of the
+    The docstring of the module lists the assumptions. Delay and slip are read from the
     configuration; the configured d_b has no influence.
 
     Returns:
@@ -192,7 +192,7 @@ def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[
 
 
 def dead_time(base: BaseKind, config: Config) -> float:
-    """[s] from a demand of the controller to the base's motion."""
+    """[s] time from a demand of the controller to the base's motion."""
     return config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
 
 

@@ -67,7 +67,7 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; a clear change of the velocity is an external acceleration.
 
-    The arguments are those of `estimate_arm`; `trusted` (2, n_m) are variances.
+    `estimate_arm` explains the arguments; `trusted` (2, n_m) are variances.
     """
     steps, dt = len(known), gains.dt
     for i in range(len(q)):

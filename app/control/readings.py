@@ -499,7 +499,8 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> None:
 def _learn_v_error(gains: Any, w: Any, predicted: Array) -> None:
     """Update `w.v_error` after a new reading, from the velocities (n_m,) predicted without it.
 
-    It is the largest recent error of a prediction, which decays with the window of the noise.
+    `w.v_error` is the largest recent error of a prediction. Older errors decay with the time
+    constant of the noise estimate.
     """
     steps = 1.0 + w.age[()]
     decay = math.exp(-steps * gains.dt / gains.noise_window)
