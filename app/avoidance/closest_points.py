@@ -192,7 +192,7 @@ def _mean_nearest(
 ) -> None:
     """Write p_a, p_b, n and core of one row of `Nearest` into `found` (4, 3).
 
-    `a`: all shapes or one part of l_a; `corners`: nodes of l_a; `b` and `nodes`: shapes and nodes of l_b.
+    `a`: all shapes or one part of l_a, `corners`: nodes of l_a, `b` and `nodes`: all of l_b.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
