@@ -1,4 +1,4 @@
-"""The paper's robot on bases of other kinds: the same arm, bodies and border."""
+"""The paper's arm, bodies and border on bases of other kinds."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ KINDS = ("differential", *_RECORDS)
 
 @cache
 def base_of(kind: str, **changes: float) -> BaseKind:
-    """A base of that kind, as heavy as the paper's."""
+    """A base of this kind with the mass of the paper's base."""
     if kind == "differential":
         return husky_panda().description.base
     fields = _COMMON | _OWN[kind] | changes
@@ -47,6 +47,6 @@ def base_of(kind: str, **changes: float) -> BaseKind:
 
 @cache
 def robot_on(kind: str) -> RobotModel:
-    """The paper's arm on it."""
+    """The paper's arm on a base of this kind."""
     description = husky_panda().description.model_copy(update={"base": base_of(kind)})
     return RobotModel(description)

@@ -1,4 +1,4 @@
-"""The page in a headless Chromium, for tests: open it, drag the gizmo, work the widgets."""
+"""The dashboard's page in a headless Chromium: opens it, drags the gizmo, operates the widgets."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ REQUIRED = "DBB_REQUIRE_BROWSER"
 HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
 
 MIN_DIFFERENCE = 24
-"""Smallest change of a channel of 0 to 255 that counts."""
+"""Smallest change of a colour channel (0 to 255) that counts as a difference."""
 
 HARMLESS = "Unable to preventDefault inside passive event listener invocation."
-"""Chromium's message when viser's own page starts a drag; it is no error."""
+"""A message that Chromium logs when viser's own page starts a drag; it is not an error."""
 
 _AT_REST = 0.8  # [s] without a change
 _NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('{SEEN}', 'yes');"
-"""The page of who has been here before."""
+"""Marks the visitor as a returning one, so that the tour does not open."""
 
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A headless browser with WebGL; skips the test if there is none and none is required."""
+    """A headless browser with WebGL; skips the test if there is none, unless one is required."""
     with ExitStack() as stack:
         try:
             browser = stack.enter_context(browser_of_app.chromium())
@@ -47,15 +47,15 @@ def chromium() -> Iterator[Any]:
 
 
 def wait_for(condition: Callable[[], Any], seconds: float = 60.0, what: str = "") -> None:
-    """Wait until a condition is true; fail after so many seconds."""
+    """Wait until a condition is true; fail after `seconds`."""
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, f"not in {seconds:g} s: {what or 'the condition'}"
+        assert time.monotonic() < deadline, f"not within {seconds:g} s: {what or 'the condition'}"
         time.sleep(0.02)
 
 
 def around(places: np.ndarray, radius: int, picture: np.ndarray) -> np.ndarray:
-    """(H, W) bool which pixels of a picture lie in squares around places (K, 2) [px]."""
+    """(H, W) bool mask of a picture's pixels within squares around `places` (K, 2) [px]."""
     near = np.zeros(picture.shape[:2], bool)
     for at in np.asarray(places).round().astype(int):
         (left, top), (right, bottom) = np.maximum(at - radius, 0), np.maximum(at + radius, 0)
@@ -64,11 +64,11 @@ def around(places: np.ndarray, radius: int, picture: np.ndarray) -> np.ndarray:
 
 
 class DashboardTab:
-    """One tab with the dashboard open.
+    """One browser tab with the dashboard.
 
     Attributes:
         page: playwright's page.
-        errors: The page's error messages on its console, and uncaught exceptions.
+        errors: Error messages of the page's console, and uncaught exceptions.
     """
 
     def __init__(
@@ -85,20 +85,20 @@ class DashboardTab:
         query: str = "",
         fresh: bool = False,
     ) -> None:
-        """Open the page and wait until the robot is there.
+        """Open the page and wait until the robot is drawn.
 
         Args:
-            browser: Where to.
-            address: Of the server.
-            size: [px] of the window.
+            browser: Browser that opens the tab.
+            address: URL of the server.
+            size: [px] width and height of the window.
             first_visit: Whether the page shows its tour.
-            draws: Whether it goes on drawing, as a person's page does, also while nobody looks.
-            honest: Whether the page may know that it draws in software.
-            touch: Whether it is used by fingers.
-            query: Further parts of the address, each with a leading "&".
-            fresh: Whether the page may show a demonstration, as one that nobody has touched.
-            dpr: Drawn pixels a pixel of the window; drawing in software takes most of the time.
-                None leaves it to the page.
+            draws: Whether the page renders all the time, as for a user, not only for pictures.
+            honest: Whether the page can detect that it renders in software.
+            touch: Whether the page has touch input.
+            query: Further query parameters, each with a leading "&".
+            fresh: Whether the page may start its demonstration, as before the first input.
+            dpr: Rendered pixels per pixel of the window; fewer pixels render faster in software.
+                None leaves the choice to the page.
         """
         context = browser_of_app.new_context(browser, size, honest=honest, touch=touch)
         context.add_init_script(HELPERS)
@@ -117,7 +117,7 @@ class DashboardTab:
         self.wait_for_scene()
 
     def wait_for_scene(self) -> None:
-        """Wait until the robot and everything else in the scene is drawn."""
+        """Wait until the robot and all other scene nodes are drawn."""
         self._rests = False
         self.wait("() => dbbPage.ready()")
         self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
@@ -126,22 +126,21 @@ class DashboardTab:
 
     @contextmanager
     def drawing(self) -> Iterator[None]:
-        """Have the page draw; at other times it does all but that."""
+        """Turn rendering on; at other times the page updates its scene but renders nothing."""
         self.page.evaluate("() => dbbTest.draw(true)")
         yield
         if not self._draws:
             self.page.evaluate("() => dbbTest.draw(false)")
 
     def rest(self) -> None:
-        """Wait until panels and camera are where they stay, once for a scene.
+        """Wait, once for each scene, until panels and camera stop moving.
 
-        Both reach the server and return after the first picture, and a click that starts before
-        misses its target.
+        Both settle after the first picture, so an earlier click would miss its target.
         """
         deadline, since = time.monotonic() + 60.0, time.monotonic()
         before = None
         while not self._rests:
-            assert time.monotonic() < deadline, "the camera does not come to rest"
+            assert time.monotonic() < deadline, "the camera does not stop moving"
             self.render(2)
             now = (self.canvas_box(), self.camera().round(3).tolist())
             before, since = now, since if now == before else time.monotonic()
@@ -152,31 +151,31 @@ class DashboardTab:
             self.errors.append(message.text)
 
     def wait(self, script: str, argument: Any = None, timeout: float = 60.0) -> None:
-        """Wait until a function of JavaScript gives something true, at most `timeout` seconds."""
+        """Wait until a JavaScript function returns a true value, at most `timeout` seconds."""
         self.page.wait_for_function(script, arg=argument, timeout=1000 * timeout)
 
     def render(self, frames: int = 1) -> None:
-        """Let so many pictures be drawn, to their end."""
+        """Wait until `frames` pictures are rendered."""
         self.page.evaluate("n => dbbPage.render(n)", frames)
 
     def picture(self, path: Path | None = None) -> np.ndarray:
-        """(H, W, 3) uint8 the visible page, also written to `path`."""
+        """(H, W, 3) uint8 picture of the visible page, also written to `path`."""
         from io import BytesIO
 
         from PIL import Image
 
-        self.render(1)  # new objects move into place; drawing takes ten times as long
+        self.render(1)  # new objects move into place; with rendering it takes ten times as long
         with self.drawing():
             self.render(1)
         data = self.page.screenshot(path=path)
         return np.array(Image.open(BytesIO(data)).convert("RGB"))
 
     def picture_at_rest(self) -> np.ndarray:
-        """The same once nothing changes any more, where time stands still."""
+        """(H, W, 3) uint8 picture once two in a row are equal; needs a paused simulation."""
         before, after = self.picture(), self.picture()
         deadline = time.monotonic() + 60.0
         while self.changed(before, after).any():
-            assert time.monotonic() < deadline, "the picture goes on changing"
+            assert time.monotonic() < deadline, "the picture does not stop changing"
             before, after = after, self.picture()
         return after
 
@@ -185,7 +184,7 @@ class DashboardTab:
         return tuple(self.page.evaluate("() => dbbTest.box()"))
 
     def scene_mask(self) -> np.ndarray:
-        """(H, W) bool which pixels show the scene and nothing that floats over it."""
+        """(H, W) bool mask of the pixels that show the scene without an overlay."""
         size = self.page.viewport_size
         mask = np.zeros((size["height"], size["width"]), bool)
         left, top, right, bottom = self.canvas_box()
@@ -195,7 +194,7 @@ class DashboardTab:
         return mask
 
     def changed(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """(H, W) bool which pixels of the scene differ between two pictures."""
+        """(H, W) bool mask of the scene's pixels that differ between two pictures."""
         difference = np.abs(before.astype(int) - after.astype(int)).max(axis=-1)
         return (difference > MIN_DIFFERENCE) & self.scene_mask()
 
@@ -207,13 +206,13 @@ class DashboardTab:
         radius: int = 30,
         seconds: float = 60.0,
     ) -> np.ndarray:
-        """Wait until so many pixels of the scene differ from a picture.
+        """Wait until at least `least` pixels of the scene differ from a picture.
 
         Args:
-            before: The picture.
-            least: How many pixels have to differ.
-            places: (K, 2) [px] around which they have to; None is the whole scene.
-            radius: [px] how far around.
+            before: Picture to compare with.
+            least: Number of pixels that must differ.
+            places: (K, 2) [px] centres of the squares that count; None: the whole scene.
+            radius: [px] half the side of a square.
             seconds: Longest time to wait.
 
         Returns:
@@ -229,13 +228,13 @@ class DashboardTab:
             assert time.monotonic() < deadline, f"only {count} pixels changed, not {least}"
 
     def wait_for_picture(self, wanted: np.ndarray, most: int, seconds: float = 60.0) -> None:
-        """Wait until at most so many pixels of the scene differ from a picture."""
+        """Wait until at most `most` pixels of the scene differ from a picture."""
         deadline = time.monotonic() + seconds
         while (count := int(self.changed(wanted, self.picture()).sum())) > most:
             assert time.monotonic() < deadline, f"{count} pixels still differ"
 
     def camera(self) -> np.ndarray:
-        """(3,) [m] the camera's eye, in the world."""
+        """(3,) [m] position of the camera in the world frame."""
         return np.array(self.page.evaluate("() => dbbTest.camera()"))
 
     def is_shown(self, node: str) -> bool:
@@ -243,25 +242,25 @@ class DashboardTab:
         return self.page.evaluate("n => dbbTest.shown(n)", node)
 
     def text(self, node: str) -> str | None:
-        """The text of a label of the scene."""
+        """The text of a label in the scene."""
         return self.page.evaluate("n => dbbTest.text(n)", node)
 
     def position(self, node: str) -> np.ndarray:
-        """(3,) [m] where a scene node is, in the world."""
+        """(3,) [m] position of a scene node in the world frame."""
         return np.array(self.page.evaluate("n => dbbTest.position(n)", node))
 
     def pixel(self, node: str, point: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
-        """(2,) [px] where a point in a node's frame is on the page."""
+        """(2,) [px] position on the page of a point in a node's frame."""
         return np.array(self.page.evaluate("([n, p]) => dbbTest.pixel(n, p)", [node, list(point)]))
 
     def plot(self, title: str) -> np.ndarray:
-        """(2 + lines, N) time, lines and cursor of a plot of the open tab "Plots", by its title."""
+        """(2 + lines, N) time, lines and cursor of an open plot, by its title."""
         found = self.page.evaluate("title => dbbTest.plot(title)", title)
         assert found is not None, f"no plot {title!r} in the open tabs"
         return np.array(found, dtype=float)
 
     def pixels(self, node: str, points: np.ndarray) -> np.ndarray:
-        """(K, 2) [px] where points (K, 3) in a node's frame are on the page."""
+        """(K, 2) [px] positions on the page of points (K, 3) in a node's frame."""
         found = self.page.evaluate("([n, p]) => dbbTest.pixels(n, p)", [node, points.tolist()])
         return np.array(found)
 
@@ -275,15 +274,15 @@ class DashboardTab:
         *,
         drop: bool = True,
     ) -> None:
-        """Drag an arrow of a gizmo along its axis by the mouse.
+        """Drag an arrow of a gizmo along its axis with the mouse.
 
         Args:
             node: Scene node of the gizmo.
             axis: 0, 1 or 2.
-            metres: How far.
+            metres: [m] Length of the drag.
             scale: The gizmo's scale.
-            steps: In how many moves.
-            drop: Whether to let go at the end.
+            steps: Number of mouse moves.
+            drop: Whether to release the button at the end.
 
         Raises:
             LookupError: The arrow is hidden in this view.
@@ -295,7 +294,7 @@ class DashboardTab:
         self.drag(a, b, steps, drop=drop)
 
     def arrow(self, node: str, axis: int, scale: float) -> np.ndarray:
-        """(3,) [m] where an arrow of a gizmo can be taken, in the gizmo's frame, at rest.
+        """(3,) [m] a visible point of a gizmo's arrow, in the gizmo's frame, at rest.
 
         Raises:
             LookupError: The arrow is hidden in this view.
@@ -307,9 +306,9 @@ class DashboardTab:
         return np.array(found)
 
     def drag(self, a: np.ndarray, b: np.ndarray, steps: int = 8, *, drop: bool = True) -> None:
-        """Drag from a pixel to another by the mouse, and let go at the end if `drop`."""
+        """Drag from pixel `a` to pixel `b` with the mouse, and release it if `drop`."""
         self.page.mouse.move(*a)
-        self.render(1)  # the scene has to see the pointer above it first
+        self.render(1)  # the scene must see the pointer above it first
         self.page.mouse.down()
         for i in range(1, steps + 1):
             self.page.mouse.move(*(a + (b - a) * i / steps))
@@ -318,17 +317,17 @@ class DashboardTab:
             self.page.mouse.up()
 
     def look_at(self, t: float) -> None:
-        """Click on the time line at a time [s] that is past."""
+        """Click on the time line at a past time t [s]."""
         self.wait("t => dbb.seen().now > t + 0.2", t)
         self.page.mouse.click(*self.page.evaluate("t => dbb.pixel(t)", t))
 
     def fingers(self, kind: str, points: list[dict[str, float]]) -> None:
-        """Send a "touchStart", "touchMove" or "touchEnd" with fingers at places [px]."""
+        """Send a "touchStart", "touchMove" or "touchEnd" event with fingers at `points` [px]."""
         self._fingers = self._fingers or self.page.context.new_cdp_session(self.page)
         self._fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def touch(self, a: np.ndarray, b: np.ndarray, steps: int = 8) -> None:
-        """Drag from a pixel to another by a finger, and lift it."""
+        """Drag from pixel `a` to pixel `b` with one finger, and lift it."""
 
         def send(kind: str, *places: np.ndarray) -> None:
             self.fingers(kind, [{"x": float(x), "y": float(y)} for x, y in places])
@@ -340,7 +339,7 @@ class DashboardTab:
         send("touchEnd")
 
     def open_tab(self, name: str) -> None:
-        """Choose a tab of the panel."""
+        """Open a tab of the panel."""
         self.page.get_by_role("tab", name=name, exact=True).click()
 
     def row(self, label: str) -> Any:
@@ -352,26 +351,26 @@ class DashboardTab:
     def set_slider(self, label: str, value: float) -> None:
         """Type a value into a slider's number box."""
         box = self.row(label).locator("input[type=text], input[inputmode]").last
-        text = f"{value:g}"  # with a last zero it would count as not yet typed to its end
+        text = f"{value:g}"  # a trailing zero would look like unfinished input
         box.fill(text)
-        if box.input_value() != text:  # after a change from outside the box takes the sign only
+        if box.input_value() != text:  # after a change by the server the box accepts only the sign
             box.fill(text)
         box.press("Enter")
 
     def choose(self, label: str, option: str) -> None:
-        """Choose from a drop-down list."""
+        """Select an option of a drop-down list."""
         self.row(label).locator("input").first.click()
         self.page.get_by_role("option", name=option, exact=True).click()
 
     def check(self, label: str, *, on: bool = True) -> None:
         """Set a check box."""
         self.row(label).locator("input[type=checkbox]").set_checked(on)
-        self.page.mouse.move(2, 2)  # so that no hint lies over the scene
+        self.page.mouse.move(2, 2)  # no tooltip may cover the scene
 
     def click(self, name: str) -> None:
         """Press a button."""
         self.page.get_by_role("button", name=name, exact=True).first.click()
 
     def close(self) -> None:
-        """Close the tab, as a person does who leaves."""
+        """Close the tab."""
         self.page.context.close()

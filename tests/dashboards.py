@@ -19,13 +19,13 @@ from tests.robots import husky_panda
 
 
 class Served(NamedTuple):
-    """A dashboard that is served, and the loop behind it."""
+    """A running dashboard and the loop behind it."""
 
     server: DashboardServer
     loop: ScriptedLoop
 
     def page(self) -> Page:
-        """The page of the viewer who came last."""
+        """The page of the newest viewer."""
         wait_for(lambda: self.server.pages, what="a viewer's page")
         return self.server.pages[max(self.server.pages)]
 
@@ -36,13 +36,13 @@ class Served(NamedTuple):
         self.loop.commands.clear()
 
     def pull_at_base(self, seconds: float, tab: DashboardTab | None = None) -> None:
-        """As the loop does it, once dashboard and tab have seen that all begins anew.
+        """Call the loop's `pull_at_base` after dashboard and tab have handled a reset.
 
-        Until its page has seen that, a viewer who looks back is led to now by it.
+        A page that handles the reset later leads a viewer of the past back to the present.
         """
         self.loop.send(Pause(True))
         self.loop.send(Reset())
-        wait_for(lambda: self.server.shared.last <= 0.0, what="a new beginning")
+        wait_for(lambda: self.server.shared.last <= 0.0, what="the reset")
         if tab is not None:
             tab.wait("() => dbb.seen().now === 0")
         self.loop.pull_at_base(seconds)
@@ -52,12 +52,12 @@ class Served(NamedTuple):
 def served_dashboard(
     loop: ScriptedLoop | None = None, port: int = 0, start_loop: StartLoop | None = None
 ) -> Iterator[Served]:
-    """Serve until the end; the drawing has to have gone without an error.
+    """Serve in the `with` block; fail if the drawing thread has failed.
 
     Args:
-        loop: Behind it at first; one of its own if not given.
-        port: Any free one if not given.
-        start_loop: Begins another robot's loop.
+        loop: The first loop behind the dashboard; by default a new `ScriptedLoop`.
+        port: 0 chooses a free port.
+        start_loop: Starts the loop of another robot.
     """
     loop = loop or ScriptedLoop(husky_panda())
     loop.start()
@@ -69,7 +69,7 @@ def served_dashboard(
             yield Served(server, loop)
         finally:
             server.stop()
-        assert server.error is None, "the drawing thread"
+        assert server.error is None, "the drawing thread has failed"
     finally:
         loop.stop()
 
@@ -82,5 +82,5 @@ def parts() -> RobotParts:
 
 @cache
 def clouds() -> dict[str, Cloud]:
-    """Borders coarse enough to be drawn fast."""
+    """Coarse borders that are fast to draw."""
     return fake_clouds(husky_panda(), spacing=0.02)

@@ -1,4 +1,4 @@
-"""A loop without physics: the arm follows the person kinematically, the base backs off."""
+"""A loop without physics: the arm follows the pull kinematically, the base backs off."""
 
 from __future__ import annotations
 
@@ -43,18 +43,17 @@ from app.simulation.trace.trace import History
 Array = np.ndarray
 
 PAIRS = (("lm", "lEE"), ("lm", "l3"), ("l1", "lEE"), ("l1", "l3"), ("l2", "lEE"))
-DT = 0.02  # [s] of one step of the script
-HAND_SPEED = 0.25  # [m/s] at which the hand follows the person
+DT = 0.02  # [s] of one step of the loop
+HAND_SPEED = 0.25  # [m/s] speed of the end-effector towards the pull's target
 
 
 class ScriptedLoop:
-    """The interface of the simulation's loop; every command is recorded in `commands`.
+    """The interface of the simulation's loop; `commands` records every command.
 
-    The hand moves towards where it is pulled, the base backs off at a speed in proportion to the
-    activation. Distances, closest points and the end-effector are those of the real model. Robots
-    that are compared have the same arm; their bases stay where they were. Forces of several people
-    add up. A scenario is
-    known by its name only: its hand stays where it is.
+    The end-effector moves towards the mean target of its pulls; the base backs off at a speed in
+    proportion to the activation. Distances, closest points and end-effector pose are those of the
+    real model. Compared robots have the same arm, and bases that do not move. A scenario has only
+    its name: it pulls nothing.
     """
 
     def __init__(self, model: RobotModel, q_m: Array | None = None) -> None:
@@ -84,7 +83,7 @@ class ScriptedLoop:
 
     def send(self, command: Command) -> None:
         Mailbox().put(command, self.links)
-        if isinstance(command, Watch):  # it goes on for tests that nobody watches
+        if isinstance(command, Watch):  # the fake also runs while no client watches
             return
         with self._lock:
             self.commands.append(command)
@@ -99,15 +98,15 @@ class ScriptedLoop:
             return self._history.after(after)
 
     def pulls(self) -> list[tuple[float, float, float] | None]:
-        """Targets of all pulls so far, None for letting go."""
+        """Targets of all pulls so far; None for a release."""
         with self._lock:
             kinds = [c for c in self.commands if isinstance(c, (Pull, Release))]
             return [c.target if isinstance(c, Pull) else None for c in kinds]
 
     def pull_at_base(self, seconds: float) -> None:
-        """Begin anew, and pull the hand down before the base for so long, on the spot; then pause.
+        """Reset, pull the end-effector down in front of the base for `seconds`, then pause.
 
-        After 1.5 s the hand is inside the border; the base backs off from then on.
+        After 1.5 s it is inside the border, and the base backs off.
         """
         self.send(Pause(True))
         self.send(Reset())
@@ -118,7 +117,7 @@ class ScriptedLoop:
         self.commands.clear()
 
     def place(self, base_pose: Sequence[float] | None = None, q_m: Array | None = None) -> None:
-        """Put the robot elsewhere; the next step goes on from there."""
+        """Set the pose of the base or the arm; the next step starts from there."""
         with self._lock:
             if base_pose is not None:
                 self._base[:] = base_pose
@@ -194,7 +193,7 @@ class ScriptedLoop:
         target = of_hand[0].target if of_hand else None
         error = 0.0 if target is None else float(np.linalg.norm(target - p_ee))
         beta_m = max(pair.beta for pair in pairs if pair.mobile)
-        asked = beta_m * np.array([-0.8, 0.5])
+        desired = beta_m * np.array([-0.8, 0.5])
         quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
         clearance = min(pair.d for pair in pairs if pair.mobile)
         snapshot = Snapshot(
@@ -202,8 +201,8 @@ class ScriptedLoop:
             base_pose=self._base.copy(),
             base_velocity=np.array([self._v, 0.0]),
             base_velocity_command=np.array([self._v, 0.0]),
-            base_acceleration=asked,
-            avoidance_acceleration=asked,
+            base_acceleration=desired,
+            avoidance_acceleration=desired,
             wheel_angles=np.full(2, self._wheel),
             q_m=self._q.copy(),
             u_a=np.zeros(self.model.n_m),
@@ -244,7 +243,7 @@ class ScriptedLoop:
         return PullReading(pull.who, pull.link, point.copy(), np.array(pull.target), force)
 
     def _compare(self, snapshot: Snapshot, clearance: float) -> Snapshot:
-        """With those who are compared; they have come to nothing yet but this robot's clearance."""
+        """Add the compared robots; besides clearance and error, their scores are zero."""
         if self._compared is None:
             return snapshot
         names = self._compared.controllers
@@ -273,7 +272,7 @@ class ScriptedLoop:
 
 
 def _scenario_name(command: Command, before: str) -> str:
-    """Which scenario leads after a beginning."""
+    """Name of the scenario that runs after a command that starts anew."""
     if isinstance(command, Play):
         return command.scenario.name
     return "" if isinstance(command, Reset) else before
@@ -305,7 +304,7 @@ class _PairDistances:
 
 
 def _acting(pair: PairReading, config: Config) -> ActingReading:
-    """Where a flat border would have them: p_n straight behind p_b, p_t 0.1 m to the side."""
+    """The acting point for a flat border: p_n straight behind p_b, p_t 0.1 m to the side."""
     out = (pair.p_b - pair.p_a) * [1.0, 1.0, 0.0]
     out /= max(float(np.linalg.norm(out)), 1e-9)
     p_n = pair.p_b + (config.border.d_b - pair.d) * out
@@ -317,7 +316,7 @@ def _acting(pair: PairReading, config: Config) -> ActingReading:
 
 
 def fake_clouds(model: RobotModel, spacing: float = 0.012) -> dict[str, Cloud]:
-    """P_i of the pairs of L_m as a regular grid around l_m, as if every point could be reached."""
+    """P_i of the pairs of L_m as a regular grid around l_m, as if every point were reachable."""
     mobile = MobileBody(model)
     margin = 0.32  # [m] a little more than the largest buffer distance
     axes = [

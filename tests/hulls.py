@@ -1,4 +1,4 @@
-"""Convex hulls of the links' meshes: the ground truth that the bodies stand for."""
+"""Convex hulls of the links' meshes: the ground truth for the convex bodies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from app.robot.assets import resolved_urdf
 from app.robot.model import RobotModel
 from tests.robots import husky_panda
 
-pytest.importorskip("pybullet_data")  # it brings the meshes
+pytest.importorskip("pybullet_data")  # it contains the meshes
 URDF = ElementTree.fromstring(resolved_urdf(husky_panda().description))
 
 
@@ -52,7 +52,7 @@ class Collisions:
         return {pair for pair, r in zip(self.names, results, strict=True) if r.isCollision()}
 
     def least_distance(self, data: pin.Data, q: np.ndarray) -> float:
-        """[m] signed, over all pairs."""
+        """[m] Smallest signed distance over all pairs."""
         pin.computeDistances(husky_panda().pin, data, self.geometry, self._results, q)
         return min(result.min_distance for result in self._results.distanceResults)
 
@@ -64,7 +64,7 @@ def candidate_pairs(model: RobotModel) -> list[tuple[str, str]]:
 
 
 def hull_pairs(model: RobotModel) -> Collisions:
-    """Hulls of all links against those of every body that is not a neighbour of theirs."""
+    """Pairs of link hulls of bodies that are not neighbours."""
     geometry, ids, body_of = pin.GeometryModel(), {}, {}
     for body in model.description.bodies:
         for link in body.covers:
@@ -92,7 +92,7 @@ def hull_pairs(model: RobotModel) -> Collisions:
 
 
 def body_pairs(model: RobotModel) -> Collisions:
-    """The same for the bodies themselves."""
+    """Pairs of convex bodies that are not neighbours."""
     geometry, names = model.geometry.copy(), []
     for a, b in candidate_pairs(model):
         for x, y in product(model.shape_ids[a], model.shape_ids[b]):

@@ -1,4 +1,4 @@
-"""Work for processes of their own, in a module that such a process reads in no time."""
+"""Jobs for separate processes, in a module that such a process imports quickly."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def add(context: int, job: int) -> int:
 
 
 def killed_at_first(context: int, file: str) -> str:
-    """Ends its process until there are as many lines in a file as its name ends with."""
+    """Kills its own process in its first attempts, as many as the last digit of the file's name."""
     path = Path(file)
     path.open("a").write(f"{os.getpid()}\n")
     if len(path.read_text().splitlines()) <= int(path.name[-1]):
@@ -38,7 +38,7 @@ def killed_at_first(context: int, file: str) -> str:
 
 
 def add_slowly(context: int, job: int, on_progress: Callable[[float], None]) -> int:
-    for share in (0.25, 0.5, 0.25, 0.75):  # a report may decrease
+    for share in (0.25, 0.5, 0.25, 0.75):  # progress may decrease
         on_progress(share)
     return context + job
 
@@ -66,7 +66,7 @@ def nap(report: Report, seconds: float) -> float:
 
 
 def wait_for_ever(report: Report, file: str) -> None:
-    """With a child process, whose number it reports."""
+    """Writes the id of its child process to a file."""
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     Path(file).write_text(str(child.pid))
     report("waiting", 0.5)
@@ -79,7 +79,7 @@ def say_and_wait(context: object, job: int) -> None:
 
 
 def wait_with_workers(report: Report, folder: str) -> None:
-    """In a folder, with processes that wait too; on a busy machine, too, nothing is killed."""
+    """Waits in a folder, together with workers that wait too; the long timeout prevents a kill."""
     from app.jobs import process
     from app.jobs.pool import Workers
 
@@ -98,7 +98,7 @@ def wait_in_a_folder(report: Report, out: str) -> None:
 
 
 def wait_for_ever_for_a_request(report: Report, request: Request) -> None:
-    """With a folder that it has no time to remove."""
+    """Leaves a folder that it cannot remove."""
     from app.system import whole_folder
 
     begun = whole_folder(request.out)

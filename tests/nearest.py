@@ -15,14 +15,14 @@ Array = np.ndarray
 
 
 class Placed:
-    """One of coal's shapes, for its distance from points."""
+    """A placed shape of coal that measures its distance from points."""
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self._geometry, self._point, self._T = geometry, coal.Sphere(0.0), coal.Transform3s()
         self._placed = coal.Transform3s(placement.rotation, placement.translation)
 
     def distance(self, p: Array) -> tuple[float, Array]:
-        """[m] signed, and the unit vector (3,) to the point (3,) [m]."""
+        """Signed distance [m] from a point (3,) [m] and the unit vector (3,) towards it."""
         self._T.setTranslation(p)
         result = coal.DistanceResult()
         args = self._geometry, self._placed, self._point, self._T
@@ -31,7 +31,7 @@ class Placed:
 
 
 def library_nearest(state: RobotState, pair: Pair, blend: float, parts: slice) -> Array:
-    """(4, 3) [m] p_a, p_b, n and core, of some of the shapes of `a`, in the world."""
+    """(4, 3) p_a [m], p_b [m], n [-] and core [m] in the world, for the shapes `parts` of `a`."""
     model, at = state.model, []
     for body in pair:
         objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[body]]

@@ -1,4 +1,4 @@
-"""A small robot as a URDF of boxes and cylinders, made in the test, to be taken apart."""
+"""A small robot as a URDF of boxes and cylinders, built part by part, for tests of onboarding."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ INERTIAL = (
 
 
 def solid(shape: str, *, mass: float = 1.0, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
-    """The content of a link: a collision shape and an inertia."""
+    """The content of a link: collision shape and inertia."""
     inertial = INERTIAL.format(m=mass, i=0.01 * mass) if mass else ""
     return (
         f'{inertial}<collision><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry>'
@@ -62,7 +62,7 @@ ARM_JOINTS = ("pan", "lift", "elbow", "turn", "wrist", "roll")
 
 
 def cart(*, wheel: str = WHEEL, wheel_rpy: str = "1.5708 0 0") -> list[str]:
-    """The base: a box on two wheels 0.4 m apart, its link 0.15 m above the floor."""
+    """The base: a box on two wheels 0.4 m apart; its link is 0.15 m above the floor."""
     parts = [link("base", solid('<box size="0.6 0.4 0.2"/>', mass=30))]
     for name, y in (("left", 0.2), ("right", -0.2)):
         parts.append(link(f"{name}_wheel", solid(wheel, rpy=wheel_rpy)))
@@ -81,7 +81,7 @@ def cart(*, wheel: str = WHEEL, wheel_rpy: str = "1.5708 0 0") -> list[str]:
 
 
 def arm() -> list[str]:
-    """Six revolute joints on a column; the end-effector reaches 0.8 m from the second."""
+    """Six revolute joints on a column; the end-effector is at most 0.8 m from the second joint."""
     tube = '<cylinder radius="0.04" length="0.34"/>'
     small = '<cylinder radius="0.035" length="0.08"/>'
     names = ("column", "shoulder", "upper", "fore", "cuff", "wrist_link", "hand")
@@ -114,16 +114,16 @@ def write(folder: Path, text: str, name: str = "toy.urdf") -> Path:
 
 
 BOX = '<box size="0.08 0.12 0.08"/>'
-"""The hand."""
+"""Shape of the end-effector."""
 
 
 def with_mesh(text: str, reference: str) -> str:
-    """The robot with a mesh as its hand."""
+    """The robot with a mesh as its end-effector."""
     return text.replace(BOX, f'<mesh filename="{reference}"/>')
 
 
 def cube() -> bytes:
-    """A mesh of the hand's box, as STL."""
+    """A mesh of the end-effector's box, as STL."""
     mesh = trimesh.creation.box(extents=(0.08, 0.12, 0.08))
     stl = mesh.export(file_type="stl")
     assert isinstance(stl, bytes)
@@ -131,7 +131,7 @@ def cube() -> bytes:
 
 
 def zipped(folder: Path, files: Mapping[str, str | bytes]) -> Path:
-    """`toy.zip` in a folder."""
+    """A file `toy.zip` in a folder, with these files."""
     path = folder / "toy.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
@@ -140,13 +140,13 @@ def zipped(folder: Path, files: Mapping[str, str | bytes]) -> Path:
 
 
 FAST_LINES = {name: line.changed(duration=4.0) for name, line in LINES.items()}
-"""Twice as fast: half of the work to make a robot is to run its lines."""
+"""The scenarios' lines with half of their duration: their runs take half of the onboarding time."""
 
 
 def line_without_a_run(
     _: object, job: tuple[str, RobotModel, BorderData, bool], on_progress: OnProgress
 ) -> Place | str:
-    """`line_from` with few poses, and without runs in which the base must give way."""
+    """`line_from` with few poses, and without runs in which the base must move away."""
     name, model, data, _anyway = job
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(postures, "_SAMPLES", 800)
@@ -155,9 +155,9 @@ def line_without_a_run(
 
 @contextmanager
 def few_samples(cache: Path) -> Iterator[SamplingConfig]:
-    """A robot is made with few samples and fast runs, its border kept in a folder.
+    """Makes onboarding fast: few samples, short runs, the border stored in `cache`.
 
-    Gives how to sample it.
+    Yields the configuration of the sampling.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(assets, "cache_folder", lambda: cache)

@@ -1,4 +1,4 @@
-"""The three kinds of base for the oracle, as docs/bases.md has them."""
+"""The three kinds of base of docs/bases.md, for the oracle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
-STEADY = 1.5  # [-] of the energy that a base needs to turn back
+STEADY = 1.5  # [-] energy ratio above which a base reverses its direction
 
 
 class OracleBase:
@@ -35,21 +35,21 @@ class OracleBase:
         self.score_unit = self._square / paper if self.kind == "car-like" else 1.0
 
     def by_axis(self, linear: float, angular: float) -> Array:
-        """One of two numbers for each axis: the last one turns the base."""
+        """`linear` for each translation, then `angular` for the rotation."""
         return np.array([linear] * (2 if self.kind == "holonomic" else 1) + [angular])
 
     def measure(self, x: float) -> tuple[float, float]:
-        """The factor of R in (10), sign(x) det(J_c J_cᵀ) or another, and its derivative by x."""
+        """The factor of R in (10) and its derivative by x."""
         if self.kind == "holonomic":
             return 1.0, 0.0
         return self._square * x * abs(x), 2 * self._square * abs(x)
 
     def acceleration(self, f_x: float, f_y: float, torque: float) -> Array:
-        """(17), (18)."""
+        """The base's acceleration by (17) and (18)."""
         return self.T.T @ np.array([f_x / self.mass, f_y / self.mass, torque / self._I])
 
     def admissible(self, command: Array, before: Array) -> Array:
-        """Of a car the velocity in its cone nearest to the command, by m v² + I ω²."""
+        """The command; for a car, the nearest velocity in its cone by m v² + I ω²."""
         if self.kind != "car-like" or abs(command[1]) <= self.kappa * abs(command[0]):
             return command
         turn = self.kappa * np.sign(command[1])

@@ -1,4 +1,4 @@
-"""The arm's estimate for the oracle: Kalman filters with their matrices written out."""
+"""The arm's estimate for the oracle: Kalman filters with explicit matrices."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from app.robot.state import Measurement
 
 Array = np.ndarray
 
-FEWEST = 8  # samples of the noise before the filter begins
-CLEAR = 0.01  # share of a top speed; a larger change is an external acceleration before that
+FEWEST = 8  # samples of the noise before the filter starts
+CLEAR = 0.01  # share of the largest speed; before that, a larger change is an external acceleration
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
-SMALL = np.array([[1e-11], [1e-5]])  # [rad², rad²/s²] variances with no outliers
-FARTHEST = 10.0  # [-] of the way at a joint's top speed
+SMALL = 1e-11  # [rad²] smallest variance for the outlier test
+FARTHEST = 10.0  # [-] in steps at a joint's largest speed
 
 
 class Estimate:
-    """Position, velocity and external acceleration of each joint, and the noise of its readings."""
+    """Position, velocity and external acceleration of each joint, and its measurement noise."""
 
     def __init__(self, qd_max: Array, n_b: int, dt: float) -> None:
         n_m = len(qd_max)
@@ -30,11 +30,11 @@ class Estimate:
         self.last, self.samples, self.v_last = np.zeros((3, n_m)), 0, np.full(n_b, np.nan)
 
     def gap(self) -> None:
-        """No reading in this step."""
+        """A step without a measurement."""
         self.v_last = np.full_like(self.v_last, np.nan)
 
     def update(self, m: Measurement, known: Array, config: EstimateConfig) -> None:
-        """One reading; `known` (n_m,) is the acceleration by torques and base, or NaN."""
+        """A measurement; `known` (n_m,) is the acceleration by torques and base, or NaN."""
         q, qd, dt = m.q_m, m.qd_m, self._dt
         way = np.abs(q - self.x[0] - dt * self.x[1])
         continued = np.isfinite(known[0]) and (way <= FARTHEST * dt * self._qd_max).all()
@@ -62,7 +62,7 @@ class Estimate:
         self.v_last = m.base_velocity.copy()
 
     def _learn(self, q: Array, qd: Array, known: Array, window: float) -> None:
-        """Noise of positions from third differences, of velocities from the way between two."""
+        """Noise of positions from third differences, of velocities from two positions."""
         speed_before, now, unknown_before = self.last
         speed = (q - now) / self._dt
         unknown = self._dt * (speed - speed_before) - self._dt**2 * known
@@ -70,15 +70,13 @@ class Estimate:
         counted = np.isfinite(of_q)
         self.samples += int(counted[0])
         share = max(1 / max(self.samples, 1), -np.expm1(-self._dt / window))
-        samples, weights = np.array([of_q, of_qd]), np.full((2, len(q)), share)
+        self.variances[1] += share * (of_qd - self.variances[1])
+        weights = np.full(len(q), share)
         if self.samples >= FEWEST:  # an outlier counts as the largest plausible sample
-            largest = PLAUSIBLE * np.maximum(self.variances, SMALL)
-            outlying = samples > largest
-            samples[outlying] = largest[outlying]
-            weights[outlying] = -np.expm1(-self._dt / window)
-        changes = weights * (samples - self.variances)
-        self.variances[1] += changes[1]
-        self.variances[0, counted] += changes[0, counted]
+            largest = PLAUSIBLE * np.maximum(self.variances[0], SMALL)
+            weights[of_q > largest] = -np.expm1(-self._dt / window)
+            of_q = np.minimum(of_q, largest)
+        self.variances[0, counted] += (weights * (of_q - self.variances[0]))[counted]
         self.last = np.array([speed, q, unknown])
 
     def _filter(self, q: Array, qd: Array, known: Array, noise: Array, drift: float) -> None:

@@ -25,7 +25,7 @@ def solve_qp(H: Array, c: Array, limits: tuple[Array, ...], fixed: Array = NONE)
 
 
 def nearest_within(H: Array, x: Array, limits: tuple[Array, ...]) -> Array | None:
-    """The point nearest to x in the metric H within the limits, as of `solve_qp`."""
+    """The point within the limits of `solve_qp` that is nearest to x in the metric H."""
     C, l, u, softness = limits
     below, above = l - C @ x, u - C @ x
     if max(below.max(initial=0.0), (-above).max(initial=0.0)) <= 1e-10:
@@ -42,7 +42,7 @@ def nearest_within(H: Array, x: Array, limits: tuple[Array, ...]) -> Array | Non
     active = active_rows(A, b)
     if active is None:
         return None
-    # Those rows are met exactly: z = Aᵀ y with A Aᵀ y = b.
+    # The active rows hold with equality: z = Aᵀ y with A Aᵀ y = b.
     A, b = A[active], b[active]
     y = np.linalg.lstsq(A @ A.T, b, rcond=1e-14)[0]
     z = A.T @ y
@@ -51,7 +51,7 @@ def nearest_within(H: Array, x: Array, limits: tuple[Array, ...]) -> Array | Non
 
 
 def active_rows(A: Array, b: Array) -> Array | None:
-    """The rows that the least z with A z >= b meets, by Lawson and Hanson; None: no such z."""
+    """The active rows of min |z| with A z >= b, by Lawson and Hanson; None if infeasible."""
     length = np.linalg.norm(A, axis=1)
     A, b = A / length[:, None], b / length
     far = b.max()
@@ -61,7 +61,7 @@ def active_rows(A: Array, b: Array) -> Array | None:
 
 
 def change(H: Array, c: Array, limits: tuple[Array, ...], fixed: Array) -> Array | None:
-    """The x within the limits nearest, by H, to the optimum with fixed first entries alone."""
+    """The point within the limits nearest to the optimum for fixed first entries alone."""
     k = len(fixed)
     x = np.append(fixed, np.linalg.solve(H[k:, k:], -c[k:] - H[k:, :k] @ fixed))
     return nearest_within(H, x, limits)

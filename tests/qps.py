@@ -1,4 +1,4 @@
-"""QPs of tests: objectives, limits, and their solution as the controller finds it."""
+"""QPs for tests: objectives, limits, and their solution by the controller's solver."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from app.robot.state import RobotState
 
 Array = np.ndarray
 
-NONE = np.zeros(0)  # no entry is fixed
+NONE = np.zeros(0)  # no fixed variable
 
 
 class NoSolutionError(Exception):
@@ -49,24 +49,24 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, w: ControlStep) -> Self:
-        """Those of the arm's QP in a control step."""
+        """Limits of the arm's QP in a control step."""
         m = int(w.n_limits)
         return cls(w.C[:m].copy(), w.l[:m].copy(), w.u[:m].copy(), w.slack_weight[:m].copy())
 
     def and_also(self, others: Limits) -> Limits:
-        """These and others."""
+        """These limits and others."""
         return Limits(*map(np.concatenate, zip(self, others, strict=True)))
 
 
 class Rows(NamedTuple):
-    """Rows of T_sca with one activation each."""
+    """Rows of T_sca, each with its activation."""
 
     J: Array
     b: Array
     beta: Array
 
     def of(self, rows: list[int] | Array) -> Rows:
-        """Some of them."""
+        """A selection of these rows."""
         return Rows(self.J[rows], self.b[rows], self.beta[rows])
 
 
@@ -89,7 +89,7 @@ def solved(objective: Objective, limits: Limits, fixed: Array = NONE) -> Array:
 
 
 def stepped(objective: Objective, limits: Limits, fixed: Array) -> Array:
-    """The same of `solve_qp_step`.
+    """The optimum (n,) by `solve_qp_step`.
 
     Raises:
         NoSolutionError: There is none.
@@ -110,12 +110,12 @@ def least(objective: Objective) -> Array:
 
 
 def inserted(objective: Objective, rows: Rows, softness: float, fixed: int = 0) -> Objective:
-    """The tasks below with rows of T_sca above them."""
+    """The objective of the lower tasks after inserting rows of T_sca above them."""
     return Objective(*insert_rows(*objective, *rows, softness, fixed))
 
 
 def hand_task(at: RobotState | ControlStep, reference: Reference, task: TaskConfig) -> HandTask:
-    """T_ee of a reference."""
+    """T_ee for a reference."""
     pose, velocity, acceleration = reference
     error = pose_error(at.p_ee, at.R_ee, pose.translation, pose.rotation)
     gains = task.ee_stiffness, task.ee_damping, task.ee_speed
@@ -135,20 +135,20 @@ def posture_of(
 def with_hand(
     posture: Objective, hand: HandTask, at: RobotState | ControlStep, task: TaskConfig
 ) -> Objective:
-    """T_ee above the posture."""
+    """The objective with T_ee above the posture task."""
     return Objective(*add_tracking(*posture, *hand, task.ee_damping * at.qd, task.ee_weight))
 
 
 def joint_bounds_of(model: RobotModel, at: RobotState | ControlStep, limit: LimitConfig) -> Array:
-    """(2, n_m) bounds on q̈_m by positions and speeds."""
+    """(2, n_m) bounds on q̈_m from position and speed limits."""
     limits, rates = (model.q_limits, model.qd_limits), (limit.position_rate, limit.velocity_rate)
-    return joint_bounds(at.q_m, at.qd_m, *limits, *rates, np.zeros(model.n_m))
+    return joint_bounds(at.q_m, at.qd_m, *limits, *rates)
 
 
 def robot_limits(
     model: RobotModel, at: RobotState | ControlStep, limit: LimitConfig, softness: float
 ) -> Limits:
-    """Torques within the arm's limits, which are hard, and its joints' bounds."""
+    """The arm's torque limits, which are hard, and the bounds of its joints."""
     n_m = model.n_m
     C, l, u = np.zeros((2 * n_m, model.n)), np.zeros(2 * n_m), np.zeros(2 * n_m)
     torque_rows(at.M, at.h, -model.tau_max, model.tau_max, C, l, u)
@@ -158,7 +158,7 @@ def robot_limits(
 
 
 def base_limits(model: RobotModel) -> Limits:
-    """The base's acceleration within its limits; hard."""
+    """The limits of the base's acceleration; hard."""
     n_b, most = model.n_b, model.base_acceleration_max
     C = np.hstack([model.J_m, np.zeros((n_b, model.n_m))])
     return Limits(C, -most, most, np.zeros(n_b))

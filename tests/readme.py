@@ -1,4 +1,4 @@
-"""README and documentation as text, for the tests that hold them to their word."""
+"""README and documentation as text, for tests that check their statements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Short real runs for the tests of `app.studies.paper`, and figures of runs for a test."""
+"""Short real runs for the tests of `app.studies.paper`, and runs with replaced figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def short_run(
     duration: float,
     physics: str = "kinematic",
 ) -> RunResult:
-    """An experiment, cut short."""
+    """Run an experiment with a shorter duration."""
     scenario = experiment.scenario.changed(duration=duration)
     return thinned(
         run_from_spec(experiment._replace(scenario=scenario, physics=physics), robot, data)
@@ -28,7 +28,7 @@ def short_run(
 
 
 def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, RunResult]) -> Sources:
-    """Sources with these runs."""
+    """Sources that contain these runs."""
     return Sources(robot, data, Config(), runs)
 
 

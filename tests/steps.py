@@ -6,5 +6,5 @@ from app.simulation.session import Step
 
 
 def kept(step: Step) -> Step:
-    """The same with quantities that the next step does not overwrite."""
+    """The step with a copy of its control quantities, which the next step would overwrite."""
     return step._replace(control=step.control.copy())

@@ -1,4 +1,4 @@
-"""The page for a screen reader: names, landmarks and contrast, checked by axe-core."""
+"""Accessibility of the page: axe-core checks names, landmarks and contrast."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.dashboards import served_dashboard
 pytestmark = pytest.mark.browser
 
 AXE = "axe-core@4.11.1"
-"""From npm: a tool of tests only."""
+"""npm package; only tests use it."""
 TABS = (
     ("Run", "Why"),
     ("Lab", "Plots"),
@@ -27,12 +27,12 @@ TABS = (
     ("Save",),
     ("Help",),
 )
-"""Tabs of the right and of the left column that are open at the same time."""
+"""Tabs of the right and the left column that are open at the same time."""
 
 
 @pytest.fixture(scope="module")
 def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Its source."""
+    """Source text of axe-core."""
     folder, npm = tmp_path_factory.mktemp("axe"), shutil.which("npm")
     pack = [npm or "npm", "pack", AXE, "--silent"]
     if npm is None or subprocess.run(pack, cwd=folder, timeout=120, check=False).returncode:
@@ -52,8 +52,8 @@ def served():
         yield served
 
 
-def test_no_tab_has_a_violation(browser, served, axe):
-    """In both themes. Names and landmarks do not depend on the theme, contrasts do."""
+def test_no_tab_violates_accessibility_rules(browser, served, axe):
+    """Names and landmarks do not depend on the theme; contrast does, so both themes are checked."""
     tab = DashboardTab(browser, served.server.address, first_visit=True)
     tab.page.locator("#dbb-card").wait_for()
     tab.page.evaluate(axe + ";0")
@@ -64,26 +64,26 @@ def test_no_tab_has_a_violation(browser, served, axe):
             for name in names:
                 tab.page.evaluate("name => dbbPanels.open(name)", name)
                 tab.page.get_by_role("tab", name=name, selected=True).wait_for()
-            tab.page.wait_for_timeout(700)  # [ms] new elements get their names
+            tab.page.wait_for_timeout(700)  # [ms] until new elements have their names
             how = {"resultTypes": ["violations"], **rules}
             found = tab.page.evaluate("how => axe.run(document, how)", how)
             nodes = [(each["id"], each["nodes"][0]) for each in found["violations"]]
-            told = [(kind, n["html"][:200], n["failureSummary"]) for kind, n in nodes]
-            assert told == [], (theme, names)
+            violations = [(kind, n["html"][:200], n["failureSummary"]) for kind, n in nodes]
+            assert violations == [], (theme, names)
     tab.close()
 
 
-def test_the_hand_is_pulled_by_keys_until_shift_is_released(browser, served):
+def test_arrow_keys_pull_the_end_effector_until_shift_is_released(browser, served):
     served.begin_anew()
     tab = DashboardTab(browser, served.server.address)
-    hand = np.array(served.loop.latest().p_ee)
+    p_ee = np.array(served.loop.latest().p_ee)
     keys = tab.page.keyboard
     keys.down("Shift")
     for _ in range(3):
         keys.press("ArrowDown")
     wait_for(lambda: len(served.loop.pulls()) >= 3, what="pulls")
     keys.up("Shift")
-    wait_for(lambda: isinstance(served.loop.commands[-1], Release), what="letting go")
+    wait_for(lambda: isinstance(served.loop.commands[-1], Release), what="release")
     pulls = [command for command in served.loop.commands if isinstance(command, Pull)]
-    np.testing.assert_allclose(pulls[-1].target - hand, [-0.06, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(pulls[-1].target - p_ee, [-0.06, 0.0, 0.0], atol=1e-6)
     tab.close()

@@ -1,4 +1,4 @@
-"""Laws of β (Figure 10) and (28)."""
+"""β of Figure 10 and β_m of (28)."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,13 @@ from app.avoidance.task import activation, mobile_activation
 PAPER = {"d_b": 0.15, "d_full": 0.05}
 
 
-def test_the_papers_ends_and_middle_of_figure_10() -> None:
+def test_beta_has_the_papers_values_at_the_ends_and_middle_of_figure_10() -> None:
     assert activation(0.15, **PAPER) == 0.0
     assert activation(0.10, **PAPER) == pytest.approx(0.5)
     assert activation(0.05, **PAPER) == 1.0
 
 
-def test_beta_is_flat_at_both_ends_and_never_rises_with_the_distance() -> None:
+def test_beta_is_smooth_and_never_rises_with_the_distance() -> None:
     d = np.linspace(-0.1, 0.3, 4001)
     beta = np.array([activation(x, **PAPER) for x in d])
     assert (np.diff(beta) <= 0).all()

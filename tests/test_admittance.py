@@ -1,4 +1,4 @@
-"""Laws of the base's admittance law."""
+"""The base's admittance law."""
 
 import numpy as np
 import pytest
@@ -20,14 +20,14 @@ def after(admittance: RunningAdmittance, acceleration: list[float], seconds: flo
     return command
 
 
-def test_the_command_is_renewed_ten_times_a_second(robot: RobotModel) -> None:
+def test_command_is_updated_ten_times_a_second(robot: RobotModel) -> None:
     admittance = law(robot)
     commands = [admittance.update(np.array([0.3, 0.2]), DT)[0] for _ in range(1000)]
     changes = np.flatnonzero(np.diff([0.0, *commands]))
     np.testing.assert_array_equal(changes, np.arange(99, 1000, 100))
 
 
-def test_each_command_is_the_exact_solution_of_the_law(robot: RobotModel) -> None:
+def test_each_command_is_the_exact_solution_of_the_admittance_law(robot: RobotModel) -> None:
     c = AdmittanceConfig()
     admittance = law(robot)
     t, a = 0.7, np.array([0.4, 0.5])
@@ -35,26 +35,26 @@ def test_each_command_is_the_exact_solution_of_the_law(robot: RobotModel) -> Non
     np.testing.assert_allclose(after(admittance, a.tolist(), t), a / rate * -np.expm1(-rate * t))
 
 
-def test_without_damping_velocity_is_the_integral_of_the_asked_acceleration(
+def test_without_damping_velocity_is_the_integral_of_desired_acceleration(
     robot: RobotModel,
 ) -> None:
     admittance = law(robot, damping=0.0, angular_damping=0.0)
     np.testing.assert_allclose(after(admittance, [0.2, -0.3], 1.0), [0.2, -0.3])
 
 
-def test_no_desired_acceleration_means_no_motion_ever(robot: RobotModel) -> None:
+def test_base_stays_at_rest_without_desired_acceleration(robot: RobotModel) -> None:
     np.testing.assert_array_equal(after(law(robot), [0.0, 0.0], 2.0), [0.0, 0.0])
 
 
-def test_a_moving_base_left_alone_comes_to_rest(robot: RobotModel) -> None:
+def test_moving_base_comes_to_rest_without_desired_acceleration(robot: RobotModel) -> None:
     admittance = law(robot)
     fast = after(admittance, [1.0, 1.0], 0.5).copy()
     slow = after(admittance, [0.0, 0.0], 5.0)
     assert (np.abs(slow) < 0.01 * np.abs(fast)).all()
 
 
-def test_what_is_asked_between_two_commands_is_not_lost(robot: RobotModel) -> None:
-    """A pulse of 10 ms in the middle of a period counts as much as its mean over the period."""
+def test_acceleration_between_two_commands_counts_by_its_mean(robot: RobotModel) -> None:
+    """A pulse of 10 ms has the same effect as its mean over the period."""
     pulse, mean = law(robot), law(robot)
     for k in range(100):
         a = pulse.update(np.array([3.0 if 40 <= k < 50 else 0.0, 0.0]), DT)
@@ -62,9 +62,9 @@ def test_what_is_asked_between_two_commands_is_not_lost(robot: RobotModel) -> No
     np.testing.assert_allclose(a, b)
 
 
-@pytest.mark.parametrize("asked", [[1e3, 1e3], [-1e3, -1e3]])
-def test_commands_keep_the_bases_velocity_and_acceleration_limits(
-    robot: RobotModel, asked: list[float]
+@pytest.mark.parametrize("desired", [[1e3, 1e3], [-1e3, -1e3]])
+def test_commands_satisfy_velocity_and_acceleration_limits_of_the_base(
+    robot: RobotModel, desired: list[float]
 ) -> None:
     base, admittance = (
         robot.description.base,
@@ -72,7 +72,7 @@ def test_commands_keep_the_bases_velocity_and_acceleration_limits(
     )
     before = np.zeros(2)
     for _ in range(20):
-        command = after(admittance, asked, 0.1).copy()
+        command = after(admittance, desired, 0.1).copy()
         limit = [base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2]
         assert (np.abs(command - before) <= np.array(limit) * 0.1 + 1e-12).all()
         before = command
@@ -81,6 +81,6 @@ def test_commands_keep_the_bases_velocity_and_acceleration_limits(
     )
 
 
-def test_commands_keep_the_configured_speed_too(robot: RobotModel) -> None:
+def test_commands_satisfy_the_configured_speed_limits(robot: RobotModel) -> None:
     admittance = law(robot, v_max=0.2, omega_max=0.3)
     np.testing.assert_allclose(after(admittance, [-9.0, 9.0], 3.0), [-0.2, 0.3])

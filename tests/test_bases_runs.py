@@ -1,6 +1,4 @@
-"""Holonomic and car-like bases give way: guided and tracked towards them, from both sides and
-the front, no contact, and a tracked hand stays on its path.
-"""
+"""Holonomic and car-like bases give way without contact when guiding or tracking."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ def border(kind: str) -> BorderData:
 
 @cache
 def figures(kind: str, path: str, mode: str, physics: str = "kinematic") -> dict[str, object]:
-    """Figures of a run, made once however many tests look at them."""
+    """Figures of a run, simulated once for all tests."""
     start, move = PATHS[path]
     scenario = LINES["guiding-lateral"].changed(start=start, move=move, mode=mode, duration=3.0)
     return run_scenario(robot_on(kind), border(kind), scenario, Config(), physics=physics).figures
@@ -46,7 +44,7 @@ def figures(kind: str, path: str, mode: str, physics: str = "kinematic") -> dict
 @pytest.mark.parametrize(
     ("path", "mode"), [("left", "guiding"), ("right", "tracking"), ("front", "tracking")]
 )
-def test_the_base_gives_way_without_contact(kind: str, path: str, mode: str) -> None:
+def test_a_base_gives_way_without_contact(kind: str, path: str, mode: str) -> None:
     result = figures(kind, path, mode)
     assert result["min_clearance_m"] >= 0.03
     assert result["contacts"] == result["solver_failures"] == 0
@@ -57,19 +55,19 @@ def test_the_base_gives_way_without_contact(kind: str, path: str, mode: str) -> 
         assert result["ee_error_final_m"] < 0.03
 
 
-def test_a_holonomic_base_gives_way_sideways_in_pybullet_as_in_the_stand_in() -> None:
+def test_a_holonomic_base_moves_alike_in_planar_and_kinematic_physics() -> None:
     one, other = (figures("holonomic", "right", "tracking", p) for p in ("planar", "kinematic"))
     assert one["min_clearance_m"] == pytest.approx(other["min_clearance_m"], abs=2e-3)
     assert one["base_displacement_m"] == pytest.approx(other["base_displacement_m"], abs=5e-3)
 
 
 @pytest.mark.parametrize("kind", ["holonomic", "car-like"])
-def test_the_contact_plant_takes_no_other_kind_and_names_the_plants_that_do(kind: str) -> None:
+def test_the_contact_plant_refuses_other_bases_and_names_alternatives(kind: str) -> None:
     with pytest.raises(ConfigError, match=rf"{kind}: choose mujoco, planar or kinematic"):
         make_physics("mujoco-contact", robot_on(kind))
 
 
-def test_a_steering_angle_that_cannot_be_read_is_no_answer_to_rely_on() -> None:
+def test_an_unread_steering_angle_is_a_fault_with_finite_commands() -> None:
     robot = robot_on("car-like")
     loop = ControlLoop(robot, border("car-like"))
     good = at_rest(robot, np.array(robot.description.arm.ready_position))

@@ -1,4 +1,4 @@
-"""Laws of `dbb bench`: recorded paths, the floor, borders of many points."""
+"""`dbb bench`: recorded paths, the floor, borders of many points."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def recorded(robot: RobotModel, border_data: BorderData) -> list[paths_module.Path]:
-    """The end of the lateral path's way in, where both pairs of L_m are active, and a fold."""
+    """The end of the lateral path, where both pairs of L_m are active, a fold, and tracking."""
     with pytest.MonkeyPatch.context() as patch:
         lateral, *_, fold, tracking = paths_module.PATHS
         chosen = (lateral.changed(duration=2.5), fold.changed(duration=0.3))
@@ -53,7 +53,7 @@ def recorded(robot: RobotModel, border_data: BorderData) -> list[paths_module.Pa
         return paths_module.record(robot, border_data, seed=0)
 
 
-def test_a_recorded_path_is_answered_as_in_the_run(recorded, robot, border_data) -> None:
+def test_timed_steps_match_the_recorded_paths(recorded, robot, border_data) -> None:
     assert [len(path) for path in recorded] == [2500, 300, 2500]
     assert recorded[0][0].reference is None
     assert recorded[2][0].reference is not None
@@ -66,13 +66,13 @@ def test_a_recorded_path_is_answered_as_in_the_run(recorded, robot, border_data)
     np.testing.assert_array_equal(times.mobile, times.active[:, :2].sum(axis=1))
 
 
-def test_stages_are_parts_of_the_step(recorded, robot, border_data) -> None:
+def test_stage_times_cover_the_named_stages_of_a_step(recorded, robot, border_data) -> None:
     stages = time_stages(ControlLoop(robot, border_data, Config()), recorded[:1])
     assert set(stages) == {"update_estimate", "pinocchio", "distances", "algorithm_2", "rest"}
     assert min(stages.values()) > 0.5
 
 
-def test_the_floor_is_the_bare_calls_with_one_qp(recorded, robot, border_data) -> None:
+def test_floor_times_the_library_calls_and_solves_one_qp(recorded, robot, border_data) -> None:
     floor = Floor(robot, border_data.pairs, seed=0)
     assert floor.size == (7, 0, 16)
     assert all(floor.time(moment) > 1.0 for moment in recorded[0][:50])
@@ -80,13 +80,13 @@ def test_the_floor_is_the_bare_calls_with_one_qp(recorded, robot, border_data) -
     assert max(info.pri_res, info.dua_res) < 1e-7
 
 
-def test_synthetic_points_lie_on_the_offset(robot: RobotModel) -> None:
+def test_synthetic_points_lie_on_the_offset_surface(robot: RobotModel) -> None:
     points = points_on(OffsetContours(robot, 0.15), 3000, np.random.default_rng(0))
     distances = MobileBody(robot).distance(points)
     assert np.abs(distances - 0.15).max() < 1.5e-3  # chords between heights
 
 
-def test_rollouts_are_told_in_multiples_of_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rollout_speed_is_a_multiple_of_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.step.rollouts._RUNS", ("guiding-front",))
     begin = perf_counter()
     rollouts = time_rollouts("husky_panda", (1, 2), rounds=1, seconds=0.5)
@@ -96,7 +96,7 @@ def test_rollouts_are_told_in_multiples_of_real_time(monkeypatch: pytest.MonkeyP
     assert rollouts.scaling == pytest.approx(rollouts.factors[2] / rollouts.factors[1])
 
 
-def test_every_figure_is_there(monkeypatch, recorded, robot, border_data) -> None:
+def test_bench_reports_every_figure(monkeypatch, recorded, robot, border_data) -> None:
     some = [path[::10] for path in recorded]
     monkeypatch.setattr(bench_module, "record", lambda *_: some)
     rollouts = Rollouts({1: 3.0, 2: 5.0}, 1.7)

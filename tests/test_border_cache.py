@@ -1,4 +1,4 @@
-"""The border's file: it returns the written content, and a changed file is refused."""
+"""The border file returns the read_back content, and a changed file is refused."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def content(count: int = 1000) -> BorderData:
     return BorderData(pairs, clouds, "sampled")
 
 
-def written(path: Path, key: str = "k") -> BorderData:
+def read_back(path: Path, key: str = "k") -> BorderData:
     return read(path, partial(unpack, key=key))
 
 
@@ -65,10 +65,10 @@ def assert_same(a: BorderData, b: BorderData) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 1000])
-def test_what_is_written_is_what_is_read(tmp_path, count):
+def test_reading_a_file_returns_the_written_content(tmp_path, count):
     path = tmp_path / "new" / "x.npz"
     write(path, *pack(content(count), "k"))
-    assert_same(written(path), content(count))
+    assert_same(read_back(path), content(count))
     assert [file.name for file in path.parent.iterdir()] == ["x.npz"]
 
 
@@ -78,18 +78,18 @@ def test_the_same_content_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_a_file_of_another_key_or_format_is_not_believed(tmp_path, monkeypatch):
+def test_a_file_of_another_key_or_format_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "x.npz"
     write(path, *pack(content(), "k"))
     with pytest.raises(DamagedFileError, match="another"):
-        written(path, "other")
+        read_back(path, "other")
     monkeypatch.setattr(cache, "FORMAT", cache.FORMAT + 1)
     with pytest.raises(DamagedFileError, match="another"):
-        written(path)
+        read_back(path)
 
 
-def test_no_flipped_byte_and_no_cut_goes_unseen(tmp_path):
-    """Either the file is refused, or the flip fell on a byte that zip does not read."""
+def test_a_flipped_byte_or_a_truncated_file_is_detected(tmp_path):
+    """The file is refused, unless zip does not read the flipped byte."""
     path = tmp_path / "x.npz"
     write(path, *pack(content(50), "k"))
     good = path.read_bytes()
@@ -97,14 +97,14 @@ def test_no_flipped_byte_and_no_cut_goes_unseen(tmp_path):
     for at in range(0, len(good), max(1, len(good) // 400)):
         path.write_bytes(good[:at] + bytes([good[at] ^ 0x41]) + good[at + 1 :])
         try:
-            assert_same(written(path), content(50))
+            assert_same(read_back(path), content(50))
         except DamagedFileError:
             refused += 1
     assert refused > 200
     for length in range(0, len(good), max(1, len(good) // 40)):
         path.write_bytes(good[:length])
         with pytest.raises(DamagedFileError):
-            written(path)
+            read_back(path)
 
 
 def test_pickles_are_never_loaded(tmp_path):
@@ -115,7 +115,7 @@ def test_pickles_are_never_loaded(tmp_path):
     path = tmp_path / "x.npz"
     np.savez(path, header=np.array([Trap()], dtype=object))
     with pytest.raises(DamagedFileError):
-        written(path)
+        read_back(path)
     assert not (tmp_path / "sprung").exists()
 
 
@@ -130,7 +130,7 @@ def load(**options):
     return load_border_data(husky_panda(), sampling=TINY, progress=False, processes=1, **options)
 
 
-def test_the_first_call_samples_and_the_next_ones_read(folder, monkeypatch):
+def test_the_first_call_samples_and_later_calls_read_the_file(folder, monkeypatch):
     first = load()
     assert first.origin == "sampled"
     monkeypatch.setattr(sampling, "sample_clouds", None)  # a second sampling would fail
@@ -143,7 +143,7 @@ def test_the_first_call_samples_and_the_next_ones_read(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", [b"", b"not a zip", b"PK\x03\x04" + bytes(200)])
-def test_a_damaged_file_is_sampled_anew_with_one_line_of_warning(folder, damage, caplog):
+def test_a_damaged_file_is_sampled_again_with_one_warning(folder, damage, caplog):
     load()
     (path,) = (folder / "cache").iterdir()
     path.write_bytes(damage)
@@ -155,19 +155,19 @@ def test_a_damaged_file_is_sampled_anew_with_one_line_of_warning(folder, damage,
     assert load().origin == "cache"
 
 
-def test_a_cache_that_cannot_be_written_is_only_a_warning(folder, caplog):
+def test_a_cache_that_cannot_be_written_gives_only_a_warning(folder, caplog):
     (folder / "cache").write_text("a file where the folder should be")
     assert load().origin == "sampled"
     assert "cannot be stored" in caplog.text
     assert (folder / "cache").is_file()
 
 
-def rebuilt(change) -> str:
+def changed_key(change) -> str:
     description = husky_panda().description
     return border_key(change(description), TINY)
 
 
-def test_the_key_changes_with_what_the_border_depends_on_and_with_nothing_else():
+def test_the_key_depends_on_bodies_limits_and_sampling_only():
     description = husky_panda().description
     key = border_key(description, TINY)
     first, *others = description.bodies
@@ -176,16 +176,16 @@ def test_the_key_changes_with_what_the_border_depends_on_and_with_nothing_else()
     bodies = (first.model_copy(update={"shapes": (larger,)}), *others)
     limits = (*description.arm.position_lower[:-1], -2.0)
     arm = description.arm.model_copy(update={"position_lower": limits})
-    assert rebuilt(lambda d: d.model_copy(update={"bodies": bodies})) != key
-    assert rebuilt(lambda d: d.model_copy(update={"arm": arm})) != key
+    assert changed_key(lambda d: d.model_copy(update={"bodies": bodies})) != key
+    assert changed_key(lambda d: d.model_copy(update={"arm": arm})) != key
     assert border_key(description, TINY.model_copy(update={"seed": 1})) != key
     other_title = description.model_copy(update={"title": "x", "licence": "y"})
     assert border_key(other_title, TINY) == key
     resourced = (first.model_copy(update={"source": "elsewhere"}), *others)
-    assert rebuilt(lambda d: d.model_copy(update={"bodies": resourced})) == key
+    assert changed_key(lambda d: d.model_copy(update={"bodies": resourced})) == key
 
 
-def test_the_key_does_not_depend_on_where_the_project_stands(tmp_path, monkeypatch):
+def test_the_key_ignores_the_assets_folder_and_urdf_comments(tmp_path, monkeypatch):
     key = border_key(husky_panda().description, TINY)
     moved = tmp_path / "robot_assets" / "husky_panda"
     moved.mkdir(parents=True)
@@ -197,7 +197,7 @@ def test_the_key_does_not_depend_on_where_the_project_stands(tmp_path, monkeypat
     assert border_key(husky_panda().description, TINY) != key
 
 
-def test_the_papers_robot_ships_with_its_border_small_and_quick_to_load():
+def test_the_papers_border_is_shipped_small_and_loads_quickly():
     model: RobotModel = husky_panda()
     path = (
         assets.SHIPPED_CACHE / f"husky_panda-{border_key(model.description, SamplingConfig())}.npz"

@@ -1,4 +1,4 @@
-"""Sampling of P_i: the laws of the flood, of the voxels and of the processes."""
+"""Sampling of P_i: the flood, the voxels and the processes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def voxels(sectors: int = 16) -> Voxels:
 
 
 @pytest.mark.slow
-def test_the_number_of_processes_changes_nothing(clouds):
+def test_the_clouds_do_not_depend_on_the_number_of_processes(clouds):
     again = sample_clouds(husky_panda(), PAIRS, COARSE, progress=False, processes=2)
     assert clouds.keys() == again.keys() == {"lm-lEE", "lm-l3"}
     for name, cloud in clouds.items():
@@ -56,9 +56,9 @@ def test_another_seed_gives_other_points(clouds):
     assert not np.array_equal(clouds["lm-lEE"].points, again["lm-lEE"].points)
 
 
-def test_each_voxel_has_one_point_in_the_shell_above_the_floor_with_its_distance(clouds):
+def test_each_voxel_has_one_point_with_its_distance_above_the_floor(clouds):
     for cloud in clouds.values():
-        cells = cloud.points // 400  # 40 mm; the grid stands on multiples of it
+        cells = cloud.points // 400  # 40 mm; the grid starts at multiples of it
         assert len(np.unique(cells, axis=0)) == len(cloud)
         p = cloud.points_m
         outside = np.maximum(np.abs(p - [0, 0, 0.1902]) - [0.495, 0.345, 0.19015], 0)
@@ -70,7 +70,7 @@ def test_each_voxel_has_one_point_in_the_shell_above_the_floor_with_its_distance
 
 
 def test_the_flood_reaches_voxels_that_random_sampling_alone_leaves_empty(clouds):
-    """As many samples as the flood has points, and ten times more, both fall short of it."""
+    """40,000 random configurations fill less than half as many voxels beside the base."""
     reader = PairReader(husky_panda(), PAIRS[0])
     rng = np.random.default_rng(9)
     model = husky_panda()
@@ -83,8 +83,8 @@ def test_the_flood_reaches_voxels_that_random_sampling_alone_leaves_empty(clouds
     assert flooded > 2 * sampled
 
 
-def test_no_sector_seam_shows_in_the_cloud():
-    """The same voxels, but for a few at the edge of reach, with one sector and with eight."""
+def test_the_sectors_leave_no_seam_in_the_cloud():
+    """One sector and eight sectors fill the same voxels, except for less than 3 %."""
     counts = []
     for sectors in (1, 8):
         config = COARSE.model_copy(update={"sectors": sectors})
@@ -94,7 +94,7 @@ def test_no_sector_seam_shows_in_the_cloud():
 
 
 def test_the_jacobian_is_that_of_the_material_point():
-    """A point fixed in the last body, followed by kinematics alone."""
+    """The reference follows a point fixed in the last body by forward kinematics alone."""
     import pinocchio as pin
 
     model = husky_panda()
@@ -130,7 +130,7 @@ def test_a_voxels_centre_lies_in_it_and_its_neighbours_share_a_face():
     assert grid.keys(grid.shape[None])[0] == -1
 
 
-def test_every_voxel_lies_in_one_sector_and_no_seam_on_the_wheels_axis():
+def test_every_voxel_is_in_one_sector_with_no_seam_on_the_wheel_axis():
     grid = voxels()
     masks = np.array([grid.sector_mask(k) for k in range(16)])
     assert (masks.sum(axis=0) == 1).all()
@@ -138,13 +138,13 @@ def test_every_voxel_lies_in_one_sector_and_no_seam_on_the_wheels_axis():
     assert len(set(grid.sectors(grid.keys(grid.cells(on_axis))))) == 1
 
 
-def test_a_base_too_large_to_be_kept_is_refused():
+def test_a_base_too_large_for_the_stored_integers_is_refused():
     with pytest.raises(DescriptionError, match="extends more than"):
         Voxels(np.full(3, -4.0), np.full(3, 4.0), reach=0.32, size=np.full(3, 0.01), sectors=1)
 
 
 class Made:
-    """Counts how often it is made."""
+    """Counts its instances."""
 
     count = 0
 
@@ -152,7 +152,7 @@ class Made:
         Made.count += 1
 
 
-def test_within_one_process_the_context_is_made_once_for_all_work():
+def test_one_process_makes_its_context_once_for_all_work():
     with Workers(Made, processes=1) as workers:
         first, second = (list(workers.map(lambda made, _: made, [1, 2])) for _ in range(2))
     assert len({*first, *second}) == Made.count == 1
@@ -166,7 +166,7 @@ with Workers(int, processes=2) as workers:
 """
 
 
-def test_ctrl_c_ends_the_sampling_at_once_and_leaves_no_process(tmp_path):
+def test_ctrl_c_ends_the_sampling_and_leaves_no_process(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(CTRL_C)
     process = subprocess.Popen(
@@ -182,9 +182,9 @@ def test_ctrl_c_ends_the_sampling_at_once_and_leaves_no_process(tmp_path):
     start = time.monotonic()
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=20)
-    assert time.monotonic() - start < 10  # [s], where the jobs would take 60
+    assert time.monotonic() - start < 10  # [s]; the jobs would take 60 s
     assert process.returncode != 0
-    assert errors.count("KeyboardInterrupt") == 1  # the parent's own, none of the workers
+    assert errors.count("KeyboardInterrupt") == 1  # from the parent only
     assert _gone(process.pid)
 
 

@@ -1,4 +1,4 @@
-"""Laws of the border as a surface: it is the exact offset, and nothing on it jumps."""
+"""The border as a surface: it is the exact offset, and the acting point moves without jumps."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def points(border: Border, offset: OffsetContours) -> BorderSearch:
 
 
 def hand_path(seed: int, steps: int) -> np.ndarray:
-    """(steps, 3) [m] a smooth path inside the buffer along the base's flank and front corner.
+    """(steps, 3) [m] smooth path inside the buffer along the base's side and front corner.
 
     The base is 0.99 m by 0.69 m by 0.248 m.
     """
@@ -62,10 +62,10 @@ def acting_points(finder: ActingPointFinder, path: np.ndarray) -> np.ndarray:
     return np.array([acting.p_act for acting in found if acting is not None])
 
 
-def test_the_surface_is_within_two_millimetres_of_the_exact_offset(
+def test_surface_deviates_less_than_two_millimetres_from_exact_offset(
     robot: RobotModel, surface: BorderSearch
 ) -> None:
-    """Between heights and rays too, edges included."""
+    """Random points include those between heights and rays, and near edges."""
     rng = np.random.default_rng(0)
     body = MobileBody(robot)
     box = np.array([0.75, 0.6, 0.0]), np.array([0.0, 0.0, body.upper[2] + 0.99 * D_B])
@@ -77,10 +77,10 @@ def test_the_surface_is_within_two_millimetres_of_the_exact_offset(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
-def test_the_acting_point_is_continuous_on_the_surface_and_not_on_the_points(
+def test_acting_point_is_continuous_on_the_surface_but_not_on_points(
     points: BorderSearch, surface: BorderSearch, robot: RobotModel, seed: int
 ) -> None:
-    """On a path sampled ten times finer its largest step is at least eight times smaller."""
+    """Ten times finer sampling of the path divides the largest step by at least eight."""
     field = ScoreField.of(robot, "lEE")
     coarse, fine = hand_path(seed, 4001), hand_path(seed, 40001)
     ratios = {}
@@ -94,7 +94,7 @@ def test_the_acting_point_is_continuous_on_the_surface_and_not_on_the_points(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
+def test_desired_acceleration_jumps_20_times_less_with_surface_than_points(
     points: BorderSearch, surface: BorderSearch, robot: RobotModel, seed: int
 ) -> None:
     field, base = ScoreField.of(robot, "lEE"), robot.description.base
@@ -121,7 +121,7 @@ def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
     direction=st.floats(0.0, 2 * np.pi),
     climb=st.floats(-1.0, 1.0),
 )
-def test_near_points_outside_the_base_have_near_feet(
+def test_nearest_point_of_the_surface_changes_continuously(
     surface: BorderSearch,
     robot: RobotModel,
     x: float,
@@ -130,9 +130,10 @@ def test_near_points_outside_the_base_have_near_feet(
     direction: float,
     climb: float,
 ) -> None:
-    """Away from medial axes: inside the base and over its top.
+    """The medial axes are excluded: inside the base and above its top.
 
-    Around an edge at the distance d a foot goes d_b/d times as far, and its tangent turns by 1/d.
+    Around an edge at distance d, the nearest point moves by the factor d_b/d, and its tangent turns
+    by 1/d [rad/m].
     """
     step = 1e-5 * np.array([np.cos(direction), np.sin(direction), climb])
     p = np.array([x, y, z])
@@ -147,8 +148,10 @@ def test_near_points_outside_the_base_have_near_feet(
 
 
 @pytest.mark.parametrize("depth", [0.03, 0.07, 0.12])
-def test_the_foot_walks_around_an_edge_without_a_jump(surface: BorderSearch, depth: float) -> None:
-    """Around the vertical edge the border is an arc of radius d_b; the foot is that much faster."""
+def test_nearest_point_moves_around_an_edge_without_a_jump(
+    surface: BorderSearch, depth: float
+) -> None:
+    """Around a vertical edge the border is an arc of radius d_b."""
     turn = np.linspace(-0.05, np.pi / 2 + 0.05, 20001)
     round_edge = (D_B - depth) * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
     feet = np.array([surface.nearest(np.array([0.495, 0.345, 0.2]) + p).p for p in round_edge])
@@ -156,7 +159,7 @@ def test_the_foot_walks_around_an_edge_without_a_jump(surface: BorderSearch, dep
     assert ratio < 1.3 * D_B / (D_B - depth)
 
 
-def test_left_and_right_are_mirror_images(surface: BorderSearch) -> None:
+def test_surface_is_symmetric_about_the_midplane_of_the_base(surface: BorderSearch) -> None:
     rng = np.random.default_rng(1)
     for p in rng.uniform([-0.6, 0.35, 0.0], [0.6, 0.49, 0.3], (50, 3)):
         left, right = surface.nearest(p), surface.nearest(p * [1, -1, 1])

@@ -1,4 +1,4 @@
-"""The tab "Save" delivers the requested files, and they can be opened again."""
+"""The tab "Save" delivers the requested files, and each file opens."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PATIENCE = 300_000  # [ms] for files that are made at low priority beside a simu
 
 @pytest.fixture(scope="module")
 def tab(browser):
-    """Three seconds in which the base gives way, one of them marked; the tab "Save" is open."""
+    """The open tab "Save" after a pull of 3 s, with a marked interval."""
     with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
         served.pull_at_base(3.0)
@@ -43,7 +43,7 @@ def tab(browser):
 
 
 def download(tab: DashboardTab, button: str, folder: Path) -> Path:
-    """Press a button and keep the download."""
+    """Press a button and store the download."""
     with tab.page.expect_download(timeout=PATIENCE) as coming:
         tab.click(button)
     path = folder / coming.value.suggested_filename
@@ -53,7 +53,7 @@ def download(tab: DashboardTab, button: str, folder: Path) -> Path:
     return path
 
 
-def test_a_picture_has_the_asked_size_and_shows_the_scene(tab, tmp_path):
+def test_a_picture_has_the_requested_size_and_shows_the_scene(tab, tmp_path):
     for name, pixels in (("width [px]", 642), ("height [px]", 358)):
         tab.set_slider(name, pixels)
     tab.page.wait_for_timeout(300)
@@ -61,11 +61,11 @@ def test_a_picture_has_the_asked_size_and_shows_the_scene(tab, tmp_path):
         assert (picture.format, picture.size) == ("PNG", (642, 358))
         grey = np.array(picture.convert("L")).astype(float)
     middle = grey[60:300, 200:450]
-    assert middle.max() - middle.min() > 120, "a white arm before a dark ground"
+    assert middle.max() - middle.min() > 120, "no contrast between arm and background"
 
 
 @pytest.mark.parametrize("kind", ["CSV", "Parquet"])
-def test_a_log_holds_the_marked_interval(tab, tmp_path, kind):
+def test_a_log_contains_the_marked_interval(tab, tmp_path, kind):
     path = download(tab, f"Log ({kind})", tmp_path)
     assert path.suffix == f".{kind.lower()}"
     if kind == "CSV":  # opens in spreadsheets and pandas: the first line has the columns
@@ -76,26 +76,26 @@ def test_a_log_holds_the_marked_interval(tab, tmp_path, kind):
     np.testing.assert_allclose(times, np.arange(BEGIN, END + 0.01, 0.02), atol=1e-6)
 
 
-def test_one_escape_leads_back_to_now_while_a_message_lies_over_the_scene(tab, tmp_path):
-    """The client says for some seconds that a file has come."""
+def test_one_escape_returns_to_the_present_despite_a_notification(tab, tmp_path):
+    """The client shows for some seconds that the download is complete."""
     timeline = next(iter(tab.pages.values())).timeline
     timeline.go_to(END)
     tab.page.locator("#dbb-past").wait_for()
     download(tab, "Log (CSV)", tmp_path)
     tab.page.locator(".mantine-Notification-root").first.wait_for()
     tab.page.keyboard.press("Escape")
-    wait_for(lambda: timeline.live, what="now")
+    wait_for(lambda: timeline.live, what="the present")
 
 
 @pytest.fixture
 def made_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files are made in this process, except a film, which has its own process."""
+    """Create files in this process; a film still has a process of its own."""
     monkeypatch.setattr(Job, "run", lambda self, work, *args: work(self.report, *args))
 
 
 @pytest.fixture
 def offline(browser):
-    """A page without a network, and its errors."""
+    """A page without a network; an error in its console fails the test."""
     context = new_context(browser, (640, 480))
     context.set_offline(True)
     context.add_init_script(HELPERS)
@@ -104,21 +104,21 @@ def offline(browser):
     page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
     yield page
     context.close()
-    assert errors == [], "the console of the file's page"
+    assert errors == [], "errors in the console of the page"
 
 
 @pytest.mark.usefixtures("made_here")
-def test_a_report_opens_from_a_file_with_the_network_off(tab, tmp_path, offline):
+def test_a_report_opens_without_a_network(tab, tmp_path, offline):
     offline.goto(download(tab, "Report (HTML)", tmp_path).as_uri())
     assert offline.get_by_text("hand – base").first.is_visible()
 
 
 @needs_pybullet
 @pytest.mark.usefixtures("made_here")
-def test_a_replay_moves_the_robot_from_a_file_with_the_network_off(tab, tmp_path, offline):
+def test_a_replay_moves_the_robot_without_a_network(tab, tmp_path, offline):
     offline.goto(download(tab, "Replay (HTML)", tmp_path).as_uri())
     offline.wait_for_function("() => dbbPage.ready() && dbbPage.has('/robot')", timeout=PATIENCE)
-    # Drawn in software, the page shows fewer pictures than the replay has, perhaps always the same.
+    # Software rendering skips frames of the replay, so the page may always draw the same one.
     offline.evaluate("() => dbbTest.draw(false)")
     joint = "() => dbbPage.viewer().nodePoseData['/robot/panda_joint4']?.position?.[2] ?? null"
     heights = set()
@@ -141,7 +141,7 @@ def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
     tab.click("Film")
     tab.page.get_by_text("Film: ").filter(visible=True).first.wait_for(timeout=PATIENCE)
     tab.page.keyboard.press("Escape")
-    wait_for(lambda: page.timeline.live, what="now")
+    wait_for(lambda: page.timeline.live, what="the present")
     tab.click("Cancel")
     wait_for(lambda: job.progress is None, what="the end of the work")
     tab.page.get_by_role("button", name="Cancel").wait_for(state="hidden", timeout=PATIENCE)

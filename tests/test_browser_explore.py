@@ -1,4 +1,4 @@
-"""Values of the border under the pointer, and posture exploration by sliders."""
+"""Values of the border under the pointer, and exploration of postures with sliders."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from tests.dashboards import served_dashboard
 from tests.fakes import ScriptedLoop
 
 
-def test_the_foremost_point_under_the_pointer_answers_with_the_base_moving_away(robot, border_data):
+def test_probe_shows_the_foremost_border_point_and_the_base_response(robot, border_data):
     borders = Borders(robot, border_data.clouds)
     snapshot = ScriptedLoop(robot).latest()
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
@@ -30,19 +30,19 @@ def test_the_foremost_point_under_the_pointer_answers_with_the_base_moving_away(
         drawn.pointer = (0.0, 0.0)
         probe = drawn._find(snapshot, lens)
         assert probe is not None
-        assert probe.p[0] > 0.5, "the front, not the rear"
+        assert probe.p[0] > 0.5, "the point must be on the front, not on the rear"
         assert abs(probe.p[1:] - (0.0, 0.25)).max() < 0.05
         assert probe.acceleration[0] < -0.1
         field = borders.fields["lm-lEE"]
-        assert abs(probe.score) == pytest.approx(probe.det * probe.reach)
-        assert probe.score == field.score(probe.p)
+        assert f"score S {field.score(probe.p):.3g} " in probe.text
+        assert f"reachability {field.reachability(probe.p):.0f}" in probe.text
         drawn.pointer = (390.0, 390.0)
         assert drawn._find(snapshot, lens) is None
     finally:
         server.stop()
 
 
-def test_an_explored_posture_is_what_a_run_from_there_begins_with(robot, border_data):
+def test_run_from_explored_posture_starts_with_the_explored_response(robot, border_data):
     q_m = np.array((0.3, 0.9, 0.0, -1.9, 0.1, 2.3, 0.8))
     ensemble = Ensemble(Session(robot, border_data, Config(), physics="kinematic"), 0.9 * q_m)
     snapshot = ScriptedLoop(robot).latest()
@@ -60,7 +60,7 @@ def test_an_explored_posture_is_what_a_run_from_there_begins_with(robot, border_
     ensemble.close()
 
 
-def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data):
+def test_reach_solves_for_a_position_or_reports_the_remaining_distance(robot, border_data):
     loop = ScriptedLoop(robot)
     snapshot = loop.latest()
     explorer = Explorer(robot, border_data.clouds, snapshot)
@@ -74,7 +74,7 @@ def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data)
 
 
 @pytest.mark.browser
-def test_a_visitor_explores_postures_and_points_at_the_border(browser):
+def test_visitor_explores_postures_and_probes_the_border(browser):
     with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
         tab.open_tab("Lab")
@@ -87,18 +87,18 @@ def test_a_visitor_explores_postures_and_points_at_the_border(browser):
         wait_for(lambda: page.explorer_panel.posture.q_m[3] == pytest.approx(np.radians(-150.0)))
         np.testing.assert_array_equal(served.loop.latest().q_m, before)
         tab.rest()
-        asked = page.explorer_panel.posture
-        tab.drag_gizmo(GIZMO, 0, -0.1, SCALE)  # the arm is behind the upright arrow
-        wait_for(lambda: not np.array_equal(page.explorer_panel.posture.q_m, asked.q_m))
-        assert served.loop.pulls() in ([], [None]), "nobody has pulled"
+        before_drag = page.explorer_panel.posture
+        tab.drag_gizmo(GIZMO, 0, -0.1, SCALE)  # the arm covers the upright arrow
+        wait_for(lambda: not np.array_equal(page.explorer_panel.posture.q_m, before_drag.q_m))
+        assert served.loop.pulls() in ([], [None]), "no pull"
 
         place = np.array([[0.645, 0.0, 0.25]])
         [at] = tab.pixels("/robot", place)
         tab.page.mouse.move(*at)
-        wait_for(lambda: tab.is_shown("/probe/text"), what="the place's numbers")
+        wait_for(lambda: tab.is_shown("/probe/text"), what="the values of the point")
         assert "mobility" in tab.text("/probe/text")
         tab.page.mouse.move(2, 2)
-        wait_for(lambda: not tab.is_shown("/probe/text"), what="no numbers")
+        wait_for(lambda: not tab.is_shown("/probe/text"), what="hidden values")
 
         tab.open_tab("Lab")
         tab.click("Start from this posture")
@@ -110,5 +110,5 @@ def test_a_visitor_explores_postures_and_points_at_the_border(browser):
         wait_for(lambda: served.loop.latest().paused, what="a pause")
         served.loop.send(Reset())
         assert served.loop.latest().paused
-        wait_for(lambda: page.explorer_panel.posture is None, what="the robot, which begins anew")
+        wait_for(lambda: page.explorer_panel.posture is None, what="the end of the exploration")
         assert tab.errors == []

@@ -1,4 +1,4 @@
-"""Each layer of the scene is seen where it belongs when it is on, and gone when it is off."""
+"""Each layer of the scene is visible in its place while it is on, and hidden while it is off."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = np.ndarray
 
 @pytest.fixture(scope="module")
 def served():
-    """The hand is pulled at the base, which has moved away, and time stands still."""
+    """A paused loop after a pull of the end-effector towards the base, which has moved away."""
     with served_dashboard() as served:
         served.pull_at_base(1.6)
         assert served.loop.latest().beta_m > 0.3
@@ -41,20 +41,20 @@ def opened(browser, served):
 @pytest.fixture
 def tab(opened):
     yield opened
-    assert opened.errors == [], "the page's console"
+    assert opened.errors == [], "errors in the page's console"
 
 
 class Layer(NamedTuple):
-    """A checkbox of the tab "View", and the visible place of its layer.
+    """A checkbox of the tab "View" and the places of its layer in the scene.
 
     Attributes:
         box: Its label.
-        places: (K, 3) [m] in a node's frame, from the dashboard.
-        radius: [px] how far from there something may change.
-        least: [px] how many have to.
-        node: In whose frame; the root is the world.
-        share: [-] smallest part of all changes in that place; the rest of the border changes
-            its colours with the displayed range, and labels are longer than the radius.
+        places: (K, 3) [m] in the frame `node`, from the dashboard.
+        radius: [px] distance from the places within which pixels change.
+        least: [px] smallest number of changed pixels.
+        node: Frame of the places; the empty name is the world.
+        share: [-] smallest share of the changed pixels within the radius. Below 0.9 where the
+            border also changes its colours, or where a label is longer than the radius.
     """
 
     box: str
@@ -65,8 +65,8 @@ class Layer(NamedTuple):
     share: float = 0.9
 
 
-def of(function: Callable[[Snapshot], object]) -> Callable[[Served], Array]:
-    """Places that follow from the snapshot that is shown."""
+def from_snapshot(function: Callable[[Snapshot], object]) -> Callable[[Served], Array]:
+    """Places computed from the latest snapshot."""
     return lambda served: np.array(function(served.loop.latest())).reshape(-1, 3)
 
 
@@ -76,7 +76,7 @@ def between(a: Array, b: Array) -> list[Array]:
 
 
 def robot(served: Served) -> Array:
-    """Places all over the robot, in its own frame."""
+    """Places on base and arm, in the robot's frame."""
     base = [(x, y, z) for x in (-0.4, 0.0, 0.4) for y in (-0.25, 0.25) for z in (0.1, 0.3)]
     parts = served.server.shared.parts.kinematics
     snapshot = served.loop.latest()
@@ -85,7 +85,7 @@ def robot(served: Served) -> Array:
 
 
 def border(served: Served, pair: str = "lm-lEE", *, above: bool = False) -> Array:
-    """Some points of a border, in the base's frame; only those above the base's top."""
+    """Points of a border in the base's frame; with `above`, only those above the base's top."""
     borders = served.server.shared.borders
     config = served.loop.latest().config.border
     points = borders.coloured(pair, "score", config, whole=above).points
@@ -101,13 +101,13 @@ def contour(served: Served) -> Array:
     return np.concatenate(curves)[::5]
 
 
-def lines(snapshot: Snapshot) -> list[Array]:
-    """Along the lines between closest points."""
+def closest_lines(snapshot: Snapshot) -> list[Array]:
+    """Places along the lines between closest points."""
     return [p for pair in snapshot.pairs for p in between(pair.p_a, pair.p_b)]
 
 
-def acting(snapshot: Snapshot) -> list[Array]:
-    """Around the acting points, and up to the arrows over them."""
+def acting_points(snapshot: Snapshot) -> list[Array]:
+    """Places at the acting points and along the arrows above them."""
     places = []
     for a in snapshot.acting:
         stem, top = np.array([0.0, 0.0, 0.4]), np.array([*a.p_act[:2], 0.46])
@@ -116,16 +116,16 @@ def acting(snapshot: Snapshot) -> list[Array]:
     return places
 
 
-def pushed(snapshot: Snapshot) -> list[Array]:
-    """Along the person's force, and over the base."""
+def person_force(snapshot: Snapshot) -> list[Array]:
+    """Places along the person's force and above the base."""
     tip = snapshot.p_ee + METRES_PER_NEWTON * snapshot.hand_force
     base = np.append(snapshot.base_pose[:2], 0.45)
     around_base = [base + 0.22 * np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(0, 6, 1)]
     return [*between(snapshot.p_ee, tip), base, *around_base]
 
 
-def passed(served: Served) -> Array:
-    """Along where base and hand have been."""
+def trails(served: Served) -> Array:
+    """Places along the trails of base and end-effector."""
     tracks = served.server.shared.tracks
     ways = [track.until(np.inf) for track in tracks.values()]
     return np.array([p for way in ways for a, b in pairwise(way) for p in between(a, b)])
@@ -136,29 +136,29 @@ LAYERS = (
     Layer("Convex bodies", robot, 110, 5000, ROOT),
     Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the arm", contour, 20, 150, ROOT),
-    Layer("Closest points", of(lines), 110, 60),
-    Layer("Acting points", of(acting), 60, 200, share=0.7),
-    Layer("Forces", of(pushed), 60, 100),
-    Layer("Trails", passed, 12, 40),
+    Layer("Closest points", from_snapshot(closest_lines), 110, 60),
+    Layer("Acting points", from_snapshot(acting_points), 60, 200, share=0.7),
+    Layer("Forces", from_snapshot(person_force), 60, 100),
+    Layer("Trails", trails, 12, 40),
 )
 
 
 @pytest.fixture(scope="module")
 def at_first(opened):
-    """The picture that each layer's test begins and ends with."""
+    """The picture at the start and at the end of each layer's test."""
     opened.rest()
     return opened.picture_at_rest()
 
 
 @pytest.mark.parametrize("layer", LAYERS, ids=lambda layer: layer.box)
-def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, layer, at_first):
+def test_a_layer_is_visible_in_its_place_and_only_while_it_is_on(tab, served, layer, at_first):
     is_on = tab.row(layer.box).locator("input[type=checkbox]").is_checked()
     before, places = at_first, tab.pixels(layer.node, layer.places(served))
     tab.check(layer.box, on=not is_on)
     after = tab.wait_for_change(before, layer.least, places, layer.radius)
     changed = tab.changed(before, after)
     there = (changed & around(places, layer.radius, before)).sum() / changed.sum()
-    assert there > layer.share, f"{there:.0%} of the change is where it belongs"
+    assert there > layer.share, f"only {there:.0%} of the change is in the layer's place"
     tab.check(layer.box, on=is_on)
     tab.wait_for_picture(before, most=layer.least // 4)
 
@@ -190,7 +190,7 @@ def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair, 
         tab.choose(said[name], quantity)
 
 
-def test_distances_are_written_at_the_active_pairs_at_all_or_at_none(tab, served):
+def test_distance_labels_are_shown_at_no_pair_all_pairs_or_active_pairs(tab, served):
     snapshot = served.loop.latest()
     near = {pair.name for pair in snapshot.pairs if pair.d < snapshot.config.border.d_b}
     everything = {pair.name for pair in snapshot.pairs}
@@ -211,7 +211,7 @@ def test_distances_are_written_at_the_active_pairs_at_all_or_at_none(tab, served
         tab.wait_for_change(before, 60)
 
 
-def test_the_page_is_dark_or_light(tab):
+def test_the_checkbox_switches_the_theme_between_dark_and_light(tab):
     dark = tab.picture()
     tab.check("Dark theme", on=False)
     light = tab.wait_for_change(dark, 100_000)
@@ -220,16 +220,16 @@ def test_the_page_is_dark_or_light(tab):
     tab.wait_for_picture(dark, most=3000)
 
 
-def looked(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
+def preset_view(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Eye and target of a preset in the viewer's window."""
     window = served.page()._camera.window
     return placed(PRESETS[name], [served.loop.latest()], served.server.shared.parts.extent, window)
 
 
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "door"])
-def test_a_preset_looks_from_where_it_says(tab, served, name):
+def test_a_preset_places_the_camera_and_centres_its_target(tab, served, name):
     tab.click(name)
-    eye, target = looked(served, name)
+    eye, target = preset_view(served, name)
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3, what=f"{eye}, not {tab.camera()}")
     tab.render(2)
     left, top, right, bottom = tab.canvas_box()
@@ -237,14 +237,14 @@ def test_a_preset_looks_from_where_it_says(tab, served, name):
     np.testing.assert_allclose(tab.pixel("", tuple(target)), middle, atol=2.0)
 
 
-def test_the_camera_goes_with_the_base_if_asked(tab, served):
+def test_the_camera_follows_the_base_only_if_enabled_and_without_ghosts(tab, served):
     tab.click("iso")
     start = served.loop.latest().base_pose.copy()
-    eye, _ = looked(served, "iso")
+    eye, _ = preset_view(served, "iso")
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3)
     step = np.array([0.4, -0.3, 0.0])
     served.loop.place(start + step)
-    wait_for(lambda: np.linalg.norm(tab.camera() - eye - step) < 5e-3, what="it follows")
+    wait_for(lambda: np.linalg.norm(tab.camera() - eye - step) < 5e-3, what="the camera follows")
     tab.check("Follow the base", on=False)
     wait_for(lambda: not served.page().view.follow)
     served.loop.place(start)

@@ -1,4 +1,4 @@
-"""Looking back: the scene, the plots and the texts show that instant, and `Back to now` returns."""
+"""The time line: scene, plots and texts show the selected instant, `Back to now` returns."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ def opened(browser, served):
 
 @pytest.fixture
 def tab(opened, served):
-    """After 4 s in which the hand is pulled and the base gives way, time stands still."""
+    """Paused, after 4 s in which a pull makes the base move away."""
     served.pull_at_base(4.0, opened)
     opened.wait("t => Math.abs(dbb.seen().now - t) < 0.01", served.loop.latest().t)
     yield opened
     opened.click("Back to now")
-    assert opened.errors == [], "the page's console"
+    assert opened.errors == [], "errors on the page's console"
 
 
 def shows(tab: DashboardTab, snapshot: Snapshot) -> bool:
-    """Whether base, hand and the arm's last link stand as they did."""
+    """Whether base and end-effector have the poses of the snapshot."""
     x, y, _ = snapshot.base_pose
     return (
         np.linalg.norm(tab.position(ROOT) - [x, y, 0.0]) < 1e-3
@@ -51,26 +51,26 @@ def shows(tab: DashboardTab, snapshot: Snapshot) -> bool:
     )
 
 
-def test_the_time_line_shows_the_robot_as_it_was_while_the_simulation_goes_on(tab, served):
+def test_time_line_shows_a_past_state_while_the_simulation_continues(tab, served):
     page, loop = served.page(), served.loop
     tab.look_at(1.5)
     wait_for(lambda: not page.timeline.live, what="looking back")
     then = page.timeline.shown()
     assert served.loop.latest().t - then.t == pytest.approx(2.5, abs=0.06)
     assert then in loop.history(-1.0)
-    wait_for(lambda: shows(tab, then), what="the former scene")
+    wait_for(lambda: shows(tab, then), what="the past scene")
     now = loop.latest()
     loop.send(Pause(False))
     moved = np.linalg.norm(now.p_ee - then.p_ee) + np.linalg.norm(now.base_pose - then.base_pose)
-    assert moved > 0.05, "it was elsewhere then"
-    wait_for(lambda: loop.latest().t > now.t + 0.5, what="the simulation goes on")
+    assert moved > 0.05, "the robot must have moved"
+    wait_for(lambda: loop.latest().t > now.t + 0.5, what="progress of the simulation")
     tab.render(2)
     assert shows(tab, then)
     tab.page.get_by_text(f"t = {then.t:.2f} s").first.wait_for(timeout=40_000)
     tab.page.get_by_text("s ago").first.wait_for(timeout=40_000)
 
 
-def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_now(tab, served):
+def test_plot_cursors_follow_the_shown_instant_and_vanish_at_now(tab, served):
     page = served.page()
     tab.look_at(3.0)
     wait_for(lambda: not page.timeline.live)
@@ -89,7 +89,7 @@ def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_no
     assert tab.page.locator("#dbb-past").is_hidden()
 
 
-def test_a_step_forward_from_now_is_simulated_and_a_step_back_is_remembered(tab, served):
+def test_step_forward_simulates_and_step_back_replays(tab, served):
     loop, page = served.loop, served.page()
     for paused in (False, True):
         tab.click("Pause" if paused else "Continue")
@@ -110,11 +110,11 @@ def test_a_step_forward_from_now_is_simulated_and_a_step_back_is_remembered(tab,
     wait_for(lambda: shows(tab, page.timeline.shown()))
     tab.click("+1 s")
     wait_for(lambda: page.timeline.shown().t == pytest.approx(before, abs=1e-3))
-    assert len(loop.commands) == count, "the past is not simulated again"
+    assert len(loop.commands) == count, "a replay must not simulate"
 
 
 @needs_pybullet
-def test_who_takes_the_hand_is_back_in_the_present(tab, served):
+def test_pull_in_the_scene_returns_to_the_present(tab, served):
     page = served.page()
     tab.look_at(3.0)
     wait_for(lambda: not page.timeline.live)
@@ -123,7 +123,7 @@ def test_who_takes_the_hand_is_back_in_the_present(tab, served):
     wait_for(lambda: page.timeline.live, what="the present")
 
 
-def test_the_past_looks_past_and_escape_leads_back(tab, served):
+def test_banner_marks_the_past_and_escape_returns_to_the_present(tab, served):
     page, banner = served.page(), tab.page.locator("#dbb-past")
     assert banner.is_hidden()
     tab.look_at(3.0)
@@ -135,10 +135,10 @@ def test_the_past_looks_past_and_escape_leads_back(tab, served):
     banner.wait_for(state="hidden", timeout=40_000)
 
 
-def test_the_strip_shows_what_happened_and_is_scrubbed_by_mouse_touch_and_keys(tab, served):
+def test_strip_shows_the_history_and_accepts_mouse_touch_and_keys(tab, served):
     page, strip = served.page(), tab.page.locator("#dbb-strip")
     box, size = strip.bounding_box(), tab.page.viewport_size
-    assert (box["x"], box["width"]) == (0, size["width"]), "it spans the page"
+    assert (box["x"], box["width"]) == (0, size["width"]), "the strip must span the page"
     seen = tab.page.evaluate("() => dbb.seen()")
     pull = [snapshot for snapshot in served.loop.history(-1.0) if snapshot.beta_m > 0.0]
     assert max(beta for _, _, beta in seen["rows"]) == pytest.approx(
@@ -148,7 +148,7 @@ def test_the_strip_shows_what_happened_and_is_scrubbed_by_mouse_touch_and_keys(t
 
     tab.click("Nearest")
     least = min(served.loop.history(-1.0), key=lambda s: min(p.d for p in s.pairs))
-    wait_for(lambda: page.timeline.shown().t == pytest.approx(least.t), what="the least distance")
+    wait_for(lambda: page.timeline.shown().t == pytest.approx(least.t), what="least distance")
 
     x, y = tab.page.evaluate("() => dbb.pixel(1)")
     tab.page.mouse.move(*tab.page.evaluate("() => dbb.pixel(3)"))
@@ -169,7 +169,7 @@ def test_the_strip_shows_what_happened_and_is_scrubbed_by_mouse_touch_and_keys(t
     tab.wait("span => dbb.seen().until - dbb.seen().from < 0.7 * span", before)
 
 
-def test_a_marked_interval_is_on_the_bar_and_events_are_stepped_through(tab, served):
+def test_marks_and_event_buttons_of_the_time_line(tab, served):
     page = served.page()
     tab.click("Clear marks")
     tab.click("◂ Event")

@@ -1,4 +1,4 @@
-"""How large d_b must be: its laws, an independent simulation, and the watch that measures."""
+"""Required d_b: properties, an independent simulation, and the monitor of a running loop."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def changed(**values: float) -> Config:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_the_need_grows_with_the_speed(base, place):
+def test_required_buffer_grows_with_the_approach_speed(base, place):
     speeds = np.linspace(0.0, 1.0, 30)
     needs = [buffer_need(Approach(v, *place), base, Config()) for v in speeds]
     assert needs == sorted(needs)
@@ -60,7 +60,7 @@ def test_the_need_grows_with_the_speed(base, place):
         ("force.f_max", (600.0, 400.0, 300.0, 200.0, 100.0)),
     ],
 )
-def test_the_need_grows_with_all_that_holds_the_base_back(base, place, path, values):
+def test_required_buffer_grows_with_limits_on_the_base_response(base, place, path, values):
     approach = Approach(0.09, *place)
     needs = [buffer_need(approach, base, Config().replace(path, value)) for value in values]
     assert needs == sorted(needs)
@@ -68,17 +68,17 @@ def test_the_need_grows_with_all_that_holds_the_base_back(base, place, path, val
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_the_need_falls_with_the_acceleration_of_the_base(base, place):
+def test_required_buffer_decreases_with_base_acceleration(base, place):
     approach = Approach(0.1 if place is FRONT else 0.05, *place)
     needs = []
-    for a in (0.4, 0.6, 1.0, 2.0, 6.0):  # [m/s²]; turning twice as much, as the paper's robot
+    for a in (0.4, 0.6, 1.0, 2.0, 6.0):  # [m/s²]; angular limit: twice the number
         limits = {"max_linear_acceleration_mps2": a, "max_angular_acceleration_radps2": 2 * a}
         needs.append(buffer_need(approach, base.model_copy(update=limits), Config()))
     assert needs == sorted(needs, reverse=True)
     assert needs[0] > needs[-1] * 1.1
 
 
-def test_no_buffer_suffices_for_a_hand_that_is_faster_than_the_base(base):
+def test_no_buffer_suffices_if_the_end_effector_is_faster_than_the_base(base):
     config = changed(admittance__v_max=0.2)
     assert math.isfinite(buffer_need(Approach(0.19, *FRONT), base, config))
     assert math.isinf(buffer_need(Approach(0.21, *FRONT), base, config))
@@ -87,7 +87,7 @@ def test_no_buffer_suffices_for_a_hand_that_is_faster_than_the_base(base):
     assert math.isinf(buffer_need(Approach(0.11, *FRONT), base, slipping))
 
 
-def test_left_and_right_need_the_same(base):
+def test_required_buffer_is_equal_on_the_left_and_the_right(base):
     for v in (0.05, 0.1):
         n, p = np.array([0.3, 0.9, 0.3]), np.array([0.4, 0.45, 0.4])
         mirror = np.array([1.0, -1.0, 1.0])
@@ -95,7 +95,7 @@ def test_left_and_right_need_the_same(base):
         assert buffer_need(Approach(v, mirror * n, mirror * p), base, Config()) == left
 
 
-def test_the_need_is_where_the_least_distance_is_the_reserve(base):
+def test_required_buffer_is_the_d_b_whose_least_distance_is_the_reserve(base):
     for place in PLACES:
         approach = Approach(0.09, *place)
         need = buffer_need(approach, base, Config())
@@ -103,11 +103,11 @@ def test_the_need_is_where_the_least_distance_is_the_reserve(base):
         assert near[0] < RESERVE <= near[1] < RESERVE + 0.01
 
 
-def test_an_oblique_hand_is_met_by_what_of_the_force_is_horizontal(base):
-    """Once for the force, and once for the part of the base's motion that changes the distance."""
+def test_only_the_horizontal_part_of_an_oblique_force_moves_the_base(base):
+    """The factor counts twice: for the force, and for the base motion that changes the distance."""
     n, p = FRONT
     d_b, across = np.linspace(0.1, 0.4, 7), 0.8
-    weak = [changed(force__f_max=f) for f in (40.0, 40.0 * across**2)]  # limits are not met
+    weak = [changed(force__f_max=f) for f in (40.0, 40.0 * across**2)]  # within the limits
     oblique = Approach(0.03, across * n + [0.0, 0.0, 0.6], p)
     found = least_distance(d_b, oblique, base, weak[0])
     assert found[-1] > 0.0
@@ -116,10 +116,10 @@ def test_an_oblique_hand_is_met_by_what_of_the_force_is_horizontal(base):
 
 
 def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
-    """[m] least distance of a hand that comes from straight ahead at v, step by step.
+    """[m] least distance of an end-effector that approaches from the front at v.
 
-    The base's own admittance law and drive, and a queue for the delay; only the law's force is
-    written down again.
+    Steps the product's admittance law and drive with a queue for the delay; only the avoidance
+    force is written again here.
     """
     law, drive = RunningAdmittance(base, config.admittance), Drive(base, DT)
     steps = round(config.disturbance.base_delay / DT)
@@ -149,10 +149,8 @@ def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
         (0.25, {"force__f_max": 150.0, "admittance__damping": 60.0}),
     ],
 )
-def test_with_the_need_a_simulated_hand_keeps_off_and_with_less_than_half_it_does_not(
-    base, v, options
-):
-    """The bound is safe, and not absurdly so: the least d_b that does is more than 45 % of it."""
+def test_simulation_confirms_the_required_buffer_as_tight_bound(base, v, options):
+    """The required d_b is safe; 45 % of it is not."""
     config = changed(**options)
     need = buffer_need(Approach(v, *FRONT), base, config)
     assert math.isfinite(need)
@@ -161,11 +159,11 @@ def test_with_the_need_a_simulated_hand_keeps_off_and_with_less_than_half_it_doe
         assert simulated(v, 0.45 * need, base, config) < RESERVE
 
 
-# The watch
+# The monitor
 
 
 class Seen(list[ClosestPoints]):
-    """Closest points of pairs of L_m, as the watch reads them from a control step."""
+    """Closest points of pairs of L_m, in the form of a control step."""
 
     def __init__(self, points: Iterable[ClosestPoints]) -> None:
         super().__init__(points)
@@ -182,7 +180,7 @@ class Seen(list[ClosestPoints]):
 
 @pytest.fixture
 def led(robot: RobotModel, border_data: BorderData):
-    """A state with the hand beside the base, led towards it at a speed, and the pairs of L_m."""
+    """A function for state and pairs of L_m as the end-effector moves towards the base."""
     from app.simulation.scenarios.start import StartSolver
 
     q_m = StartSolver(robot, border_data.pairs, 0.15).solve((0.30, 0.72, 0.30))
@@ -200,8 +198,8 @@ def led(robot: RobotModel, border_data: BorderData):
     return lead
 
 
-def test_the_approach_is_the_rate_at_which_the_distance_shrinks_while_the_base_rests(led):
-    """By central differences."""
+def test_approach_speed_is_the_closing_rate_for_a_base_at_rest(led):
+    """Compared with central differences."""
     h = 1e-5  # [s]
     before, after = led(0.1, late=-h)[1], led(0.1, late=h)[1]
     state, pairs = led(0.1)
@@ -222,14 +220,14 @@ def watched(watch: BufferWatch, led, speeds: list[float], *, gives_way=True) -> 
     return readings
 
 
-def test_a_hand_at_rest_or_going_away_needs_nothing(led):
+def test_end_effector_at_rest_or_moving_away_needs_no_buffer(led):
     for v in (0.0, -0.2):
         reading = watched(BufferWatch(Config()), led, [v] * 60)[-1]
         assert reading == BufferReading(0.0, 0.0, 0.0, 0.0, too_small=False, too_small_ever=False)
 
 
-def test_a_tremor_is_no_approach(led):
-    """To and fro as fast as would need more than d_b if it went on."""
+def test_tremor_is_no_approach(led):
+    """The same speed without reversals triggers the warning."""
     assert watched(BufferWatch(Config()), led, [0.3] * 60)[-1].too_small
     tremor = [0.3 * (-1) ** (k // 10) for k in range(60)]
     reading = watched(BufferWatch(Config()), led, [*[0.0] * 11, *tremor])[-1]
@@ -237,7 +235,7 @@ def test_a_tremor_is_no_approach(led):
     assert reading.approach_speed_max < 0.1
 
 
-def test_the_warning_stays_for_3_s_and_the_maxima_for_good(led):
+def test_warning_lasts_3_s_and_maxima_are_permanent(led):
     watch = BufferWatch(changed(border__d_b=0.16))
     quick = watched(watch, led, [0.15] * 60)[-1]
     assert quick.too_small
@@ -253,7 +251,7 @@ def test_the_warning_stays_for_3_s_and_the_maxima_for_good(led):
     assert rest[-1].approach_speed_max == pytest.approx(0.15, rel=0.1)
 
 
-def test_following_the_advice_ends_the_warning_at_once(led):
+def test_warning_ends_at_once_when_d_b_is_increased_as_recommended(led):
     watch = BufferWatch(changed(border__d_b=0.16))
     needed = watched(watch, led, [0.12] * 60)[-1].needed
     assert 0.16 < needed <= 0.30
@@ -261,7 +259,7 @@ def test_following_the_advice_ends_the_warning_at_once(led):
     assert not watched(watch, led, [0.0])[-1].too_small
 
 
-def test_only_a_base_that_gives_way_needs_a_buffer(led):
+def test_base_that_does_not_avoid_needs_no_buffer(led):
     watch = BufferWatch(changed(border__d_b=0.16))
     reading = watched(watch, led, [0.3] * 60, gives_way=False)[-1]
     assert not reading.too_small
@@ -269,7 +267,7 @@ def test_only_a_base_that_gives_way_needs_a_buffer(led):
     assert reading.approach_speed_max > 0.25
 
 
-def test_from_above_and_from_afar_nothing_counts(led):
+def test_approach_from_above_or_from_beyond_d_b_does_not_count(led):
     state, pairs = led(0.3)
     above = np.array([0.0, 0.3, math.sqrt(0.91)])
     for pair in (pairs[0]._replace(n=above), pairs[0]._replace(d=0.31)):
@@ -278,7 +276,7 @@ def test_from_above_and_from_afar_nothing_counts(led):
         assert readings[-1].approach_speed_max == 0.0
 
 
-def test_what_is_said_after_a_run_names_the_speed_and_the_d_b_that_would_do():
+def test_buffer_warning_names_the_speed_and_the_required_d_b():
     config = changed(disturbance__base_delay=0.2)
     fine = BufferReading(0.1, 0.1, 0.1, 0.1, too_small=False, too_small_ever=False)
     assert buffer_warning(fine, config) is None

@@ -1,4 +1,4 @@
-"""The warning that the arm cannot hold its hand while the base moves."""
+"""Warnings if the arm cannot hold its end-effector or a person can push it into the base."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tests.robots import husky_panda
 
 
 def at_speeds(factor: float) -> RobotModel:
-    """The paper's robot with joints as many times as fast."""
+    """The paper's robot with its joint speed limits times `factor`."""
     description = husky_panda().description
     speeds = tuple(float(factor * v) for v in husky_panda().qd_max)
     arm = description.arm.model_copy(update={"max_velocity": speeds})
     return RobotModel(description.model_copy(update={"arm": arm}))
 
 
-def test_stretch_is_warned_of_along_its_wheels() -> None:
+def test_stretch_gets_a_warning_for_forward_motion() -> None:
     if not package_roots("stretch_urdf"):
         pytest.skip("pip install '.[robots]'")
     row = holding_row(RobotModel(load_robot("stretch_se3")))
@@ -31,7 +31,7 @@ def test_stretch_is_warned_of_along_its_wheels() -> None:
     assert row.numbers["place_lost_v_share"] > 0.9
 
 
-def test_the_papers_robot_is_not() -> None:
+def test_the_papers_robot_gets_no_warning() -> None:
     row = holding_row(husky_panda())
     assert row.outcome == "passed"
     assert not holding_warning(carried_hand(husky_panda()))
@@ -39,10 +39,10 @@ def test_the_papers_robot_is_not() -> None:
     assert row.numbers["place_lost_w_share"] < 0.1
 
 
-def test_an_arm_of_small_torques_is_warned_of_that_a_person_pushes_it_at_the_base(
+def test_check_warns_if_a_person_can_push_the_arm_into_the_base(
     border_data: BorderData,
 ) -> None:
-    """A Panda with three tenths of its torques, and with all of them."""
+    """A Panda with 30 % of its torque limits gets the warning; with its own limits it gets none."""
     strong, pairs = husky_panda(), border_data.pairs.mobile
     row = push_row(strong, border_data)
     assert row.outcome == "passed"
@@ -57,7 +57,7 @@ def test_an_arm_of_small_torques_is_warned_of_that_a_person_pushes_it_at_the_bas
     assert (borne_push(weak, pairs) <= borne_push(strong, pairs)).all()
 
 
-def test_to_hold_place_and_orientation_is_never_easier_and_a_faster_arm_never_holds_less() -> None:
+def test_lost_poses_exceed_lost_positions_and_fall_with_joint_speed() -> None:
     slow, same, fast = (carried_hand(at_speeds(f)) for f in (0.05, 1.0, 100.0))
     for each in (*slow, *same, *fast):
         assert each.place <= each.pose
@@ -68,10 +68,10 @@ def test_to_hold_place_and_orientation_is_never_easier_and_a_faster_arm_never_ho
     assert fast[0].place == 0.0
 
 
-def test_the_sentence_names_each_axis_that_is_often_lost_and_no_other() -> None:
-    told = holding_warning(carried_hand(at_speeds(0.05)))
-    assert "moves forward at 0.5 m/s" in told
-    assert "turns at 1 rad/s" in told
+def test_the_warning_names_only_the_axes_that_are_often_lost() -> None:
+    text = holding_warning(carried_hand(at_speeds(0.05)))
+    assert "moves forward at 0.5 m/s" in text
+    assert "turns at 1 rad/s" in text
     lost, kept = (carried_hand(at_speeds(f)) for f in (0.05, 1.0))
     one = holding_warning((lost[0], kept[1]))
     assert "moves forward" in one
@@ -81,7 +81,7 @@ def test_the_sentence_names_each_axis_that_is_often_lost_and_no_other() -> None:
 FAST = np.full(6, 10.0)
 
 
-def test_a_hand_on_the_yaw_axis_keeps_its_place_whatever_the_arm_can_do() -> None:
+def test_yaw_of_the_base_loses_no_position_on_the_yaw_axis() -> None:
     turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     stiff, free = np.zeros((6, 6)), np.eye(6)
     assert lost_hand(stiff, turning, FAST) == (False, True)
@@ -90,9 +90,7 @@ def test_a_hand_on_the_yaw_axis_keeps_its_place_whatever_the_arm_can_do() -> Non
 
 
 @pytest.mark.parametrize(("joint", "lost"), [(0, (True, True)), (5, (False, True))])
-def test_a_part_that_no_joint_moves_is_lost_and_no_other(
-    joint: int, lost: tuple[bool, bool]
-) -> None:
+def test_only_a_direction_that_no_joint_moves_is_lost(joint: int, lost: tuple[bool, bool]) -> None:
     moved = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 1.0])
     J = np.eye(6)
     J[joint, joint] = 0.0
@@ -101,14 +99,14 @@ def test_a_part_that_no_joint_moves_is_lost_and_no_other(
 
 
 @pytest.mark.parametrize("speed", [0.85, 0.95])
-def test_more_than_a_tenth_left_over_is_lost_and_less_is_not(speed: float) -> None:
+def test_only_a_residual_above_ten_percent_is_lost(speed: float) -> None:
     along = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert lost_hand(np.eye(6), along, np.full(6, speed)) == (speed < 0.9, speed < 0.9)
     turning = along[[3, 4, 5, 0, 1, 2]]
     assert lost_hand(np.eye(6), turning, np.full(6, speed)) == (False, speed < 0.9)
 
 
-def test_a_place_that_is_kept_only_by_turning_the_hand_is_kept_and_the_pose_is_lost() -> None:
+def test_a_position_held_by_turning_the_end_effector_loses_only_the_pose() -> None:
     J = np.zeros((6, 1))
     J[0, 0], J[5, 0] = 0.5, 1.0  # a lever of half a metre
     moved = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -116,7 +114,7 @@ def test_a_place_that_is_kept_only_by_turning_the_hand_is_kept_and_the_pose_is_l
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_pose_is_never_kept_where_the_place_is_lost(seed: int) -> None:
+def test_a_lost_position_implies_a_lost_pose(seed: int) -> None:
     rng = np.random.default_rng(seed)
     J, moved = rng.normal(size=(6, 7)), rng.normal(size=6)
     for speed in (0.01, 0.1, 0.3, 1.0, 10.0):

@@ -94,7 +94,7 @@ def dbb(capfd, monkeypatch, loaded_once):
 
 
 def refused(outcome: Outcome, *words: str) -> None:
-    """Status 2, nothing on standard output, one line on standard error with these words."""
+    """Status 2, no standard output, one line with these words on standard error."""
     assert outcome.status == 2
     assert outcome.out == ""
     lines = outcome.err.splitlines()
@@ -113,14 +113,14 @@ def refused(outcome: Outcome, *words: str) -> None:
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
-def test_json_is_one_object_on_standard_output_and_nothing_else(dbb, args, keys):
+def test_json_output_is_a_single_object(dbb, args, keys):
     outcome = dbb(*args, "--json")
     assert outcome.status == 0, outcome.err
     assert keys <= set(json.loads(outcome.out))
 
 
 @pytest.mark.parametrize("args", [["robots"], ["pairs", "--samples", "2000"], ["border"], QUICK])
-def test_without_json_the_same_is_told_to_people(dbb, args):
+def test_output_without_json_is_text(dbb, args):
     outcome = dbb(*args)
     assert outcome.status == 0
     assert outcome.out.strip()
@@ -128,7 +128,7 @@ def test_without_json_the_same_is_told_to_people(dbb, args):
         json.loads(outcome.out)
 
 
-def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_unit(dbb):
+def test_run_reports_the_required_figures_and_others_end_in_their_unit(dbb):
     figures = json.loads(dbb(*QUICK, "--json").out)
     assert set(figures) >= FIGURES | RELEASED
     assert [figures[k] for k in ("base_path_after_release_m", "stuck", "left_way")] == [None] * 3
@@ -146,8 +146,8 @@ def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_u
     assert (figures["duration_s"], figures["seed"], figures["robot"]) == (0.05, 0, "husky_panda")
 
 
-def test_the_base_of_a_hand_that_is_let_go_goes_on_at_the_motions_own_pace(dbb):
-    """Release after 0.3 s or hold on: until then the same motion, for any duration."""
+def test_releasing_the_end_effector_does_not_change_the_motion_before(dbb):
+    """The run ends just after the release, or 0.5 s later."""
     args = ["run", "guiding-front", "--physics", "kinematic", "--json"]
     figures = [
         json.loads(dbb(*args, "--release-at", "0.3", "--duration", duration).out)
@@ -159,7 +159,7 @@ def test_the_base_of_a_hand_that_is_let_go_goes_on_at_the_motions_own_pace(dbb):
     assert figures[1]["ee_error_final_m"] == 0.0
 
 
-def test_a_job_may_fail_on_a_contact_and_still_has_its_figures(dbb):
+def test_fail_on_contact_sets_the_status_and_still_prints_figures(dbb):
     args = ("run", "guiding-above", "--controller", "none", "--duration", "2.5", "--json")
     assert dbb(*args).status == 0
     outcome = dbb(*args, "--fail-on-contact")
@@ -168,13 +168,13 @@ def test_a_job_may_fail_on_a_contact_and_still_has_its_figures(dbb):
     assert dbb(*QUICK, "--fail-on-contact").status == 0
 
 
-def test_none_and_dbb_are_told_apart(dbb):
+def test_controller_option_selects_the_controller(dbb):
     plain = json.loads(dbb(*QUICK, "--controller", "none", "--seed", "3", "--json").out)
     assert (plain["controller"], plain["seed"], plain["activation_max"]) == ("none", 3, 0.0)
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
-def test_a_run_is_logged_where_log_says_and_the_log_can_be_read(dbb, tmp_path, ending):
+def test_log_option_writes_a_readable_log_to_its_path(dbb, tmp_path, ending):
     path = tmp_path / "new" / f"run.{ending}"
     outcome = dbb(*QUICK, "--seed", "4", "--log", str(path), "--json")
     assert outcome.status == 0, outcome.err
@@ -184,14 +184,14 @@ def test_a_run_is_logged_where_log_says_and_the_log_can_be_read(dbb, tmp_path, e
     assert (log.meta.scenario, log.meta.seed) == ("guiding-lateral", 4)
 
 
-def test_a_log_of_no_known_format_is_refused_before_anything_runs(dbb, tmp_path):
+def test_invalid_log_path_is_rejected_before_the_run(dbb, tmp_path):
     refused(dbb(*QUICK, "--log", str(tmp_path / "run.xlsx")), "--log", ".csv or .parquet")
     (tmp_path / "file").write_text("")
     refused(dbb(*QUICK, "--log", str(tmp_path / "file" / "run.csv")), "--log", "cannot write")
 
 
-def test_start_and_move_are_obeyed(dbb, robot, tmp_path):
-    """The log begins with the hand where --start says, and the person pulls along --move."""
+def test_start_and_move_set_the_path_of_the_end_effector(dbb, robot, tmp_path):
+    """The log starts with the end-effector at --start; the force points along --move."""
     path = ["--start", "0.35", "0.75", "0.4", "--move", "0", "-0.2", "0"]
     args = [*QUICK[:4], "--duration", "0.2", *path, "--out", str(tmp_path)]
     assert json.loads(dbb(*args, "--json").out)["duration_s"] == 0.2
@@ -204,8 +204,8 @@ def test_start_and_move_are_obeyed(dbb, robot, tmp_path):
     assert abs(force[1]) > 3 * np.hypot(force[0], force[2])
 
 
-def test_the_buffer_distance_is_obeyed(dbb):
-    """A start outside of a narrow buffer is inside of a wide one."""
+def test_buffer_distance_option_changes_the_buffer(dbb):
+    """The same start is outside a narrow buffer and inside a wide one."""
     args = [*QUICK, "--start", "0.3", "0.58", "0.3", "--buffer-distance"]
     assert dbb(*args, "0.06").status == 0
     refused(dbb(*args, "0.3"), "inside its buffer")
@@ -222,11 +222,11 @@ def test_the_buffer_distance_is_obeyed(dbb):
     ],
 )
 @pytest.mark.parametrize("command", [["run", "guiding-front"], ["serve"]], ids=["run", "serve"])
-def test_a_disturbance_out_of_its_range_is_refused_by_name(dbb, command, option, beyond):
+def test_disturbance_out_of_range_is_rejected_by_name(dbb, command, option, beyond):
     refused(dbb(*command, option, beyond), option, "is not within")
 
 
-def test_disturbances_are_obeyed_and_zero_is_none(dbb, tmp_path):
+def test_disturbances_change_the_run_and_zero_is_the_undisturbed_run(dbb, tmp_path):
     args = ["run", "guiding-front", "--physics", "kinematic", "--duration", "0.3", "--json"]
 
     def torques(*more: str) -> np.ndarray:
@@ -243,7 +243,7 @@ def test_disturbances_are_obeyed_and_zero_is_none(dbb, tmp_path):
     assert np.abs(torques("--encoder-noise", "0.002", "--seed", "1") - noisy).max() > 1e-3
 
 
-def test_a_buffer_that_is_too_small_is_one_warning_that_says_how_much_it_takes(dbb):
+def test_run_with_too_small_buffer_warns_with_the_required_d_b(dbb):
     args = ["run", "guiding-front", "--physics", "kinematic", "--start", "0.80", "0.10", "0.30"]
     args += ["--move", "-0.2", "0", "0", "--duration", "2", "--buffer-distance", "0.06"]
     outcome = dbb(*args, "--base-delay", "0.2", "--json")
@@ -269,7 +269,7 @@ def test_out_writes_the_log_and_the_printed_figures(dbb, tmp_path):
     assert sorted(p.name for p in out.iterdir()) == ["log.csv", "metrics.json"]
 
 
-def test_border_out_writes_the_points_that_it_counts(dbb, tmp_path):
+def test_border_out_writes_the_counted_points(dbb, tmp_path):
     figures = json.loads(dbb("border", "--out", str(tmp_path), "--json").out)["borders"]
     for pair, border in figures.items():
         lines = (tmp_path / f"{pair}.csv").read_text(encoding="utf-8").splitlines()
@@ -332,12 +332,12 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_done_is_one_line_that_says_what_can(dbb, case):
+def test_invalid_arguments_are_rejected_with_the_valid_values(dbb, case):
     args, words = REFUSED[case]
     refused(dbb(*args), *words)
 
 
-def test_nothing_is_simulated_when_the_results_could_not_be_kept(dbb, tmp_path):
+def test_unwritable_output_is_rejected_before_the_run(dbb, tmp_path):
     file = tmp_path / "file"
     file.touch()
     refused(dbb("run", "tracking", "--out", str(file)), "--out", str(file))
@@ -362,7 +362,7 @@ def test_wrong_usage_points_to_the_help(dbb, args):
     ],
 )
 @pytest.mark.parametrize("command", ["pairs", "border", QUICK], ids=str)
-def test_a_description_that_does_not_hold_names_file_and_field(
+def test_invalid_description_error_names_file_and_field(
     dbb, tmp_path, monkeypatch, command, line, written, words
 ):
     folder = tmp_path / "husky_panda"
@@ -374,12 +374,12 @@ def test_a_description_that_does_not_hold_names_file_and_field(
     path.write_text("\n".join(changed), encoding="utf-8")
     monkeypatch.setattr(assets, "ASSETS", tmp_path)
     refused(dbb(*([command] if isinstance(command, str) else command)), str(path), *words)
-    listed = dbb("robots")  # one that is broken does not hide the others
+    listed = dbb("robots")  # one invalid robot does not hide the others
     assert listed.status == 0
     assert all(word in listed.out for word in (str(path), *words))
 
 
-def test_a_wrong_joint_is_one_line_and_a_missing_mesh_holds_nobody_up(dbb, tmp_path, monkeypatch):
+def test_unknown_joint_is_an_error_but_a_missing_mesh_is_not(dbb, tmp_path, monkeypatch):
     folder = tmp_path / "husky_panda"
     shutil.copytree(assets.ASSETS / "husky_panda", folder)
     monkeypatch.setattr(assets, "ASSETS", tmp_path)
@@ -389,10 +389,10 @@ def test_a_wrong_joint_is_one_line_and_a_missing_mesh_holds_nobody_up(dbb, tmp_p
     refused(dbb("pairs"), "arm.joints", "panda_joint33", "panda_joint3")
     description.write_text(good, encoding="utf-8")
     urdf.write_text(drawn.replace("/hand.obj", "/no_hand.obj"), encoding="utf-8")
-    assert dbb("pairs").status == 0  # it is drawn by its convex bodies
+    assert dbb("pairs").status == 0  # the robot is drawn by its convex bodies
 
 
-def test_a_port_in_use_is_one_line(dbb):
+def test_port_in_use_is_one_line(dbb):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -400,7 +400,7 @@ def test_a_port_in_use_is_one_line(dbb):
         refused(dbb("serve", "--port", str(port)), str(port), "in use", "--port")
 
 
-def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
+def test_help_lists_every_command_and_the_units_of_options(dbb):
     text = dbb("--help").out
     assert not [c for group in COMMANDS.values() for c in group if c not in text]
     assert len(text.splitlines()) <= 24  # rows of a terminal
@@ -420,13 +420,13 @@ def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
 @pytest.mark.parametrize(
     "command", [*(name for group in COMMANDS.values() for name in group), "run guiding-front"]
 )
-def test_no_help_has_a_default_twice_or_in_the_words_of_python(dbb, command):
+def test_help_shows_each_default_once_and_no_python_literals(dbb, command):
     text = " ".join(dbb(*command.split(), "--help").out.replace("│", " ").split())
     assert not re.search(r"\(default: (None|True|False)?\)", text)
     assert not re.search(r"\(default: [^()]*\)\W*\(default", text)
 
 
-def test_descriptions_are_filled_to_the_width_of_the_terminal(dbb, monkeypatch):
+def test_help_uses_the_width_of_the_terminal(dbb, monkeypatch):
     monkeypatch.setenv("COLUMNS", "70")
     lines = dbb("reach", "--help").out.partition("options")[0].splitlines()
     described = [line for line in lines if not line.startswith("usage")]
@@ -436,7 +436,7 @@ def test_descriptions_are_filled_to_the_width_of_the_terminal(dbb, monkeypatch):
 @pytest.mark.parametrize(
     "args", [["run", "guiding-front", "--start", "1", "2"], ["serve", "--start", "1", "x", "3"]]
 )
-def test_a_wrong_type_is_refused_without_markup(dbb, args):
+def test_argument_of_wrong_type_is_rejected_without_markup(dbb, args):
     outcome = dbb(*args)
     assert (outcome.status, outcome.out) == (2, "")
     assert "--start" in outcome.err
@@ -444,8 +444,8 @@ def test_a_wrong_type_is_refused_without_markup(dbb, args):
 
 
 @pytest.mark.parametrize("args", [["--help"], ["run", "nope"], ["run", "tracking", "--help"]])
-def test_what_needs_no_robot_loads_none_of_the_libraries_of_one(args):
-    """Well below a second on any machine: imports take the time."""
+def test_commands_without_a_robot_do_not_import_robot_libraries(args):
+    """Such commands must take well below a second; the imports would take longer."""
     code = (
         "import sys\nfrom app.cli.main import main\n"
         f"try:\n    main({args})\nexcept SystemExit:\n    pass\n"
@@ -456,32 +456,32 @@ def test_what_needs_no_robot_loads_none_of_the_libraries_of_one(args):
     assert done.stdout.splitlines()[-1].strip() == "loaded:"
 
 
-def test_run_alone_lists_the_scenarios_a_line_each(dbb):
+def test_run_without_scenario_lists_one_scenario_per_line(dbb):
     outcome = dbb("run")
     assert (outcome.status, outcome.out) == (2, "")
     for name, scenario in SCENARIOS.items():
         assert re.search(f"^ *{name} .*{scenario.about}$", outcome.err, re.M)
 
 
-def test_the_version_is_that_of_the_package(dbb):
+def test_version_option_prints_the_package_version(dbb):
     assert dbb("--version").out == f"dbb {metadata.version('dbb-mobile-manipulator')}\n"
 
 
-def test_an_option_that_is_given_twice_is_refused_with_the_right_spelling(dbb):
+def test_repeated_option_is_rejected_with_the_correct_spelling(dbb):
     args = ["screenshot", "guiding-front", "--out", "x.png"]
     refused(dbb(*args, "--at", "0", "--at", "3", "--at", "6"), "3 times", "--at 0 3 6")
     refused(dbb("sweep", "--height", "0.3", "0.4", "--height=0.5"), "--height 0.3 0.4 0.5")
 
 
-def test_options_can_precede_the_scenario_and_have_former_names(dbb):
-    """--noise and --delay were those of `dbb study`; a disturbance has one name now."""
+def test_options_may_precede_the_scenario_and_use_former_names(dbb):
+    """--noise and --delay are former names of disturbances."""
     before = json.loads(dbb("run", *QUICK[2:], "--json", "--seed", "3", QUICK[1]).out)
     assert (before["scenario"], before["seed"]) == ("guiding-lateral", 3)
     refused(dbb(*QUICK, "--noise", "0.1"), "--encoder-noise: 0.1 rad")
     refused(dbb("study", "--delay", "0", "9"), "--base-delay: 9 s")
 
 
-def test_a_run_says_first_how_it_went_and_last_what_it_wrote(dbb, tmp_path):
+def test_run_prints_the_verdict_first_and_the_written_files_last(dbb, tmp_path):
     log = tmp_path / "run.csv"
     first, *others = dbb(*QUICK, "--out", str(tmp_path), "--log", str(log)).out.splitlines()
     assert re.fullmatch(
@@ -519,12 +519,12 @@ FIGURES_OF_A_RUN = {
         ({"min_distance_m": {}}, "No contact; final hand error"),
     ],
 )
-def test_the_verdict_names_contact_distance_and_the_hand(changes, text):
+def test_verdict_names_contact_distance_and_end_effector_error(changes, text):
     assert verdict(FIGURES_OF_A_RUN | changes).startswith(text)
 
 
 def command(*args: str, **options) -> subprocess.Popen[str]:
-    """The command in a process of its own, in a session of its own."""
+    """The command in a separate process."""
     return subprocess.Popen(
         [sys.executable, "-m", "app", *args],
         cwd=PROJECT,
@@ -535,7 +535,7 @@ def command(*args: str, **options) -> subprocess.Popen[str]:
     )
 
 
-def test_python_m_app_is_dbb():
+def test_python_m_app_is_the_dbb_command():
     script = Path(sys.executable).parent / "dbb"
     if not script.exists():
         pytest.skip("the package is not installed in this environment")
@@ -550,21 +550,21 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     out = tmp_path / "out"
     process = command("run", "guiding-lateral", "--duration", "3000", "--out", str(out))
     deadline = time.monotonic() + 60
-    while not out.exists() and time.monotonic() < deadline:  # made just before the work begins
+    while not out.exists() and time.monotonic() < deadline:  # created just before the run
         time.sleep(0.05)
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
     printed, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert printed == ""
-    without = find_spec("pybullet") is None  # a line more: its meshes are not there either
+    without = find_spec("pybullet") is None  # one more line: its meshes are missing too
     assert len(err.splitlines()) == 1 + without
     assert err.endswith("dbb: interrupted\n")
     assert list(out.iterdir()) == []
 
 
 def test_ctrl_c_ends_the_dashboard_cleanly():
-    """With a connected viewer; nothing is printed after the address."""
+    """With a connected client; the command prints nothing after the address."""
     process = command("serve", "--port", "0")
     wait_for(process.stderr, "Dashboard at ")
     address = process.stderr.readline().split()[0]
@@ -577,7 +577,7 @@ def test_ctrl_c_ends_the_dashboard_cleanly():
     assert process.returncode == 0
 
 
-def test_a_reader_that_goes_away_is_no_error():
+def test_closed_pipe_causes_no_error_message():
     read, write = os.pipe()
     os.close(read)
     process = subprocess.run(
@@ -594,12 +594,12 @@ def test_a_reader_that_goes_away_is_no_error():
 
 
 @pytest.mark.parametrize("closed", ["0<&-", "1>&-", "0<&- 1>&- 2>&-"])
-def test_a_command_whose_input_and_outputs_are_closed_does_its_work(closed):
+def test_command_works_with_closed_input_and_outputs(closed):
     line = f'exec "{sys.executable}" -m app robots {closed}'
     assert subprocess.run(["sh", "-c", line], cwd=PROJECT, timeout=60).returncode == 0
 
 
-def test_an_output_without_our_signs_gets_their_codes():
+def test_output_encoding_without_a_character_gets_its_escape_code():
     process = subprocess.run(
         [sys.executable, "-m", "app", "--help"],
         cwd=PROJECT,
@@ -612,7 +612,7 @@ def test_an_output_without_our_signs_gets_their_codes():
 
 
 def wait_for(stream, text: str) -> None:
-    """Read until the text stands there; fails if the stream ends first."""
+    """Read until the text appears; fails if the stream ends first."""
     seen = ""
     while text not in seen:
         character = stream.read(1)
@@ -621,15 +621,15 @@ def wait_for(stream, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (MemoryError("of 9 GB"), "too little memory: of 9 GB"),
         (ImportError("a.so: failed to map segment", path="/x/a.so"), "a.so: failed to map segment"),
         (LogError("a\x1b[31m.csv: no such file"), r"a\x1b[31m.csv: no such file"),
     ],
     ids=["memory", "library", "escape"],
-)  # as under `ulimit -v`, or where a system's library is missing
-def test_what_the_system_does_not_give_is_one_line(error, told, monkeypatch, capsys):
+)  # as under `ulimit -v`, or without a system library
+def test_system_errors_are_one_line(error, message, monkeypatch, capsys):
     def fails(_):
         raise error
 
@@ -639,10 +639,10 @@ def test_what_the_system_does_not_give_is_one_line(error, told, monkeypatch, cap
     said = capsys.readouterr().err
     assert end.value.code == 2
     assert said.startswith("dbb: error: ")
-    assert said.endswith(f"{told}\n")
+    assert said.endswith(f"{message}\n")
 
 
-def test_a_mistake_in_an_import_keeps_its_way(monkeypatch):
+def test_import_error_within_the_package_keeps_its_traceback(monkeypatch):
     def fails(_):
         raise ImportError("cannot import name 'x'", path="/x/app/a.py")
 

@@ -1,4 +1,4 @@
-"""A signal ends a command by its convention, also through compiled code."""
+"""A signal ends a command with the conventional status, also in compiled code."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from app.errors import BrowserError, LoopError
 from app.jobs.progress import progress_bar
 
 ENTRY = sys.modules["app.cli.main"]
-"""The module; the package gives the function by the same name."""
+"""The module; the package exports a function of the same name."""
 
 
 def interrupted() -> None:
-    """As if Ctrl-C were pressed here."""
+    """Raise SIGINT, like Ctrl-C."""
     signal.raise_signal(signal.SIGINT)
 
 
 @pytest.fixture(autouse=True)
 def default_handler(monkeypatch) -> Iterator[None]:
-    """A command finds Python's own, and no deadline; a test that fails must not end the tests."""
+    """Set Python's own SIGINT handler and no deadline; a failure must not end the test run."""
     monkeypatch.setattr("app.jobs.progress._LONGEST", 3600.0)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -36,7 +36,7 @@ def default_handler(monkeypatch) -> Iterator[None]:
 
 
 def turned_into_another_error() -> None:
-    """As a kernel does that was about to return."""
+    """Like a compiled kernel that was about to return."""
     try:
         interrupted()
     except KeyboardInterrupt as error:
@@ -44,7 +44,7 @@ def turned_into_another_error() -> None:
 
 
 def swallowed() -> None:
-    """As a callback out of compiled code does; the work goes on."""
+    """Like a callback from compiled code, which loses the interrupt; the work continues."""
     with progress_bar("work", 10.0) as on_progress:
         for done in range(10):
             try:
@@ -54,21 +54,21 @@ def swallowed() -> None:
                 pass
             on_progress(done)
             if done > 3:
-                pytest.fail("nobody heard it")
+                pytest.fail("the interrupt was lost")
 
 
 def swallowed_by_an_import() -> None:
-    """Like the import of a library that tests for optional parts; then the work starts."""
+    """Like an import that ignores missing optional parts; then the work starts."""
     with suppress(BaseException):
         interrupted()
     with progress_bar("work", 10.0):
-        pytest.fail("nobody heard it")
+        pytest.fail("the interrupt was lost")
 
 
 @pytest.mark.parametrize(
     "command", [interrupted, turned_into_another_error, swallowed, swallowed_by_an_import]
 )
-def test_an_interrupted_command_says_so_in_one_line(command, monkeypatch, capsys):
+def test_an_interrupted_command_prints_one_line(command, monkeypatch, capsys):
     monkeypatch.setattr(ENTRY, "_run", lambda _: command())
     with pytest.raises(SystemExit) as end:
         main(["run"])
@@ -78,7 +78,7 @@ def test_an_interrupted_command_says_so_in_one_line(command, monkeypatch, capsys
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
+def test_sigterm_and_sighup_unwind_the_command(number, monkeypatch):
     tidied = []
 
     def command(_: object) -> None:
@@ -86,7 +86,7 @@ def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
             signal.raise_signal(number)
         except SystemExit:
             tidied.append(True)
-            raise ValueError("as compiled code makes of it") from None
+            raise ValueError("raised by compiled code instead") from None
 
     monkeypatch.setattr(ENTRY, "_run", command)
     with pytest.raises(SystemExit) as end:
@@ -96,7 +96,7 @@ def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
     assert signal.getsignal(number) is signal.SIG_DFL
 
 
-def test_a_second_signal_does_not_interrupt_what_is_tidied_up(monkeypatch, capsys):
+def test_a_second_signal_does_not_interrupt_the_clean_up(monkeypatch, capsys):
     tidied = []
 
     def command(_: object) -> None:
@@ -128,7 +128,7 @@ ctypes.CDLL(None).pthread_mutex_init(lock, None)
 with ending_signals_raised():
     while True:
         try:
-            os.write(1, b"started\n")  # the second time it waits for ever, in compiled code
+            os.write(1, b"started\n")  # the second pass blocks for ever in compiled code
             ctypes.CDLL(None).pthread_mutex_lock(lock)
         except BaseException:
             pass  # lost
@@ -139,7 +139,7 @@ with ending_signals_raised():
     ("number", "guarded"),
     [*product([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], [True]), (signal.SIGTERM, False)],
 )
-def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number, guarded, tmp_path):
+def test_a_signal_ends_a_command_with_a_blocked_main_thread(number, guarded, tmp_path):
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     process = subprocess.Popen(
         [sys.executable, "-c", DEAF], stdout=subprocess.PIPE, env=environment
@@ -151,17 +151,17 @@ def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number, gua
         guard.kill()
     process.send_signal(number)
     assert process.wait(timeout=30) == 128 + number
-    assert list(tmp_path.iterdir()) == [], "temporary folders go"
+    assert list(tmp_path.iterdir()) == [], "temporary folders remain"
 
 
 HANGING = DEAF.replace("ctypes.CDLL", "ctypes.PyDLL").replace(
     "kept =", "from app.jobs import progress\nprogress._PATIENCE = 1.0\nkept ="
 )
-"""It keeps Python's lock meanwhile, so that no thread of the process can act."""
+"""It holds Python's global lock, so that no thread of the process can run."""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_command_that_hangs_in_a_library_with_pythons_lock_is_killed(number, tmp_path):
+def test_a_command_that_hangs_with_pythons_global_lock_is_killed(number, tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-c", HANGING],
         stdout=subprocess.PIPE,
@@ -180,7 +180,7 @@ LATE = r"""
 import atexit, os, sys
 from app.cli import console
 class Slow:
-    def __del__(self):  # as of a process that frees much
+    def __del__(self):  # like the release of much memory
         os.write(1, b"tidies up")
 kept = Slow()
 sys.argv[1:] = ["--version"]
@@ -189,14 +189,14 @@ console()
 """
 
 
-def test_a_command_ends_with_its_work_and_frees_nothing_first():
+def test_a_finished_command_exits_without_freeing_objects():
     done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, timeout=60)
     assert done.returncode == 0
     assert done.stdout.startswith(b"dbb ")
     assert done.stdout.endswith(b"ends")
 
 
-def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, capsys):
+def test_an_error_after_an_interrupt_is_reported(monkeypatch, capsys):
     def ended_by_ctrl_c(_: object) -> None:
         with suppress(KeyboardInterrupt):
             interrupted()
@@ -209,7 +209,7 @@ def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, caps
     assert "the simulation had ended" in capsys.readouterr().err
 
 
-def test_a_browser_that_the_same_signal_has_ended_does_not_change_the_status(monkeypatch):
+def test_a_browser_ended_by_the_same_signal_does_not_change_the_status(monkeypatch):
     def hung_up(_: object) -> None:
         with suppress(SystemExit):
             signal.raise_signal(signal.SIGHUP)
@@ -221,7 +221,7 @@ def test_a_browser_that_the_same_signal_has_ended_does_not_change_the_status(mon
     assert end.value.code == 128 + signal.SIGHUP
 
 
-def test_an_error_that_no_interrupt_caused_stays_what_it_is(monkeypatch):
+def test_an_error_without_an_interrupt_is_unchanged(monkeypatch):
     def fails(_: object) -> None:
         raise SystemError("of another kind")
 
@@ -230,14 +230,14 @@ def test_an_error_that_no_interrupt_caused_stays_what_it_is(monkeypatch):
         main(["run"])
 
 
-def test_who_ignores_ctrl_c_is_not_interrupted(monkeypatch):
+def test_an_ignored_ctrl_c_does_not_interrupt_the_command(monkeypatch):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     monkeypatch.setattr(ENTRY, "_run", lambda _: interrupted())
     main(["run"])
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-def test_a_study_that_is_interrupted_says_what_is_kept_and_how_it_goes_on(
+def test_an_interrupted_study_reports_stored_cases_and_how_to_continue(
     monkeypatch, capsys, tmp_path
 ):
     def ended_after_three(*_: object, on_progress: Callable[[float], None], **__: object) -> None:
@@ -248,12 +248,12 @@ def test_a_study_that_is_interrupted_says_what_is_kept_and_how_it_goes_on(
     with pytest.raises(SystemExit) as end:
         main(["study", "--cases", "9", "--out", str(tmp_path)])
     assert end.value.code == 130
-    told, last = capsys.readouterr().err.splitlines()
-    assert told.startswith(f"3 of 9 cases are stored in {tmp_path}; the same command continues")
+    report, last = capsys.readouterr().err.splitlines()
+    assert report.startswith(f"3 of 9 cases are stored in {tmp_path}; the same command continues")
     assert last == "dbb: interrupted"
 
 
-def test_off_a_terminal_progress_is_a_plain_line_now_and_then(monkeypatch, capsys):
+def test_progress_without_a_terminal_prints_occasional_plain_lines(monkeypatch, capsys):
     clock = iter([0.0, 1.0, 30.0, 31.0, 60.0])
     monkeypatch.setattr("app.jobs.progress.monotonic", lambda: next(clock))
     with progress_bar("work", 4.0) as on_progress:

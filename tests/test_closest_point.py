@@ -1,4 +1,4 @@
-"""Laws of the closest point: it is continuous, and the library's where there is only one."""
+"""The closest point: continuous, and equal to the library's where it is unique."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from tests.robots import husky_panda, with_mobile_shapes
 Array = np.ndarray
 
 PARALLEL = np.array([1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618])
-"""[rad] the hand beside the flank at 0.043 m, its capsule parallel to it within 1e-5 rad."""
+"""[rad] The end-effector's capsule is 0.043 m beside the base, parallel to it within 1e-5 rad."""
 D_B, BLEND = Config().border.d_b, Config().activation.closest_point_smoothing
 
 
 class Follower:
-    """The pair of base and hand along postures, smooth or as the library has it."""
+    """Closest points of base and end-effector along postures, smooth or from the library."""
 
     def __init__(self, robot: RobotModel, data: BorderData) -> None:
         self.state = RobotState(robot)
@@ -37,7 +37,7 @@ class Follower:
         return self._monitor.find_closest_points()[0]
 
     def largest_step(self, direction: Array, reach: float, steps: int, *, smooth: bool) -> float:
-        """[m] that p_b moves at most from one of evenly spaced postures to the next."""
+        """[m] largest motion of p_b between neighbours of evenly spaced postures."""
         path = PARALLEL + np.linspace(-reach, reach, steps + 1)[:, None] * direction
         points = np.array([self.at(q_m, smooth=smooth).p_b for q_m in path])
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
@@ -49,10 +49,10 @@ def follower(robot: RobotModel, border_data: BorderData) -> Follower:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_where_a_capsule_turns_parallel_to_a_face_the_point_moves_on_and_the_librarys_leaps(
+def test_point_is_continuous_at_parallel_capsule_where_the_librarys_jumps(
     follower: Follower, seed: int
 ) -> None:
-    """Steps a tenth as long move it a tenth as far; the library's leap stays."""
+    """Steps of a tenth move the smooth point about a tenth as far; the library's point jumps."""
     direction = np.random.default_rng(seed).normal(size=7)
     direction /= np.abs(direction).max()
     coarse, fine = (follower.largest_step(direction, 2e-2, n, smooth=True) for n in (400, 4000))
@@ -62,32 +62,32 @@ def test_where_a_capsule_turns_parallel_to_a_face_the_point_moves_on_and_the_lib
     assert own > 0.02
 
 
-def test_the_base_is_asked_for_no_jump_there(
+def test_desired_base_acceleration_does_not_jump_at_a_parallel_capsule(
     robot: RobotModel, border_data: BorderData, follower: Follower
 ) -> None:
-    controller, asked = Controller(robot, border_data, Config()), []
+    controller, desired = Controller(robot, border_data, Config()), []
     direction = np.random.default_rng(0).normal(size=7)
     for s in np.linspace(-1e-2, 1e-2, 2001):
         controller.reset()
-        asked.append(controller.step(at_rest(robot, PARALLEL + s * direction)).base_avoidance)
-    assert np.abs(asked).max() > 0.1
-    v, w = np.abs(np.diff(asked, axis=0)).max(axis=0)
+        desired.append(controller.step(at_rest(robot, PARALLEL + s * direction)).base_avoidance)
+    assert np.abs(desired).max() > 0.1
+    v, w = np.abs(np.diff(desired, axis=0)).max(axis=0)
     assert v < 0.002
     assert w < 0.005
 
 
-def test_where_one_point_is_clearly_the_nearest_it_is_that_one(
+def test_smooth_point_is_the_nearest_point_where_it_is_unique(
     robot: RobotModel, follower: Follower
 ) -> None:
-    """A capsule that points at the base, or away from it."""
+    """The capsule points towards the base or away from it."""
     rng, found = np.random.default_rng(1), 0
     while found < 60:
         q_m = rng.uniform(robot.q_lower, robot.q_upper)
         own = follower.at(q_m, smooth=False)
         if not 0.01 < own.d < D_B:
             continue
-        hand = follower.state.T_world_ee.rotation[:, 2]
-        if abs(hand @ own.n) < 0.9:
+        axis = follower.state.T_world_ee.rotation[:, 2]
+        if abs(axis @ own.n) < 0.9:
             continue
         found += 1
         smooth = follower.at(q_m, smooth=True)
@@ -96,10 +96,8 @@ def test_where_one_point_is_clearly_the_nearest_it_is_that_one(
         assert smooth.n @ own.n > 1.0 - 1e-4
 
 
-def test_the_points_are_on_the_normal_behind_each_other(
-    robot: RobotModel, follower: Follower
-) -> None:
-    """p_b lies between p_a and the core, along n, never beyond the nearest point by much."""
+def test_closest_points_and_core_lie_on_one_normal(robot: RobotModel, follower: Follower) -> None:
+    """p_b lies between p_a and the core along n, at most a little beyond the nearest point."""
     rng, found = np.random.default_rng(2), 0
     while found < 60:
         q_m = rng.uniform(robot.q_lower, robot.q_upper)
@@ -118,8 +116,8 @@ BENT = Hull(type="hull", vertices_m=tuple(np.random.default_rng(5).normal(0.0, 0
 
 @pytest.mark.parametrize("pair", [("lm", "lEE"), ("lEE", "lm"), ("l1", "l3")])
 @pytest.mark.parametrize("hull", [False, True])
-def test_the_kernel_has_the_librarys_points(pair: tuple[str, str], hull: bool) -> None:
-    """Of boxes or hulls against capsules, and turned round, where a face may be nearest."""
+def test_kernel_matches_the_librarys_closest_points(pair: tuple[str, str], hull: bool) -> None:
+    """Boxes or hulls against capsules, in both orders; a face may be nearest."""
     robot = with_mobile_shapes((BENT,)) if hull else husky_panda()
     state, rng, found = RobotState(robot), np.random.default_rng(3), 0
     smooth = SmoothPoints(state, [Pair(*pair)])

@@ -1,4 +1,4 @@
-"""Ghosts run the same input with plants of their own: equals stay equal, scores are true."""
+"""Ghosts run the robot's input on their own plants; scores equal the figures of the steps."""
 
 from __future__ import annotations
 
@@ -60,21 +60,21 @@ def apart(ensemble: Ensemble, i: int = 0) -> float:
 @pytest.mark.parametrize(
     ("physics", "same", "seconds"), [("planar", "path", 2.0), ("kinematic", "force", 1.2)]
 )
-def test_a_ghost_of_the_same_controller_stays_where_the_robot_is(make, physics, same, seconds):
+def test_a_ghost_with_the_same_controller_moves_like_the_robot(make, physics, same, seconds):
     ensemble = make(physics)
     ensemble.pull(PULL)
-    run(ensemble, 0.2)  # it moves; the comparison begins at rest
+    run(ensemble, 0.2)  # the robot moves; the comparison starts at rest
     ensemble.compare(Compare(("dbb",), same))
     ensemble.pull(PULL)
     ensemble.pull(ELBOW)
     steps = run(ensemble, seconds)
     assert max(step.control.activation for step in steps) > 0.05
-    assert apart(ensemble) < 1e-6  # QP solvers are warm-started from different pasts
+    assert apart(ensemble) < 1e-6  # QP solvers are warm-started from different histories
     main, ghost = ensemble.scores()
     np.testing.assert_allclose(main[1:], ghost[1:], atol=1e-5)
 
 
-def test_a_comparison_begins_at_rest_where_the_robot_stands_and_ends_without_a_trace(make):
+def test_a_comparison_starts_at_rest_at_the_robots_pose_and_ends_cleanly(make):
     ensemble = make()
     ensemble.pull(PULL)
     run(ensemble, 1.2)
@@ -93,7 +93,7 @@ def test_a_comparison_begins_at_rest_where_the_robot_stands_and_ends_without_a_t
     assert (ensemble.ghosts, ensemble.scores(), ensemble.main.t) == ([], (), t)
 
 
-def test_with_the_same_path_each_is_pulled_by_a_person_of_its_own_else_by_the_same_force(make):
+def test_ghosts_share_the_force_or_have_separate_persons_on_the_same_path(make):
     for same in ("path", "force"):
         ensemble = make()
         ensemble.compare(Compare(("none",), same))
@@ -117,14 +117,14 @@ def test_with_the_same_path_each_is_pulled_by_a_person_of_its_own_else_by_the_sa
         )
 
 
-def test_scores_are_those_of_the_steps(make):
+def test_scores_equal_the_figures_of_the_steps(make):
     ensemble = make()
     ensemble.compare(Compare(("none",)))
     ensemble.pull(PULL)
     steps = run(ensemble, 1.2)
     score = ensemble.scores()[0]
     poses = np.array([step.truth.base_pose for step in steps])
-    asked = np.array([step.control.a_base_cmd for step in steps])
+    commanded = np.array([step.control.a_base_cmd for step in steps])
     torques = np.array([step.control.u_cmd for step in steps])
     mobile = [
         d
@@ -138,7 +138,7 @@ def test_scores_are_those_of_the_steps(make):
         steps[-1].ee_error,
         max(step.ee_error for step in steps),
         sum(float(np.hypot(*(b - a)[:2])) for a, b in pairwise(poses)),
-        *np.abs(np.diff(asked, axis=0)).max(axis=0),
+        *np.abs(np.diff(commanded, axis=0)).max(axis=0),
         np.abs(np.diff(torques, axis=0)).max(),
         sum(any(step.contacts) for step in steps),
     )
@@ -157,7 +157,7 @@ def test_a_contact_of_any_kind_counts(make, monkeypatch, kind):
     assert [score.contacts for score in ensemble.scores()] == [3, 0]
 
 
-def test_scenarios_resets_and_parameters_are_for_all(make, q_start):
+def test_scenarios_resets_and_parameters_apply_to_all_ghosts(make, q_start):
     ensemble = make()
     ensemble.play(SCENARIOS["tracking"])
     run(ensemble, 0.1)
@@ -170,19 +170,19 @@ def test_scenarios_resets_and_parameters_are_for_all(make, q_start):
     ensemble.configure(config)
     assert [session.config for session in sessions] == [config, config]
     ensemble.reset()
-    assert [ghost.session for ghost in ensemble.ghosts] == sessions  # used again
+    assert [ghost.session for ghost in ensemble.ghosts] == sessions  # reused
     for session in sessions:
         np.testing.assert_array_equal(session.physics.measure().q_m, q_start)
     step = ensemble.step()
     assert (step.control.tracking, step.t) == (0.0, 0.0)
-    assert ensemble.scores()[0].error_max == 0.0  # they count anew
+    assert ensemble.scores()[0].error_max == 0.0  # the scores start again
     reading = ensemble.ghosts[1].reading()
     assert reading.controller == "none"
     assert reading.clearance == pytest.approx(min(step.distances[:2]), abs=1e-6)
     np.testing.assert_allclose(reading.p_ee, LATERAL.start, atol=1e-4)
 
 
-def test_what_cannot_be_compared_changes_nothing(make, monkeypatch):
+def test_a_refused_comparison_changes_nothing(make, monkeypatch):
     ensemble = make()
     ensemble.compare(Compare(("none",)))
     ghosts, t = ensemble.ghosts, ensemble.main.t
@@ -196,7 +196,7 @@ def test_what_cannot_be_compared_changes_nothing(make, monkeypatch):
     assert ensemble.comparison == Compare(("none",))
 
 
-def test_scores_are_of_the_scenario_and_not_of_what_a_person_does_after_it(make):
+def test_a_pull_after_a_scenario_does_not_change_the_scores(make):
     ensemble = make()
     ensemble.compare(Compare(("none",)))
     ensemble.play(SCENARIOS["guiding-lateral"])
@@ -206,5 +206,5 @@ def test_scores_are_of_the_scenario_and_not_of_what_a_person_does_after_it(make)
     steps = run(ensemble, 0.5)
     assert ensemble.scores() == before
     ghost = ensemble.ghosts[0].reading().clearance
-    assert ghost != before[1].clearance, "the drawing continues"
+    assert ghost != before[1].clearance, "the ghost's reading has stopped"
     assert steps[-1].t > 0.9

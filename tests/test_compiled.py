@@ -1,4 +1,4 @@
-"""Kernels are kept for as long as nothing that they are made of changes, and where they can be."""
+"""Compiled kernels are cached, invalidated when their source changes, and shared where possible."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ print(kernel(2.0), len(kernel.signatures), len(kernel.stats.cache_misses))
 """
 NOWHERE = """
 import app.kernel_store
-app.kernel_store._folders = lambda file, make: []  # as where no folder can be written
+app.kernel_store._folders = lambda file, make: []  # as if no folder were writable
 """
 
 CHECKED = """
@@ -81,7 +81,7 @@ def write(folder, factor, before=""):
     (folder / "kernel.py").write_text(before + KERNEL, encoding="utf-8")
 
 
-def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(tmp_path):
+def test_kernel_is_recompiled_when_a_kernel_that_it_calls_changes(tmp_path):
     write(tmp_path, 2.0)
     first = run(tmp_path, "kernel.py")
     again = run(tmp_path, "kernel.py")
@@ -92,7 +92,7 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(tmp_path):
     assert again[1] == ""
 
 
-def test_where_no_kernel_can_be_kept_it_is_compiled_all_the_same(tmp_path):
+def test_kernel_compiles_if_no_folder_is_writable(tmp_path):
     write(tmp_path, 2.0, NOWHERE)
     printed, said = run(tmp_path, "kernel.py")
     assert printed == "4.0 1 1"
@@ -100,7 +100,7 @@ def test_where_no_kernel_can_be_kept_it_is_compiled_all_the_same(tmp_path):
     assert "once" not in said
 
 
-READS = "-all,+dac_read_search"  # the interpreter may be in the folder of another user
+READS = "-all,+dac_read_search"  # the interpreter may be in another user's folder
 AS_NOBODY = (
     *("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"),
     *(f"--inh-caps={READS}", f"--ambient-caps={READS}"),
@@ -118,8 +118,8 @@ def compiled_once(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def installed(compiled_once) -> Iterator[Path]:
-    """Kernels that their owner has compiled and every user may read, copied as into an image."""
-    folder = Path(tempfile.mkdtemp(prefix="dbb-kernels-"))  # pytest's own is its user's alone
+    """Compiled kernels, copied so that every user may read them, as in a container image."""
+    folder = Path(tempfile.mkdtemp(prefix="dbb-kernels-"))  # pytest's is private
     shutil.copytree(compiled_once, folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
     folder.chmod(0o755)
     yield folder
@@ -127,7 +127,7 @@ def installed(compiled_once) -> Iterator[Path]:
 
 
 def prefix(kind: str, folder: Path) -> list[str]:
-    """A command that runs another one as another reader of a folder."""
+    """Command prefix that runs a command as another reader of a folder."""
     if kind == "another process":
         return []
     before = AS_NOBODY if kind == "another user" else (*READ_ONLY, str(folder))
@@ -138,14 +138,14 @@ def prefix(kind: str, folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", ["another process", "another user", "a read-only file system"])
-def test_whoever_can_read_kernels_compiles_none(installed, kind, tmp_path):
+def test_readable_cache_needs_no_compilation(installed, kind, tmp_path):
     nothing_else = {"HOME": str(tmp_path), "XDG_CACHE_HOME": "", "PYTHONDONTWRITEBYTECODE": "1"}
     printed, said = run(installed, "kernel.py", *prefix(kind, installed), **nothing_else)
     assert (printed, said) == ("4.0 1 0", "")
 
 
 @pytest.mark.parametrize("kind", ["another user", "a read-only file system"])
-def test_changed_kernels_that_cannot_be_written_there_are_kept_elsewhere(installed, kind, tmp_path):
+def test_changed_kernels_are_cached_elsewhere_if_the_folder_is_read_only(installed, kind, tmp_path):
     (installed / "part.py").write_text(PART.format(factor=30.0), encoding="utf-8")
     no_home = {"HOME": "/nonexistent", "XDG_CACHE_HOME": "", "TMPDIR": str(tmp_path)}
     for folder in (tmp_path, *tmp_path.parents[:2]):
@@ -155,20 +155,20 @@ def test_changed_kernels_that_cannot_be_written_there_are_kept_elsewhere(install
 
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_a_damaged_file_of_kernels_is_replaced(installed, ending):
+def test_damaged_cache_file_is_replaced(installed, ending):
     (path,) = (installed / "__pycache__").glob(f"*.{ending}")
     path.write_bytes(path.read_bytes()[:9])
     assert [run(installed, "kernel.py")[0] for _ in range(2)] == ["4.0 1 1", "4.0 1 0"]
 
 
-def test_a_folder_that_another_user_could_fill_is_not_read(tmp_path, monkeypatch):
+def test_cache_folder_writable_by_other_users_is_not_used(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     own = tmp_path / f"dbb-{os.getuid()}"
     folders = system.cache_folders()
     assert next(folders) != own
-    assert not own.exists(), "it is not needed so far"
+    assert not own.exists(), "the first folder suffices so far"
     assert own not in system.cache_folders(make=False)
-    assert not own.exists(), "a reader needs no empty folder"
+    assert not own.exists(), "a reader must create no folder"
     assert own in folders
     assert stat.S_IMODE(own.stat().st_mode) == 0o700
     own.chmod(0o777)
@@ -179,7 +179,7 @@ def test_a_folder_that_another_user_could_fill_is_not_read(tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("disabled", ["0", "1"])
-def test_a_measurement_is_checked_with_and_without_compiled_kernels(tmp_path, disabled):
+def test_measurement_is_checked_with_and_without_compiled_kernels(tmp_path, disabled):
     (tmp_path / "checked.py").write_text(CHECKED, encoding="utf-8")
     kinds, refused = run(tmp_path, "checked.py", NUMBA_DISABLE_JIT=disabled)[0].splitlines()
     assert kinds == "{'float64'}"

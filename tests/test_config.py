@@ -1,4 +1,4 @@
-"""Every parameter has a range, a unit and a meaning, and holds to them."""
+"""Every parameter has a unit, a help text and a range that is enforced."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_every_parameter_has_a_range_around_its_default_and_a_known_unit(path):
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_the_range_is_obeyed_at_both_ends_and_nothing_is_beyond(path):
+def test_both_ends_of_a_range_are_accepted_and_values_beyond_refused(path):
     known = parameter(path)
     section, name = path.split(".")
     for end in (known.low, known.high):
@@ -79,7 +79,7 @@ def test_an_unknown_parameter_is_refused(path):
         Config().replace(path, 1.0)
 
 
-def test_all_that_is_wrong_is_told_on_one_line():
+def test_all_errors_are_reported_on_one_line():
     with pytest.raises(ConfigError) as caught:
         make_config({"border": {"d_b": 9.0, "epss": 0.01}})
     text = str(caught.value)
@@ -88,7 +88,7 @@ def test_all_that_is_wrong_is_told_on_one_line():
     assert "\n" not in text
 
 
-def test_a_configuration_survives_being_written_and_read():
+def test_a_configuration_is_equal_after_writing_and_reading():
     config = Config().replace("repulsion.k_p", 12.5)
     assert make_config(config.model_dump()) == config
     assert Config.model_validate_json(config.model_dump_json()) == config
@@ -99,8 +99,8 @@ def test_records_are_frozen():
         Config().border.d_b = 0.2  # type: ignore[misc]
 
 
-def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
-    """Damping ratios stay, natural frequencies fall by the factor."""
+def test_slowed_gains_keep_the_damping_and_lower_the_frequencies():
+    """Damping ratios stay; natural frequencies fall by the factor."""
     config = Config()
     slow = slowed(config)
     task, repulsion, limit = slow.task, slow.repulsion, slow.limit
@@ -111,7 +111,7 @@ def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
     assert repulsion.k_p * s**2 == pytest.approx(config.repulsion.k_p)
     assert repulsion.k_v * s == pytest.approx(config.repulsion.k_v)
     assert limit.position_rate * s == pytest.approx(config.limit.position_rate)
-    assert limit.velocity_rate == limit.position_rate  # looks as far ahead
+    assert limit.velocity_rate == limit.position_rate  # the same horizon
     assert slow.estimate == config.estimate
 
 
@@ -121,7 +121,7 @@ def test_the_kind_of_border_is_one_of_two() -> None:
         Config().replace("border.kind", "cloud")
 
 
-def test_sections_hold_every_parameter_of_the_records_once() -> None:
+def test_sections_contain_every_parameter_of_the_records_once() -> None:
     assert [each.path for each in TUNABLES] == [
         f"{section}.{name}" for section, names in Config().model_dump().items() for name in names
     ]
@@ -129,24 +129,24 @@ def test_sections_hold_every_parameter_of_the_records_once() -> None:
     assert all(section.title and section.about for section in sections())
 
 
-def test_every_title_is_short_and_says_by_itself_which_parameter_it_is() -> None:
+def test_every_parameter_has_a_short_unique_title_and_a_help_text() -> None:
     titles = [each.title for each in TUNABLES]
     assert len(set(titles)) == len(titles)
     assert [title for title in titles if len(title) > 31] == []
     assert [each.path for each in TUNABLES if not each.help] == []
 
 
-def test_a_logarithmic_scale_is_for_ranges_of_three_decades_and_more() -> None:
+def test_only_wide_ranges_have_a_logarithmic_scale() -> None:
     scales = {path: parameter(path).log for path in PATHS}
     assert (scales["task.slack_weight"], scales["task.ee_weight"]) == (True, True)
     assert (scales["border.d_b"], scales["force.f_max"]) == (False, False)
 
 
-def test_every_section_has_a_parameter_for_everybody() -> None:
+def test_every_section_has_a_basic_parameter() -> None:
     assert all(not all(each.advanced for each in section.tunables) for section in sections())
 
 
-def test_a_choice_is_no_number() -> None:
+def test_a_choice_is_not_a_numeric_parameter() -> None:
     kind = tunable("border.kind")
     assert isinstance(kind, Choice)
     assert (kind.choices, kind.default) == (("surface", "points"), "surface")
@@ -155,12 +155,12 @@ def test_a_choice_is_no_number() -> None:
 
 
 @pytest.mark.parametrize("value", ["0.2", True, None, [0.2], {"d_b": 0.2}, float("-inf")])
-def test_what_is_no_number_is_refused_with_the_range(value: object) -> None:
+def test_a_value_that_is_no_number_is_refused_with_the_range(value: object) -> None:
     with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.05 to 0\.3 m"):
         Config().replace("border.d_b", value)
 
 
-def test_a_misspelt_parameter_is_answered_with_the_right_one() -> None:
+def test_a_misspelt_parameter_gets_a_suggestion() -> None:
     with pytest.raises(ConfigError, match=r"did you mean 'border\.d_b'"):
         Config().replace("border.db", 0.1)
     with pytest.raises(ConfigError, match="did you mean 'admittance'"):
@@ -169,7 +169,7 @@ def test_a_misspelt_parameter_is_answered_with_the_right_one() -> None:
         make_config({"border": 0.1})
 
 
-def test_of_thousands_of_problems_a_few_are_told() -> None:
+def test_thousands_of_errors_give_a_short_message() -> None:
     for count, counted in ((900, "and 892 more"), (5000, "5,000 wrong values")):
         with pytest.raises(ConfigError, match=counted) as caught:
             make_config({f"{'x' * 100}{i}": i for i in range(count)})

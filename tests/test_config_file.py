@@ -1,4 +1,4 @@
-"""A configuration that is written and read again is the same; errors of a file are reported."""
+"""Configurations survive a round trip through a file; errors of a file are reported."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from app.strict import LARGEST_TEXT
 
 
 def values(about: Tunable) -> st.SearchStrategy[float | str]:
-    """All values that a parameter may have."""
+    """All valid values of a parameter."""
     if isinstance(about, Parameter):
         return st.floats(about.low, about.high)
     return st.sampled_from(about.choices)
@@ -40,14 +40,14 @@ names = st.text(max_size=LONGEST_NAME).filter(str.isprintable)
 
 @settings(max_examples=60, deadline=None)
 @given(configs, names)
-def test_a_configuration_survives_being_saved_and_read(config: Config, name: str) -> None:
+def test_configuration_survives_a_round_trip(config: Config, name: str) -> None:
     text = save_config(config, name)
     assert decode_config(text.encode())[:2] == (name.strip(), config)
     if name.isascii():
         assert decode_config(text.replace("\n", "\r\n").encode("utf-8-sig")).config == config
 
 
-def test_what_is_changed_is_marked_with_the_default_and_nothing_else_is() -> None:
+def test_only_changed_parameters_name_their_default() -> None:
     config = Config().replace("border.d_b", 0.2).replace("border.kind", "points")
     marked = [line for line in save_config(config).splitlines() if "program's default" in line]
     assert marked == [
@@ -57,7 +57,7 @@ def test_what_is_changed_is_marked_with_the_default_and_nothing_else_is() -> Non
     assert "program's default" not in save_config(Config())
 
 
-def test_every_parameter_stands_below_its_unit_range_and_meaning() -> None:
+def test_comment_above_each_parameter_gives_unit_range_and_meaning() -> None:
     lines = save_config(Config()).splitlines()
     for section in sections():
         begin = lines.index(f"[{section.name}]")
@@ -70,14 +70,14 @@ def test_every_parameter_stands_below_its_unit_range_and_meaning() -> None:
                 assert f"[{each.unit}] {each.low:.15g} to {each.high:.15g}" in lines[at - 1]
 
 
-def test_a_file_may_hold_only_some_parameters() -> None:
+def test_file_may_contain_only_some_parameters() -> None:
     assert decode_config(b"") == ("", Config(), ())
     found = decode_config(b"name = 'soft'\n[hand]\nstiffness = 100\n")
     assert found == ("soft", Config().replace("hand.stiffness", 100.0), ())
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("[border]\nd_bb = 0.1", r"border\.d_bb.*did you mean 'd_b'"),
         ("[bordr]\nd_b = 0.1", "did you mean 'border'"),
@@ -93,19 +93,19 @@ def test_a_file_may_hold_only_some_parameters() -> None:
         (f"name = '{'a' * 61}'", "name.*60 characters"),
     ],
 )
-def test_a_file_with_a_mistake_is_refused_on_one_short_line(text: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told) as caught:
+def test_mistake_in_a_file_is_one_short_line(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
         decode_config(text.encode())
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300
 
 
-def test_a_file_that_cannot_be_one_is_named(tmp_path) -> None:
+def test_error_names_the_file_that_cannot_be_read(tmp_path) -> None:
     with pytest.raises(ConfigError, match=r"gone\.toml: No such file"):
         read_config(tmp_path / "gone.toml")
     with pytest.raises(ConfigError, match="Is a directory"):
         read_config(tmp_path)
-    for content, told in (
+    for content, message in (
         (b"#" * (2 * MAX_BYTES), f"{2 * MAX_BYTES} bytes"),
         (b"#" * (LARGEST_TEXT + 1), "more than 10 MB"),
         (b"\xff\xfe\x00", "UTF-8"),
@@ -113,18 +113,18 @@ def test_a_file_that_cannot_be_one_is_named(tmp_path) -> None:
     ):
         path = tmp_path / "mine.toml"
         path.write_bytes(content)
-        with pytest.raises(ConfigError, match=rf"mine\.toml: .*{told}"):
+        with pytest.raises(ConfigError, match=rf"mine\.toml: .*{message}"):
             read_config(path)
 
 
-def test_names_that_cannot_be_printed_are_not_written() -> None:
+def test_unprintable_or_long_names_are_rejected() -> None:
     for name in ("a\nb", "\x00", "\ud800", "a" * 61):
         with pytest.raises(ConfigError, match="name"):
             save_config(Config(), name)
     assert checked_name("  stiff arm ☃ ") == "stiff arm ☃"
 
 
-def test_hosts_of_a_server_are_no_parameters_of_the_controller() -> None:
+def test_allowed_hosts_are_separate_from_the_controllers_parameters() -> None:
     text = '[server]\nallow_host = ["Robot.local", "bücher.example", "my_service"]\n'
     read = decode_config(text.encode())
     assert read.hosts == ("robot.local", "xn--bcher-kva.example", "my_service")
@@ -143,6 +143,6 @@ def test_hosts_of_a_server_are_no_parameters_of_the_controller() -> None:
         '[""]',
     ],
 )
-def test_a_host_that_is_none_is_refused(hosts: str) -> None:
+def test_invalid_host_is_rejected(hosts: str) -> None:
     with pytest.raises(ConfigError, match=r"robot\.local"):
         decode_config(f"[server]\nallow_host = {hosts}\n".encode())

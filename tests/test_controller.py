@@ -1,4 +1,4 @@
-"""Laws of Algorithm 2 as a whole, on the paper's robot."""
+"""Properties of the complete Algorithm 2 on the paper's robot."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -35,14 +35,14 @@ from tests.qps import (
 
 ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6).replace("limit.velocity_rate", 30.0)
-"""Limits of joints count early, so that poses at which none does are far from them."""
+"""Torques may change at once. Joint limits act early, so that free states are far from them."""
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
-"""The end-effector's task has no weight, so that the base does (29)."""
+"""The end-effector's task has almost no weight, so that the base follows (29)."""
 
 
 @pytest.fixture(scope="module")
 def controller(robot: RobotModel, border_data: BorderData) -> Controller:
-    """With torques that may change at once, so that each step shows the demand of the tasks."""
+    """Torques may change at once, so that each step shows the demand of the tasks."""
     return Controller(robot, border_data, AT_ONCE)
 
 
@@ -52,10 +52,7 @@ def measured(robot: RobotModel, q_m: np.ndarray, **more: np.ndarray) -> Measurem
 
 
 def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -> Measurement:
-    """A random measurement, moving slowly, with a pair inside its buffer but nothing in contact.
-
-    Only states without active limits of the robot, so that the law itself remains.
-    """
+    """A random slow state with a pair inside its buffer, without contact or active limits."""
     rng = np.random.default_rng(seed)
     reader = PairDistances(robot, candidate_pairs(robot))
     names = [p.name for p in reader.pairs]
@@ -67,7 +64,7 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
             continue
         velocities = rng.normal(scale=0.05, size=robot.n)
         m = measured(robot, q_m, qd_m=velocities[2:], base_velocity=velocities[:2])
-        controller.reset()  # between states that have nothing to do with each other nobody pushes
+        controller.reset()  # a jump between states must not look like a push
         if not at_a_limit(controller.step(m)):
             return m
 
@@ -75,7 +72,7 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
 def unheld_step(
     controller: Controller, m: Measurement, reference: Reference | None = None
 ) -> ControlStep:
-    """A first step in which the hand weighs nothing."""
+    """A first step with almost no weight on the end-effector's task."""
     controller.reset()
     controller.configure(UNHELD)
     output = controller.step(m, reference).copy()
@@ -84,12 +81,12 @@ def unheld_step(
 
 
 def free_torque(robot: RobotModel, w: ControlStep) -> np.ndarray:
-    """(n_m,) of a guided arm without avoidance, by the state of a step."""
+    """(n_m,) [N m] torques of a guided arm without avoidance at the state of a step."""
     return free_arm_torque(w.g, w.qd, robot.joint_damping)
 
 
 def at_a_limit(output: ControlStep) -> bool:
-    """Whether the guided answer meets a limit of torque or joint acceleration."""
+    """Whether the solution is at a limit of torque or joint acceleration."""
     limits = Limits.of(output)
     reached = limits.C @ output.qdd
     return bool(((reached < limits.l + 1e-2) | (reached > limits.u - 1e-2)).any())
@@ -101,13 +98,13 @@ def reference_here(controller: Controller, acceleration: np.ndarray) -> Referenc
 
 
 def reference_at(robot: RobotModel, m: Measurement) -> Reference:
-    """A hand that stays where it is measured."""
+    """A reference at rest at the measured pose of the end-effector."""
     state = RobotState(robot)
     state.update(m)
     return Reference(state.T_world_ee.copy(), np.zeros(6), np.zeros(6))
 
 
-def test_far_from_everything_a_guided_arm_gives_gravity_compensation_and_damping(
+def test_a_guided_arm_far_from_pairs_only_compensates_gravity_and_damps(
     robot: RobotModel, controller: Controller
 ) -> None:
     m = measured(robot, np.array(robot.description.arm.ready_position), qd_m=np.full(7, 0.1))
@@ -118,7 +115,7 @@ def test_far_from_everything_a_guided_arm_gives_gravity_compensation_and_damping
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_an_arm_that_meets_nothing_has_nothing_to_avoid(
+def test_a_robot_without_pairs_is_solved_without_avoidance(
     robot: RobotModel, border_data: BorderData, name: str
 ) -> None:
     data = replace(border_data, pairs=replace(border_data.pairs, mobile=(), manipulator=()))
@@ -131,10 +128,10 @@ def test_an_arm_that_meets_nothing_has_nothing_to_avoid(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_guided_with_rows_the_arm_adds_only_forces_along_them(
+def test_guided_avoidance_adds_only_torques_along_its_rows(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
-    """u_a = u_0 + J_rᵀ λ: no posture, nothing that is not avoidance."""
+    """u_a = u_0 + J_rᵀ λ, without a posture term."""
     m = in_buffer(robot, controller, seed, "l1-lEE")
     output = controller.step(m)
     rows = output.J_sca[2:][output.B[2:] > 0.0, 2:]
@@ -147,7 +144,7 @@ def test_guided_with_rows_the_arm_adds_only_forces_along_them(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_guided_the_base_is_asked_for_beta_times_the_desired_acceleration_less_its_rest(
+def test_a_guided_base_blends_desired_acceleration_and_damping_by_beta(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
     m = in_buffer(robot, controller, seed, "lm-lEE")
@@ -161,10 +158,10 @@ def test_guided_the_base_is_asked_for_beta_times_the_desired_acceleration_less_i
 
 @pytest.mark.parametrize("pair", ["lm-lEE", "l1-lEE"])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_base_demand_is_that_of_the_whole_bodys_29(
+def test_the_base_command_equals_29_solved_for_the_whole_body(
     robot: RobotModel, controller: Controller, seed: int, pair: str
 ) -> None:
-    """The controller solves base and arm apart; (29) with its rows at once gives the same."""
+    """The controller solves base and arm separately; (29) in one QP gives the same."""
     config = UNHELD.replace("task.base_time_scale", 1.0)
     controller.configure(config)
     m = in_buffer(robot, controller, seed, pair)
@@ -185,24 +182,24 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     by_whole, (_, low, high, _) = robot.J_m @ whole[:2], base_limits(robot)
     wanted = np.clip(output.a_base_des, low, high)
     np.testing.assert_allclose(by_whole, wanted, atol=2e-2, rtol=2e-2)
-    if not rows.beta[2:].any():  # else it also makes room for them
+    if not rows.beta[2:].any():  # otherwise the base also makes room for the links
         np.testing.assert_allclose(by_whole, output.a_base_cmd, atol=2e-2, rtol=2e-2)
 
 
 @pytest.mark.parametrize("seed", [6, 10, 13, 20, 28])
-def test_a_tracking_base_turns_in_time_where_joints_come_to_their_limits(
+def test_a_tracking_base_spares_joints_near_their_limits(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
-    """No arm could compensate the demand of the rows alone; an arm can compensate the result."""
+    """The arm cannot compensate the demand of the rows alone, but it can compensate the command."""
     m = near_limits(robot, controller, seed)
     output = unheld_step(controller, m, reference_at(robot, m))
-    by_rows, asked = output.a_base_des, output.a_base_cmd
+    by_rows, commanded = output.a_base_des, output.a_base_cmd
     assert missing(controller.state, by_rows) > 5e-3
-    assert missing(controller.state, asked) < 0.05 * missing(controller.state, by_rows)
+    assert missing(controller.state, commanded) < 0.05 * missing(controller.state, by_rows)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_limits_that_are_far_ask_nothing_of_a_tracking_base(
+def test_distant_joint_limits_do_not_change_a_tracking_base(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
     m = in_buffer(robot, controller, seed, "lm-lEE")
@@ -211,7 +208,7 @@ def test_limits_that_are_far_ask_nothing_of_a_tracking_base(
 
 
 def near_limits(robot: RobotModel, controller: Controller, seed: int) -> Measurement:
-    """In the buffer, two joints 0.01 rad from a limit, the base on its way."""
+    """A state in the buffer with two joints 0.01 rad from a limit and a moving base."""
     rng = np.random.default_rng(seed)
     reader = PairDistances(robot, candidate_pairs(robot))
     while True:
@@ -228,10 +225,10 @@ def near_limits(robot: RobotModel, controller: Controller, seed: int) -> Measure
 
 
 def missing(state: RobotState, base: np.ndarray) -> float:
-    """[m/s²] error of a fixed end-effector that no arm with such slow limits compensates.
+    """[m/s²] error of a fixed end-effector that the arm cannot compensate with slowed limits.
 
     Args:
-        state: The robot's.
+        state: State of the robot.
         base: (2,) the commanded base acceleration; the admittance law responds to it.
     """
     gain, drag = response(state.model.description.base, UNHELD.admittance)
@@ -244,10 +241,10 @@ def missing(state: RobotState, base: np.ndarray) -> float:
     return float(np.linalg.norm(lsq_linear(task.J[:, 2:], wanted, bounds).fun))
 
 
-def test_a_base_without_an_answer_costs_the_arm_nothing_and_is_counted(
+def test_a_failed_base_qp_leaves_the_arm_solved_and_is_counted(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """Only the QP over base and arm fails: its gains, which nothing else has, are no numbers."""
+    """NaN gains, which only the QP over base and arm uses, make this QP fail."""
     task = Config().task.model_copy(update={"base_time_scale": np.nan})
     controller = Controller(robot, border_data, Config().model_copy(update={"task": task}))
     m = measured(robot, np.array(robot.description.arm.ready_position))
@@ -258,10 +255,10 @@ def test_a_base_without_an_answer_costs_the_arm_nothing_and_is_counted(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_hands_task_comes_before_the_posture_by_its_weight(
+def test_the_end_effectors_task_precedes_the_posture_by_its_weight(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
-    """The error by the posture task goes to zero as the weight grows."""
+    """The error due to the posture task tends to zero as the weight grows."""
     rng = np.random.default_rng(seed)
     q_m = np.array([0.3, 0.6, 0.1, -1.6, 0.2, 2.2, 0.5]) + rng.normal(scale=0.1, size=7)
     controller.reset()
@@ -278,10 +275,10 @@ def test_the_hands_task_comes_before_the_posture_by_its_weight(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_tracking_reaches_the_asked_acceleration_of_the_hand_whatever_the_base_does(
+def test_tracking_compensates_the_base_acceleration_at_the_end_effector(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
-    """Forward dynamics with the given base acceleration return ẍ_d: the hand is not disturbed."""
+    """Forward dynamics with this base acceleration return ẍ_d at the end-effector."""
     rng = np.random.default_rng(seed)
     q_m = np.array([0.3, 0.6, 0.1, -1.6, 0.2, 2.2, 0.5]) + rng.normal(scale=0.1, size=7)
     m = measured(
@@ -303,7 +300,7 @@ def test_tracking_reaches_the_asked_acceleration_of_the_hand_whatever_the_base_d
     np.testing.assert_allclose(state.J_ee @ qdd + state.Jdqd_ee, wanted, atol=1e-2)
 
 
-def test_the_base_stays_put_while_the_arm_can_do_the_task_alone(
+def test_the_base_stays_while_the_arm_can_do_the_task_alone(
     robot: RobotModel, controller: Controller
 ) -> None:
     m = measured(robot, np.array(robot.description.arm.ready_position))
@@ -313,7 +310,7 @@ def test_the_base_stays_put_while_the_arm_can_do_the_task_alone(
     assert np.abs(output.a_base_cmd).max() < 2e-3
 
 
-def test_torques_keep_their_limits_even_where_the_reference_asks_the_impossible(
+def test_torques_stay_within_limits_for_an_infeasible_reference(
     robot: RobotModel, controller: Controller
 ) -> None:
     m = measured(robot, np.array(robot.description.arm.ready_position))
@@ -325,7 +322,7 @@ def test_torques_keep_their_limits_even_where_the_reference_asks_the_impossible(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_joints_at_their_limits_are_pushed_back(
+def test_a_joint_beyond_its_limit_accelerates_back(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
     controller = Controller(robot, border_data, AT_ONCE, name="none")
@@ -343,7 +340,7 @@ def test_joints_at_their_limits_are_pushed_back(
 def test_a_failed_qp_gives_the_safe_command_and_is_counted(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """The arm's QP has none for a base whose acceleration is no number."""
+    """A NaN base acceleration makes the arm's QP fail."""
     controller = Controller(robot, border_data, Config())
     m = measured(
         robot,
@@ -371,10 +368,10 @@ def test_a_reference_that_is_not_finite_is_refused_and_changes_nothing(
     )
 
 
-def test_what_was_measured_badly_at_first_is_no_posture_to_go_back_to(
+def test_initial_nan_measurements_do_not_become_the_posture(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """After initial NaN of the sensors, the results are those without NaN."""
+    """After initial NaN, the results equal those without NaN."""
     good = measured(robot, np.array(robot.description.arm.ready_position) + 0.1)
     late, well = (Controller(robot, border_data, Config()) for _ in range(2))
     for _ in range(3):
@@ -391,7 +388,7 @@ def test_what_was_measured_badly_at_first_is_no_posture_to_go_back_to(
     np.testing.assert_array_equal(late.last.q_posture, good.q_m)
 
 
-def test_the_command_does_not_depend_on_where_the_world_frame_stands(
+def test_the_command_does_not_depend_on_the_base_pose_in_the_world(
     robot: RobotModel, controller: Controller
 ) -> None:
     m = in_buffer(robot, controller, 1, "lm-lEE")
@@ -406,7 +403,7 @@ def test_the_command_does_not_depend_on_where_the_world_frame_stands(
 def test_no_torque_changes_faster_than_its_limit(
     robot: RobotModel, controller: Controller, border_data: BorderData
 ) -> None:
-    """From one pose to a far one in a step the torques go there at the limit's rate, and arrive."""
+    """After a jump between two poses, the torques change at the limit of their rate and settle."""
     slow = Controller(robot, border_data, Config())
     ready = measured(robot, np.array(robot.description.arm.ready_position))
     other = measured(robot, np.array([0.5, 0.5, 0.3, -1.5, 0.2, 2.0, 0.1]))
@@ -414,11 +411,11 @@ def test_no_torque_changes_faster_than_its_limit(
     torques += [slow.step(other).u_cmd.copy() for _ in range(100)]
     changes = np.abs(np.diff(torques, axis=0))
     assert changes.max() == pytest.approx(Config().limit.torque_rate * 0.001)
-    controller.reset()  # nobody has pushed
+    controller.reset()  # the jump must not look like a push
     np.testing.assert_allclose(torques[-1], controller.step(other).u_cmd, atol=1e-6)
 
 
-def test_none_inserts_no_avoidance(robot: RobotModel, border_data: BorderData) -> None:
+def test_controller_none_inserts_no_avoidance(robot: RobotModel, border_data: BorderData) -> None:
     plain = Controller(robot, border_data, AT_ONCE, name="none")
     m = in_buffer(robot, plain, 0, "lm-lEE")
     output = plain.step(m)
@@ -426,7 +423,7 @@ def test_none_inserts_no_avoidance(robot: RobotModel, border_data: BorderData) -
     np.testing.assert_allclose(output.u_cmd, free_torque(robot, output), atol=1e-6)
 
 
-def test_an_unknown_controller_lists_those_that_exist(
+def test_the_error_of_an_unknown_controller_lists_the_known_ones(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     with pytest.raises(UnknownNameError, match="dbb, hqp, none"):
@@ -434,22 +431,22 @@ def test_an_unknown_controller_lists_those_that_exist(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_base_stays_where_an_arm_too_slow_to_hold_its_hand_would_go_along(
+def test_the_base_yields_less_if_the_arm_is_too_slow_to_compensate(
     robot: RobotModel, border_data: BorderData, controller: Controller, seed: int
 ) -> None:
-    """The same robot and pose, the joints with a fiftieth of their speed."""
+    """The slow arm has 2 % of its joint speed limits."""
     m = measured(robot, in_buffer(robot, controller, seed, "lm-lEE").q_m)
     slow = slower(robot, 0.02)
     controller.reset()
     held, taken = (c.step(m) for c in (controller, Controller(slow, border_data, AT_ONCE)))
     assert held.beta_m == taken.beta_m > 0.05
-    asked = np.linalg.norm(held.a_base_cmd)
-    assert asked > 0.005
-    assert np.linalg.norm(taken.a_base_cmd) < 0.15 * asked
+    commanded = np.linalg.norm(held.a_base_cmd)
+    assert commanded > 0.005
+    assert np.linalg.norm(taken.a_base_cmd) < 0.15 * commanded
 
 
 def slower(robot: RobotModel, arm: float) -> RobotModel:
-    """The robot with so many times the speed of its joints."""
+    """The robot with its joint speed limits times `arm`."""
     speeds = tuple(float(v) for v in robot.qd_max * arm)
     changed = robot.description.arm.model_copy(update={"max_velocity": speeds})
     return RobotModel(robot.description.model_copy(update={"arm": changed}))

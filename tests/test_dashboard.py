@@ -1,4 +1,4 @@
-"""Laws of the dashboard that need no browser."""
+"""The dashboard without a browser: connection, pages, scene, tour, plots and readings."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ from tests.robots import husky_panda, random_state
 
 
 class Recorder:
-    """Takes commands, or notifications, and keeps them."""
+    """Records commands or notifications."""
 
     def __init__(self):
         self.commands, self.notes, self.standing, self.client_id = [], [], [], 1
@@ -122,15 +122,15 @@ def dashboard(loop, clouds):
 def wait_for(condition, seconds=20.0):
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, "did not come true in time"
+        assert time.monotonic() < deadline, "condition not met in time"
         time.sleep(0.01)
 
 
-# The hand
+# The pull
 
 
 def held(link=None):
-    """A grip that has taken hold, the commands it sends, and the one who sees its notifier."""
+    """An active grip, the recorder of its commands, and a client that receives its notices."""
     sink, client = Recorder(), Recorder()
     grip = Grip(sink, Notifier(sink), 7)
     grip.take(*(link or ()))
@@ -141,7 +141,7 @@ LINK = ("panda_joint3", (0.0, 0.1, 0.2))
 
 
 @pytest.mark.parametrize("link", [None, LINK])
-def test_a_drag_pulls_and_its_end_lets_go(link):
+def test_drag_pulls_and_its_end_releases(link):
     grip, sink, client = held(link)
     for x in (0.5, 0.4):
         grip.pull(np.array([x, 0.0, 0.8]), client)
@@ -154,21 +154,21 @@ def test_a_drag_pulls_and_its_end_lets_go(link):
     assert not grip.holds_anything
 
 
-def test_a_viewer_who_is_gone_lets_go_once():
+def test_released_grip_releases_only_once():
     grip, sink, _ = held()
     grip.release()
     grip.release()
     assert sink.commands == [Release(7)]
 
 
-def test_who_holds_nothing_pulls_nothing():
+def test_released_grip_does_not_pull():
     grip, sink, client = held()
     grip.release()
     grip.pull(np.array([9.0, 9.0, 9.0]), client)
     assert sink.commands == [Release(7)]
 
 
-def test_taking_hold_elsewhere_lets_go_first():
+def test_taking_another_point_releases_the_first():
     grip, sink, client = held()
     grip.take(*LINK)
     grip.pull(np.array([0.5, 0.0, 0.8]), client)
@@ -176,7 +176,7 @@ def test_taking_hold_elsewhere_lets_go_first():
     assert not grip.holds_hand
 
 
-def test_targets_below_the_floor_stop_at_it_with_one_notice_a_drag():
+def test_targets_below_the_floor_stop_at_it_with_one_notice_per_drag():
     grip, sink, client = held()
     for _ in range(3):
         grip.pull(np.array([0.5, 0.0, -0.3]), client)
@@ -187,14 +187,14 @@ def test_targets_below_the_floor_stop_at_it_with_one_notice_a_drag():
     assert len(client.notes) == 2
 
 
-# Errors reach the user
+# Error messages for the user
 
 
 @pytest.mark.parametrize(
-    ("error", "title", "said"),
+    ("error", "title", "message"),
     [(ConfigError("too much"), "Not possible", "too much"), (IndexError("x"), "Internal", DEFECT)],
 )
-def test_an_exception_of_a_callback_is_shown_to_who_caused_it(error, title, said):
+def test_callback_error_is_shown_only_to_the_client_that_caused_it(error, title, message):
     everybody, client = Recorder(), Recorder()
 
     def fails(_):
@@ -203,11 +203,11 @@ def test_an_exception_of_a_callback_is_shown_to_who_caused_it(error, title, said
     asyncio.run(Notifier(everybody).guard(fails)(SimpleNamespace(client=client)))
     [(shown, text)] = client.notes
     assert shown.startswith(title)
-    assert text == said
+    assert text == message
     assert everybody.notes == []
 
 
-def test_of_messages_of_one_kind_one_stands_and_counts():
+def test_repeated_notices_are_merged_and_counted():
     client = Recorder()
     notifier = Notifier(Recorder())
     for text in ("too much", "too much", "too little"):
@@ -216,11 +216,11 @@ def test_of_messages_of_one_kind_one_stands_and_counts():
     assert client.standing == ["too little"]
 
 
-def test_of_a_viewer_who_is_gone_no_message_is_kept():
-    """Its handle would keep all of the page."""
+def test_notifier_keeps_no_reference_to_a_disconnected_client():
+    """A stored handle of its message would keep the whole page alive."""
     notifier, gone = Notifier(Recorder()), Recorder()
     gone.client_id, kept = 7, weakref.ref(gone)
-    gone.standing.append(gone)  # as a page and its parts hold one another
+    gone.standing.append(gone)  # page and parts refer to each other too
     notifier.warn(gone, "too much")
     del gone
     notifier.warn(Recorder(), "too little")
@@ -228,7 +228,7 @@ def test_of_a_viewer_who_is_gone_no_message_is_kept():
     assert kept() is None
 
 
-def test_a_message_of_a_strangers_file_is_cut():
+def test_long_message_is_truncated():
     client = Recorder()
     Notifier(Recorder()).warn(client, "a" * 10**6)
     [(_, text)] = client.notes
@@ -236,14 +236,14 @@ def test_a_message_of_a_strangers_file_is_cut():
 
 
 def page_of(dashboard):
-    """The page of the only viewer."""
+    """The page of the only client."""
     wait_for(lambda: len(dashboard.pages) == 1, 20.0)
     [page] = dashboard.pages.values()
     return page
 
 
 @pytest.mark.slow
-def test_the_end_of_the_simulation_stays_on_the_page(dashboard, loop):
+def test_simulation_failure_stays_visible_on_the_page(dashboard, loop):
     with RawClient(dashboard.address):
         banner = page_of(dashboard)._banner
         loop.error = ValueError("a <bad> number")
@@ -254,7 +254,7 @@ def test_the_end_of_the_simulation_stays_on_the_page(dashboard, loop):
 
 
 @pytest.mark.slow
-def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
+def test_drawing_error_stops_the_drawing_visibly(dashboard, loop):
     with RawClient(dashboard.address):
         banner = page_of(dashboard)._banner
         loop.latest = lambda: 1 / 0
@@ -263,7 +263,7 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
         assert isinstance(dashboard.error, ZeroDivisionError)
 
 
-def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashboard):
+def test_cancelling_a_slow_job_is_acknowledged(dashboard):
     held, job = threading.Event(), dashboard.shared.robot_switch
     with RawClient(dashboard.address):
         told = page_of(dashboard).change.text
@@ -276,7 +276,7 @@ def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashb
 
 
 @pytest.mark.slow
-def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
+def test_each_client_has_its_own_page_until_it_disconnects(dashboard):
     with RawClient(dashboard.address):
         first = page_of(dashboard)
         with RawClient(dashboard.address):
@@ -292,7 +292,7 @@ def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
 
 
 @pytest.mark.slow
-def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
+def test_reset_releases_every_grip(dashboard, loop):
     with RawClient(dashboard.address):
         grip = page_of(dashboard).grip
         grip.take()
@@ -306,8 +306,8 @@ def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
     assert dashboard.error is None
 
 
-def test_after_a_hold_up_drawing_goes_on_at_once(dashboard, monkeypatch):
-    """As after SIGSTOP and SIGCONT: the time was not spent on drawing, so no rest is due for it."""
+def test_drawing_resumes_at_once_after_a_suspension(dashboard, monkeypatch):
+    """As after SIGSTOP and SIGCONT: the suspended time does not count as time of drawing."""
     held_up = 4.0  # [s]
     with RawClient(dashboard.address):
         page = page_of(dashboard)
@@ -326,7 +326,7 @@ def test_after_a_hold_up_drawing_goes_on_at_once(dashboard, monkeypatch):
 
 
 @pytest.mark.slow
-def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
+def test_invalid_message_closes_only_the_connection_of_its_sender(dashboard):
     with RawClient(dashboard.address):
         page_of(dashboard)
         for data in (b"garbage", "a text", b"\xc1" * 1000, b"\x81\xa4type\xa7Nothing"):
@@ -339,7 +339,7 @@ def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
 
 
 @pytest.mark.parametrize("step", ["draw", "__init__"])
-def test_a_page_that_fails_ends_alone(dashboard, step, monkeypatch, caplog):
+def test_failing_page_does_not_affect_other_pages(dashboard, step, monkeypatch, caplog):
     def fails(*_, **__):
         raise ZeroDivisionError("a defect of one page")
 
@@ -363,7 +363,7 @@ def test_a_page_that_fails_ends_alone(dashboard, step, monkeypatch, caplog):
 # The server
 
 
-def test_a_port_in_use_is_one_clear_line(clouds, loop):
+def test_port_in_use_is_one_clear_line(clouds, loop):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -377,21 +377,21 @@ def test_a_port_in_use_is_one_clear_line(clouds, loop):
     ("host", "port"),
     [("192.0.2.1", 0), ("127.0.0.1", 70000), ("-", 0), ("[::1]", 0), ("a..b", 0), ("a" * 64, 0)],
 )
-def test_an_address_that_cannot_be_bound_is_refused_at_once(host, port):
+def test_invalid_address_is_rejected_at_once(host, port):
     begin = time.monotonic()
     with pytest.raises(ServerError, match="cannot listen"):
         check_address(host, port)
     assert time.monotonic() - begin < 5.0
 
 
-def test_nothing_is_printed_by_serving(loop, clouds, capfd):
+def test_serving_prints_nothing(loop, clouds, capfd):
     server = serve_dashboard(loop, husky_panda(), clouds, port=0, parts=parts())
     server.stop()
     assert capfd.readouterr().out == ""
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+", server.address)
 
 
-def test_the_address_of_a_server_at_ipv6_can_be_opened(loop, clouds):
+def test_server_address_at_ipv6_can_be_opened(loop, clouds):
     try:
         check_address("::1", 0)
     except ServerError:
@@ -408,7 +408,7 @@ def test_the_address_of_a_server_at_ipv6_can_be_opened(loop, clouds):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_drawn_links_stand_where_the_controller_has_them(seed):
+def test_drawn_link_poses_match_the_controllers_model(seed):
     state = random_state(np.random.default_rng(seed))
     model = state.model
     poses = LinkPoses(model)
@@ -420,7 +420,7 @@ def test_drawn_links_stand_where_the_controller_has_them(seed):
         np.testing.assert_allclose(at.homogeneous, expected.homogeneous, atol=1e-12)
 
 
-def test_wheels_turn_by_their_own_side_about_the_axle():
+def test_wheels_turn_by_the_angle_of_their_side_about_the_axle():
     poses = LinkPoses(husky_panda())
     base = husky_panda().description.base
     q_m = np.zeros(husky_panda().n_m)
@@ -449,7 +449,7 @@ def test_decimated_meshes_keep_their_extent():
         if item.meshPath.endswith((".stl", ".obj")):
             original = read_mesh(Path(item.meshPath), item.name).apply_scale(item.meshScale)
             np.testing.assert_allclose(visual.mesh.bounds, original.bounds, atol=0.003)
-            assert visual.mesh.area == pytest.approx(original.area, rel=0.1)  # no corners are off
+            assert visual.mesh.area == pytest.approx(original.area, rel=0.1)  # no corners cut
 
 
 SEVERAL_VISUALS = """
@@ -469,7 +469,7 @@ SEVERAL_VISUALS = """
 </robot>"""
 
 
-def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path, monkeypatch):
+def test_visuals_have_the_poses_colours_and_sizes_of_the_urdf(tmp_path, monkeypatch):
     mesh = tmp_path / "part.stl"
     trimesh.creation.box(extents=(0.1, 0.2, 0.4)).export(mesh)
     urdf = SEVERAL_VISUALS.format(mesh=mesh)
@@ -492,7 +492,7 @@ def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path,
     ("wrong", "words"),
     [('scale="0.5,1,2"', "scale='0.5,1,2'"), ('scale="2"', "3 numbers"), ("", "no filename")],
 )
-def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, monkeypatch):
+def test_invalid_mesh_element_error_names_its_link(wrong, words, monkeypatch):
     file = 'filename="/a.stl"' if wrong else ""
     urdf = (
         f'<robot name="toy"><link name="lonely"><visual><geometry><mesh {file} {wrong}/>'
@@ -504,8 +504,8 @@ def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, mo
     assert words in str(refusal.value)
 
 
-def test_decimation_takes_no_corners_off_meshes_of_many_parts():
-    """Such as UR5's tubes: shells within shells and caps."""
+def test_decimation_keeps_the_corners_of_meshes_with_many_parts():
+    """The UR5's links are nested shells with caps."""
     if not package_roots("example-robot-data"):
         pytest.skip("the optional robots are not installed")
     for part in ("upperarm", "forearm", "wrist2"):
@@ -513,7 +513,7 @@ def test_decimation_takes_no_corners_off_meshes_of_many_parts():
         whole = read_mesh(resolve_package_uri(uri), part)
         light = for_display(whole)
         assert len(light.faces) <= MOST_FACES
-        assert light.area == pytest.approx(whole.area, rel=0.05)  # 0.74 to 0.9 when it is hasty
+        assert light.area == pytest.approx(whole.area, rel=0.05)  # fast decimation: 0.74 to 0.9
 
 
 EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)
@@ -525,7 +525,7 @@ EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)
         st.tuples(st.floats(-60, 60), st.floats(-30, 30), st.text("x ", min_size=3, max_size=30)),
     )
 )
-def test_labels_keep_apart_and_stay_where_they_are_free(labels):
+def test_labels_do_not_overlap_and_return_to_their_place_when_free(labels):
     spots = set_apart(labels, {}, EVERYWHERE)
     boxes = []
     for name, (u, v, text) in labels.items():
@@ -537,22 +537,24 @@ def test_labels_keep_apart_and_stay_where_they_are_free(labels):
     for (a, b, c, d), (x, y, z, w) in itertools.combinations(boxes, 2):
         assert a >= z - 1e-6 or x >= c - 1e-6 or b >= w - 1e-6 or y >= d - 1e-6
     if labels:
-        assert spots[next(iter(labels))] == (ANCHORS[0], 0.0), "the first one is at its place"
+        assert spots[next(iter(labels))] == (ANCHORS[0], 0.0), (
+            "the first label must be at its place"
+        )
     assert set_apart(labels, spots, EVERYWHERE) == spots
     for name, label in labels.items():
         alone = set_apart({name: label}, spots, EVERYWHERE)
-        assert alone == {name: (ANCHORS[0], 0.0)}, "alone it comes back"
+        assert alone == {name: (ANCHORS[0], 0.0)}, "a single label must be at its place"
 
 
 @pytest.mark.parametrize(("u", "anchor"), [(0.0, "left"), (95.0, "right")])
 @pytest.mark.parametrize(("v", "side"), [(0.0, "bottom"), (45.0, "top")])
-def test_a_label_at_an_edge_stands_inside_the_picture(u, anchor, v, side):
+def test_label_at_an_edge_is_inside_the_picture(u, anchor, v, side):
     free = (-100.0, -50.0, 100.0, 50.0)
     spots = set_apart({"a": (u, v, "hand – base")}, {}, free)
     assert spots == {"a": (f"{side}-{anchor}", 0.0)}
 
 
-def test_a_door_that_comes_near_is_named_though_it_was_not_there_at_first(scene, loop, clouds):
+def test_door_label_appears_when_the_door_becomes_near(scene, loop, clouds):
     data = SceneData(loop, husky_panda(), clouds, parts())
     door = loop.latest().pairs[0]._replace(name="lm-door", d=0.1)
     shown, canvas = replace(loop.latest(), pairs=(door,)), Canvas(scene)
@@ -561,7 +563,7 @@ def test_a_door_that_comes_near_is_named_though_it_was_not_there_at_first(scene,
     assert canvas._handles["/distances/label_lm-door"].text == "door – base  100 mm"
 
 
-def test_an_unreadable_mesh_is_named(tmp_path):
+def test_unreadable_mesh_is_named(tmp_path):
     path = tmp_path / "bad.xyzzy"
     path.write_text("no mesh")
     with pytest.raises(RobotFileError, match=r"bad\.xyzzy"):
@@ -587,7 +589,7 @@ def view_of(**quantities):
     return View({"lm-lEE": "hidden", "lm-l3": "hidden"} | quantities)
 
 
-def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
+def test_border_is_redrawn_only_after_a_change(scene, borders):
     cloud = DrawnBorders(scene, borders, husky_panda())
     view, config = view_of(**{"lm-lEE": "score"}), BorderConfig()
     assert cloud.update(view, config)
@@ -600,7 +602,7 @@ def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
 
 
 @pytest.mark.parametrize("quantity", ["determinant", "reachability", "score"])
-def test_legend_numbers_are_those_of_the_border(borders, clouds, quantity):
+def test_legend_and_colours_match_the_values_on_the_border(borders, clouds, quantity):
     field = ScoreField.of(husky_panda(), "lEE")
     function = {
         "determinant": field.singularity,
@@ -620,12 +622,12 @@ def test_legend_numbers_are_those_of_the_border(borders, clouds, quantity):
         np.testing.assert_allclose(coloured.colours.astype(int), viridis(u), atol=1)
 
 
-def test_what_one_viewer_has_asked_for_the_next_finds(borders):
+def test_coloured_border_is_shared_between_clients(borders):
     one = borders.coloured("lm-lEE", "score", BorderConfig(), whole=False)
     assert borders.coloured("lm-lEE", "score", BorderConfig(), whole=False) is one
 
 
-def test_a_hidden_border_has_no_legend(scene, borders):
+def test_hidden_border_has_no_legend(scene, borders):
     cloud = DrawnBorders(scene, borders, husky_panda())
     view = view_of(**{"lm-lEE": "score"})
     cloud.update(view, BorderConfig())
@@ -636,7 +638,7 @@ def test_a_hidden_border_has_no_legend(scene, borders):
 
 
 @pytest.mark.parametrize("z", [0.1, 0.3, 0.45])
-def test_a_slice_lies_at_its_height_on_the_border(borders, z):
+def test_slice_lies_at_its_height_on_the_border(borders, z):
     (contour,) = borders.surface(BorderConfig()).curves(z)
     np.testing.assert_allclose(contour[:, 2], z)
     body = MobileBody(husky_panda())
@@ -644,7 +646,7 @@ def test_a_slice_lies_at_its_height_on_the_border(borders, z):
 
 
 @pytest.mark.parametrize("scale", [1e-9, 3.7e-4, 0.02, 1.0, 95.0, 4.2e6])
-def test_ticks_times_their_power_of_ten_are_the_values(scale):
+def test_tick_labels_times_their_power_of_ten_equal_the_values(scale):
     low, high = -0.31 * scale, scale
     texts, factor = tick_texts(low, high)
     power = int(re.search(r"<sup>(.*)</sup>", factor)[1].replace("−", "-")) if factor else 0
@@ -652,7 +654,7 @@ def test_ticks_times_their_power_of_ten_are_the_values(scale):
     np.testing.assert_allclose(shown, [low, (low + high) / 2, high], atol=0.006 * scale)
 
 
-def test_legend_says_how_many_points_are_drawn():
+def test_legend_states_the_number_of_drawn_points():
     title, unit = title_of("score", "differential")
     legend = Legend("lm-lEE", title, unit, 0.15, -1.0, 2.0, 20_000, 50_000, 0.38)
     html = legend_html([legend])
@@ -661,7 +663,7 @@ def test_legend_says_how_many_points_are_drawn():
     assert "0.150 m" in html
 
 
-def test_subsample_is_steady_and_without_repetition():
+def test_subsample_is_deterministic_and_without_repetition():
     chosen = subsample(1000, 300)
     assert len(np.unique(chosen)) == 300
     np.testing.assert_array_equal(chosen, subsample(1000, 300))
@@ -671,7 +673,7 @@ def test_subsample_is_steady_and_without_repetition():
 # Colours, lines, arrows
 
 
-def test_colour_map_grows_brighter_from_low_to_high():
+def test_colour_map_increases_in_lightness():
     colours = viridis(np.linspace(0, 1, 101)).astype(float)
     lightness = colours @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness) > 0).all()
@@ -691,7 +693,7 @@ def test_each_pair_has_either_a_thin_or_a_thick_line():
     np.testing.assert_array_equal(lengths[1], ~lengths[0])
 
 
-def test_the_persons_arrow_has_the_direction_of_the_force_and_its_length_in_scale(scene, loop):
+def test_force_arrow_starts_at_the_end_effector_and_scales_with_force(scene, loop):
     snapshot = replace(
         loop.latest(), hand_force=np.array([30.0, -40.0, 0.0]), hand_target=np.zeros(3)
     )
@@ -703,7 +705,7 @@ def test_the_persons_arrow_has_the_direction_of_the_force_and_its_length_in_scal
     np.testing.assert_allclose(end - start, snapshot.hand_force * METRES_PER_NEWTON, atol=1e-6)
 
 
-def test_what_a_picture_leaves_out_is_hidden_and_seen_again_when_it_is_drawn(scene):
+def test_nodes_missing_in_a_picture_are_hidden_until_drawn_again(scene):
     canvas = Canvas(scene)
 
     def picture(*names, texts=True, text="a"):
@@ -714,12 +716,12 @@ def test_what_a_picture_leaves_out_is_hidden_and_seen_again_when_it_is_drawn(sce
 
     assert picture("/a", "/b") == {"/a": True, "/b": True}
     assert picture("/b", texts=False, text="b") == {"/a": False, "/b": True}
-    assert canvas._handles["/b"].text == "a", "texts were not due"
+    assert canvas._handles["/b"].text == "a", "text must not change without texts=True"
     assert picture("/a") == {"/a": True, "/b": False}
     assert picture() == {"/a": False, "/b": False}
 
 
-def test_links_are_drawn_and_pulled_where_the_controller_has_them(dashboard, loop):
+def test_links_are_drawn_and_pulled_in_the_controllers_frames(dashboard, loop):
     with RawClient(dashboard.address):
         drawn, robot = page_of(dashboard)._scene.robot, husky_panda()
         loop.send(Pause(True))
@@ -738,7 +740,7 @@ def test_links_are_drawn_and_pulled_where_the_controller_has_them(dashboard, loo
 
 @pytest.fixture
 def guided(dashboard):
-    """A page, a function by which its browser speaks, and one that waits for the card's state."""
+    """A page, a function that sends messages of its browser, and one that waits for a card."""
     with RawClient(dashboard.address) as client:
         page, number = page_of(dashboard), itertools.count()
 
@@ -748,7 +750,7 @@ def guided(dashboard):
         yield page, say, lambda state: wait_for(lambda: page.guide._shown == state)
 
 
-def test_the_tour_goes_back_in_time_for_who_asks_it_to(loop, guided):
+def test_tour_looks_back_in_time_on_request(loop, guided):
     page, say, shows = guided
     loop.pull_at_base(4.0)
     page.guide.go("tour 4")
@@ -758,14 +760,12 @@ def test_the_tour_goes_back_in_time_for_who_asks_it_to(loop, guided):
     assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
-    dashboard, loop, guided
-):
+def test_tour_advances_only_on_a_click_on_the_current_card(dashboard, loop, guided):
     page, say, shows = guided
     say("tour")
     shows("welcome")
-    say("card", NEXT)  # of a card that is not shown
-    loop.send(Pull((0.4, 0.0, 0.8)))  # another viewer
+    say("card", NEXT)  # on a card that is not shown
+    loop.send(Pull((0.4, 0.0, 0.8)))  # by another client
     drawn = dashboard.pictures
     wait_for(lambda: dashboard.pictures > drawn + 3 * TEXTS_EVERY / FRAME)
     shows("welcome")
@@ -783,9 +783,7 @@ def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
 @pytest.mark.parametrize(
     ("way", "after"), [("pull", "pull"), ("close", ""), ("touch", ""), ("guest", "")]
 )
-def test_the_demonstration_ends_with_its_card_whatever_closes_it(
-    dashboard, loop, guided, monkeypatch, way, after
-):
+def test_demonstration_ends_with_its_card(dashboard, loop, guided, monkeypatch, way, after):
     monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
     _, say, shows = guided
     say("seen", "untouched")
@@ -807,9 +805,7 @@ def test_the_demonstration_ends_with_its_card_whatever_closes_it(
     assert loop.commands == [Compare(), Reset()]
 
 
-def test_who_watches_the_demonstration_again_keeps_the_scenario_until_a_pull(
-    loop, guided, monkeypatch
-):
+def test_repeated_demonstration_keeps_its_scenario_until_a_pull(loop, guided, monkeypatch):
     monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
     _, say, shows = guided
     say("seen", "untouched")
@@ -823,7 +819,7 @@ def test_who_watches_the_demonstration_again_keeps_the_scenario_until_a_pull(
     assert loop.commands[-2:] == [Compare(), Reset()]
 
 
-def test_the_end_of_the_demonstration_spares_one_that_begins_meanwhile(loop, guided, monkeypatch):
+def test_end_of_the_demonstration_does_not_stop_a_newer_one(loop, guided, monkeypatch):
     monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
     page, say, shows = guided
     say("seen", "untouched")
@@ -832,7 +828,7 @@ def test_the_end_of_the_demonstration_spares_one_that_begins_meanwhile(loop, gui
 
     def send_late(command):
         send(command)
-        if isinstance(command, Play):  # then the drawing thread gets the first input
+        if isinstance(command, Play):  # the drawing thread receives the first input now
             page.guide.leave_demonstration()
 
     monkeypatch.setattr(loop, "send", send_late)
@@ -845,12 +841,12 @@ def test_the_end_of_the_demonstration_spares_one_that_begins_meanwhile(loop, gui
 
 
 def buttons_of(page, label):
-    """The buttons with a label."""
+    """The button or box with this label."""
     handles = page.viewer.client.gui._gui_input_handle_from_uuid.values()
     return next(handle for handle in handles if getattr(handle, "label", "") == label)
 
 
-def test_plots_are_fed_from_the_loop(dashboard, loop):
+def test_plots_show_the_data_of_the_loop(dashboard, loop):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
         client.set_widget(page.channel._box, '["1", "seen", "plots"]')
@@ -860,12 +856,12 @@ def test_plots_are_fed_from_the_loop(dashboard, loop):
         lines = np.array(plot.data)
         np.testing.assert_allclose(lines[1:-2, -1], [p.d for p in latest.pairs], atol=1e-5)
         np.testing.assert_allclose(lines[-2], latest.config.border.d_b)
-        assert (lines[-1] < 0).all(), "no cursor while it is live"
+        assert (lines[-1] < 0).all(), "no cursor in the present"
         page.timeline.step(-0.1)
         wait_for(lambda: (np.array(plot.data[-1]) == 1.0).sum() == 1)
 
 
-def test_a_door_has_a_plot_that_comes_with_it(loop, robot):
+def test_plot_of_the_door_shows_its_distance_only_with_a_door(loop, robot):
     data, snapshot = SceneData(loop, robot, {}), loop.latest()
     first, *others = snapshot.pairs
     opened = (first, *others, first._replace(name=data.of_door, d=0.42))
@@ -876,7 +872,7 @@ def test_a_door_has_a_plot_that_comes_with_it(loop, robot):
     assert np.isnan(plan.curves[0].value(snapshot))
 
 
-def test_every_quantity_of_a_log_can_be_added_to_a_plot_and_removed(dashboard, loop):
+def test_every_log_quantity_can_be_added_to_and_removed_from_a_plot(dashboard, loop):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
         client.set_widget(page.channel._box, '["1", "seen", "plots"]')
@@ -896,21 +892,21 @@ def test_every_quantity_of_a_log_can_be_added_to_a_plot_and_removed(dashboard, l
     assert dashboard.error is None
 
 
-def test_plots_that_are_not_shown_are_not_sent(dashboard):
+def test_hidden_plots_are_not_sent(dashboard):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
         client.set_widget(page.channel._box, '["1", "seen", "plots"]')
         plots = {title: plot for title, (_, plot) in page._plots._plots.items()}
         hidden = [title for title in plots if title not in page.view.plots]
         assert hidden
-        hidden.append("distance to the door [m]")  # there is none
+        hidden.append("distance to the door [m]")  # there is no door
         wait_for(lambda: not any(plots[title].visible for title in hidden))
         assert all(len(plots[title].data[0]) == 1 for title in hidden)
         page.view.plots |= {hidden[0]}
         wait_for(lambda: plots[hidden[0]].visible and len(plots[hidden[0]].data[0]) > 1)
 
 
-def test_the_tab_view_shows_choices_that_were_made_elsewhere(dashboard):
+def test_view_tab_shows_changes_from_elsewhere(dashboard):
     with RawClient(dashboard.address):
         page, title = page_of(dashboard), "hand error [mm]"
         boxes = [buttons_of(page, label) for label in ("Dark theme", title)]
@@ -925,7 +921,7 @@ def status_html(snapshot):
 
 
 def near_by(loop, d, **fields):
-    """A snapshot whose first pair, hand and base, is at a distance [m]."""
+    """A snapshot whose first pair, end-effector and base, has the distance d [m]."""
     first, *others = loop.latest().pairs
     pairs = (first._replace(d=d, beta=float(d < 0.15)), *others)
     return replace(loop.latest(), pairs=pairs, **fields)
@@ -947,7 +943,7 @@ def coloured(html, state):
         (-0.008, "none", "contact"),
     ],
 )
-def test_sentence_rows_and_bars_have_one_verdict(loop, d, controller, state):
+def test_sentence_rows_and_bars_show_the_same_verdict(loop, d, controller, state):
     moves = () if "at rest" in controller else (-0.1, 0.0)
     snapshot = near_by(loop, d, controller=controller.split()[0])
     snapshot = replace(snapshot, base_velocity=np.array(moves or (0.0, 0.0)))
@@ -963,27 +959,29 @@ def test_sentence_rows_and_bars_have_one_verdict(loop, d, controller, state):
     assert ("overlap by 8 mm" in status) == (full in rows) == touches
     head = header_html(snapshot, verdict, {pair.name: pair.name for pair in snapshot.pairs})
     assert state.capitalize() in head
-    assert f"{1000 * d:.0f} mm".replace("-", "−") in head or d > 0.2, "another pair is nearer then"
+    assert f"{1000 * d:.0f} mm".replace("-", "−") in head or d > 0.2, (
+        "at 0.3 m another pair is nearer"
+    )
 
 
 @pytest.mark.parametrize("field", ["in_contact", "arm_in_contact", "floor_contact"])
-def test_what_touches_is_contact_whatever_the_distances(loop, field):
+def test_reported_contact_gives_the_verdict_contact(loop, field):
     assert judge(replace(loop.latest(), **{field: True})).state == "contact"
 
 
-def test_readings_that_should_worry_are_coloured(loop):
+def test_abnormal_readings_are_coloured(loop):
     calm = replace(loop.latest(), t=2.0, overruns=0)
 
-    def worries(**fields):
+    def warnings(**fields):
         return coloured("".join(machine_rows(replace(calm, **fields))), "contact")
 
-    assert worries() == 0
+    assert warnings() == 0
     late = {"overruns": 500}, {"solver_failures": 3}, {"realtime_factor": 0.5}
-    assert [worries(**fields) for fields in late] == [1, 1, 1]
+    assert [warnings(**fields) for fields in late] == [1, 1, 1]
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.93, 0.96, 1.0, float("nan")])
-def test_header_and_readings_call_the_same_simulation_slow(loop, factor):
+def test_header_and_readings_agree_on_a_slow_simulation(loop, factor):
     shown = replace(loop.latest(), realtime_factor=factor, overruns=0)
     head = header_html(shown, judge(shown), {pair.name: pair.name for pair in shown.pairs})
     row = coloured("".join(machine_rows(shown)), "contact")
@@ -993,8 +991,8 @@ def test_header_and_readings_call_the_same_simulation_slow(loop, factor):
 OUTCOMES = {"dbb": (0.104, 0), "none": (-0.008, 0), "repulsive": (0.05, 3), "barrier": (0.02, 0)}
 
 
-def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
-    """And its outcome is a word of its own, coloured as contact."""
+def test_robot_with_contact_or_overlap_is_never_marked_best(loop):
+    """Contact and overlap have their own word, in the colour of contact."""
     scores = tuple(
         Score(
             name, least, 0.0 if contacts or least < 0 else least / 10, 0.02, 0.1, 0, 0, 0, contacts
@@ -1012,7 +1010,7 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
     marked = [re.sub(r"<[^>]*>", "", cell) for cell in cells]
     assert [text for text in marked if "✓" in text] == ["✓ 104", "✓ 2.0"]
-    assert "✓" not in scores_html(scores[:3]), "one valid robot alone is not the best of several"
+    assert "✓" not in scores_html(scores[:3]), "a single valid robot has no mark"
     assert [text for text in marked if text in ("no contact", "overlap", "contact")] == [
         "no contact",
         "overlap",
@@ -1022,7 +1020,7 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
 
 
 @pytest.mark.parametrize(("link", "at_hand"), [(None, 1.0), ("panda_link4", 0.0)])
-def test_a_pull_of_hand_or_link_is_shown_with_the_force_that_the_arm_resists(loop, link, at_hand):
+def test_pull_row_shows_the_force_and_the_force_that_the_arm_resists(loop, link, at_hand):
     pull = PullReading(1, link, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
     held = replace(loop.latest(), pulls=(pull,), hand_force=at_hand * pull.force)
     assert "30.0 N</td>" in status_html(held)
@@ -1030,7 +1028,7 @@ def test_a_pull_of_hand_or_link_is_shown_with_the_force_that_the_arm_resists(loo
     assert "30.0 N (arm resists up to 62 N)</td>" in status_html(held)
 
 
-def test_a_buffer_that_is_too_small_says_what_it_takes_and_worries_only_while_it_is_near(loop):
+def test_buffer_row_names_the_required_d_b_and_is_coloured_only_if_near(loop):
     small = loop.latest().buffer._replace(needed=0.2311, needed_max=0.5, too_small=True)
     for d, state, text in ((0.1, "near", "d_b of"), (0.3, "clear", "lately: d_b of")):
         snapshot = near_by(loop, d, buffer=small)

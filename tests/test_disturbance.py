@@ -1,4 +1,4 @@
-"""Noise, delay, model error, slip: zero is no change, and each has the effect of its number."""
+"""Noise, delay, model error and slip: zero changes nothing, and each has its specified effect."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Spy:
 
 @pytest.fixture
 def make(robot: RobotModel, border_data: BorderData, q_start: np.ndarray):
-    """Makes sessions at the start of guiding-lateral, disturbed as asked, with a spy."""
+    """Creates disturbed sessions at the start of guiding-lateral, with a spy."""
 
     def make(seed: int = 0, **disturbance: float) -> Session:
         config = Config(disturbance=DisturbanceConfig(**disturbance))
@@ -63,7 +63,7 @@ def path(steps: list[Step]) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_without_disturbance_the_sensors_say_the_truth_and_the_commands_arrive(make):
+def test_without_disturbance_sensors_are_true_and_commands_unchanged(make):
     session = make()
     steps = pulled(session, 1500)
     assert all(step.measurement is step.truth for step in steps)
@@ -74,14 +74,14 @@ def test_without_disturbance_the_sensors_say_the_truth_and_the_commands_arrive(m
 
 
 @pytest.mark.slow
-def test_setting_everything_back_to_zero_is_as_if_nothing_had_been(make):
+def test_resetting_disturbances_to_zero_restores_the_undisturbed_run(make):
     plain, changed = make(), make(encoder_noise=0.005, base_delay=0.3, mass_error=0.2, slip=0.4)
     changed.configure(Config())
     np.testing.assert_array_equal(path(pulled(plain, 800)), path(pulled(changed, 800)))
 
 
 @pytest.mark.slow
-def test_a_seed_gives_one_run_and_another_seed_another(make):
+def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(make):
     all_of_it = {"encoder_noise": SIGMA, "base_delay": 0.1, "mass_error": -0.1, "slip": 0.2}
     a, b, c = make(**all_of_it), make(**all_of_it), make(seed=1, **all_of_it)
     first = path(pulled(a, 600))
@@ -89,7 +89,7 @@ def test_a_seed_gives_one_run_and_another_seed_another(make):
     assert np.abs(first - path(pulled(c, 600))).max() > 1e-6
 
 
-def test_a_reset_begins_the_same_noise_again(make, q_start):
+def test_a_reset_restarts_the_same_noise(make, q_start):
     session = make(encoder_noise=SIGMA)
     first = [step.measurement.q_m - step.truth.q_m for step in pulled(session, 50)]
     session.reset(q_start)
@@ -97,7 +97,7 @@ def test_a_reset_begins_the_same_noise_again(make, q_start):
     np.testing.assert_allclose(second, first, atol=1e-12)
 
 
-def test_positions_have_the_asked_deviation_and_nothing_else_is_touched():
+def test_noise_has_its_deviation_and_leaves_the_base_unchanged():
     disturbances = Disturbances(DisturbanceConfig(encoder_noise=SIGMA), DT, 3)
     truth = Measurement(np.arange(3.0), np.array([0.2, -0.1]), np.linspace(-1, 1, 7), np.zeros(7))
     sensed = [disturbances.sensed(truth) for _ in range(5000)]
@@ -110,7 +110,7 @@ def test_positions_have_the_asked_deviation_and_nothing_else_is_touched():
     assert all(m.base_velocity is truth.base_velocity for m in sensed)
 
 
-def test_velocities_of_noisy_positions_have_the_deviation_that_the_loop_says():
+def test_velocity_noise_has_the_deviation_of_the_tracking_loop():
     rng = np.random.default_rng(0)
     tracking = VelocityTracking(np.zeros(1), np.zeros(1), DT)
     v = [tracking.update(SIGMA * rng.standard_normal(1))[0] for _ in range(50_000)]
@@ -118,7 +118,7 @@ def test_velocities_of_noisy_positions_have_the_deviation_that_the_loop_says():
     assert abs(np.mean(v)) < 0.01 * np.std(v)
 
 
-def test_velocities_are_exact_where_they_are_constant_and_late_by_8_ms_where_they_rise():
+def test_tracked_velocities_are_exact_if_constant_and_lag_8_ms_if_rising():
     t = np.arange(0.0, 0.5, DT)
     steady = VelocityTracking(np.array([0.3]), np.array([0.7]), DT)
     np.testing.assert_allclose([steady.update(np.array([0.3 + 0.7 * s])) for s in t], 0.7)
@@ -140,12 +140,12 @@ def test_distances_and_error_of_a_step_are_true_under_noise(make, robot: RobotMo
         state.update(step.truth)
         error = np.linalg.norm(state.T_world_ee.translation - PULL)
         assert step.ee_error == pytest.approx(error, abs=1e-12)
-    assert np.abs(seen).max() > 1e-3  # [m] the controller has seen something else
+    assert np.abs(seen).max() > 1e-3  # [m] the controller's distances differ
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.001, 0.05, 0.2])
-def test_delay_shifts_the_base_command_by_exactly_that(make, delay):
+def test_the_base_command_arrives_after_exactly_the_delay(make, delay):
     session = make(base_delay=delay)
     steps, n = pulled(session, 1600), round(delay / DT)
     sent = np.array([step.base_command for step in steps])
@@ -154,7 +154,7 @@ def test_delay_shifts_the_base_command_by_exactly_that(make, delay):
     assert np.abs(session.physics.commands).max() > 0.0
 
 
-def test_the_longest_delay_is_kept_in_full():
+def test_the_longest_delay_is_exact():
     longest = parameter("disturbance.base_delay").high
     disturbances = Disturbances(DisturbanceConfig(base_delay=longest), DT, 0)
     arrived = [disturbances.arriving(np.array([k, -k]))[0] for k in range(1, 700)]
@@ -163,7 +163,7 @@ def test_the_longest_delay_is_kept_in_full():
 
 
 @pytest.mark.parametrize("slip", [0.2, 0.5])
-def test_slip_leaves_the_rest_of_the_motion(make, slip):
+def test_slip_scales_the_base_command(make, slip):
     session = make(slip=slip)
     steps = pulled(session, 1500)
     sent = np.array([step.base_command for step in steps])
@@ -172,9 +172,7 @@ def test_slip_leaves_the_rest_of_the_motion(make, slip):
 
 
 @pytest.mark.parametrize("error", [-0.3, 0.2])
-def test_a_mass_error_scales_gravity_and_inertia_of_the_arm_and_nothing_of_the_base(
-    robot: RobotModel, error
-):
+def test_a_mass_error_scales_the_arm_and_not_the_base(robot: RobotModel, error):
     rng = np.random.default_rng(1)
     right, wrong, mirrored = RobotState(robot), RobotState(robot), RobotState(robot)
     wrong.scale_arm_inertias(1 + error)
@@ -191,7 +189,7 @@ def test_a_mass_error_scales_gravity_and_inertia_of_the_arm_and_nothing_of_the_b
         np.testing.assert_allclose(wrong.g[2:], (1 + error) * right.g[2:], atol=1e-9)
         np.testing.assert_allclose(wrong.M[2:], (1 + error) * right.M[2:], atol=1e-9)
         np.testing.assert_allclose(wrong.h[2:], (1 + error) * right.h[2:], atol=1e-9)
-        # The base's own part does not change: the sums are equal.
+        # The change is linear in the error, and the base's own part is unchanged.
         np.testing.assert_allclose(wrong.M - right.M, right.M - mirrored.M, atol=1e-9)
         assert 0 < abs(wrong.M[0, 0] / right.M[0, 0] - 1) < abs(error)
         np.testing.assert_array_equal(wrong.J_ee, right.J_ee)
@@ -200,16 +198,16 @@ def test_a_mass_error_scales_gravity_and_inertia_of_the_arm_and_nothing_of_the_b
     np.testing.assert_array_equal(wrong.M, right.M)
 
 
-def test_a_mass_error_changes_the_torques_live(make):
+def test_a_mass_error_changes_the_torques_during_a_run(make):
     session = make()
     before = pulled(session, 20)[-1].control.u_cmd
     session.configure(Config().replace("disturbance.mass_error", 0.2))
-    after = pulled(session, 15)[-1].control.u_cmd  # torques have a largest rate
-    np.testing.assert_allclose(after, 1.2 * before, atol=0.3)  # [N m] gravity is nearly all of it
+    after = pulled(session, 15)[-1].control.u_cmd  # the torque rate is limited
+    np.testing.assert_allclose(after, 1.2 * before, atol=0.3)  # [N m] mostly gravity
     assert np.abs(after - before).max() > 2.0
 
 
-def test_another_controller_on_the_same_model_has_the_right_masses(
+def test_a_second_controller_on_the_same_model_has_no_mass_error(
     make, robot: RobotModel, border_data: BorderData
 ):
     session = make(mass_error=0.3)

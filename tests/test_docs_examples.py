@@ -19,7 +19,7 @@ LONGEST_LOOP = 12  # [-] lines
 
 
 def run_loop() -> dict[str, Any]:
-    """The names that the README's loop leaves behind."""
+    """The variables of the README's loop after its run."""
     (code,) = re.findall(r"^```python\n(.*?)^```", README, re.M | re.S)
     assert len(code.splitlines()) <= LONGEST_LOOP
     names: dict[str, Any] = {}
@@ -27,18 +27,18 @@ def run_loop() -> dict[str, Any]:
     return names
 
 
-def test_the_loop_of_the_readme_runs_and_holds_the_arm() -> None:
-    """Gravity compensation without a person, and the base stays."""
+def test_readme_loop_runs_and_compensates_gravity() -> None:
+    """Without a pull the base stays at rest."""
     names = run_loop()
     state = RobotState(names["model"])
     state.update(names["measured"])
-    assert np.abs(state.g[2:]).max() > 1.0  # [N m] there is something to hold
+    assert np.abs(state.g[2:]).max() > 1.0  # [N m] gravity torques are not zero
     np.testing.assert_allclose(names["command"].u_a, state.g[2:], atol=1e-4)
     np.testing.assert_allclose(names["command"].base_velocity, 0.0, atol=1e-6)
     assert names["loop"].controller.last.failures == 0
 
 
-def test_the_api_page_has_every_name_with_an_example_that_runs(
+def test_api_page_covers_every_name_with_a_running_example(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = page("api")
@@ -54,16 +54,16 @@ def test_the_api_page_has_every_name_with_an_example_that_runs(
 
 
 def examples() -> list[str]:
-    """The examples of the page on commands."""
+    """The examples on the page of the commands."""
     return re.findall(r"^\| `dbb .*\| `(dbb .*?)` \|$", section("Examples", page("commands")), re.M)
 
 
 @pytest.mark.parametrize("example", examples())
-def test_every_option_of_an_example_is_one_of_its_command(
+def test_options_of_each_example_exist_in_its_command(
     example: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, command, *rest = example.split()
-    about = [word for word in rest[:1] if word == "robots"]  # of `dbb sweep`
+    about = [word for word in rest[:1] if word == "robots"]  # subcommand of `dbb sweep`
     with pytest.raises(SystemExit) as end:
         main([command, *about, "--help"])
     assert end.value.code in (0, None)
@@ -72,7 +72,7 @@ def test_every_option_of_an_example_is_one_of_its_command(
         assert re.search(rf"{option}\b", printed), option
 
 
-def test_there_is_an_example_of_every_command() -> None:
+def test_every_command_has_an_example() -> None:
     assert {"serve", "run", "new-robot"} <= set(command_names())
     assert {example.split()[1] for example in examples()} == {
         name.split()[0] for name in command_names()

@@ -12,7 +12,7 @@ from tests.readme import DOCS, PROJECT, README, page
 from tools import pages
 
 LONGEST_README = 220  # [-] lines
-RIDDLES = ("told", "at the begin", "whoever", "somebody", "thrice")
+HARD_WORDS = ("told", "at the begin", "whoever", "somebody", "thrice")
 """Words that a plain sentence does not need."""
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
@@ -30,16 +30,16 @@ def anchors(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
-def test_generated_blocks_are_what_is_generated(path: Path) -> None:
+def test_generated_blocks_are_up_to_date(path: Path) -> None:
     if path.name == "commands.md" and default_plant() != "planar":
-        pytest.skip("its defaults are those of where pybullet is")
+        pytest.skip("the default plants on this page require pybullet")
     text = path.read_text(encoding="utf-8")
     same = pages.words(pages.generated(text)) == pages.words(text)
     assert same, f"{path.name} is stale: python -m tools.pages"
 
 
 @pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
-def test_every_link_within_the_project_leads_somewhere(path: Path) -> None:
+def test_every_link_within_the_project_has_a_target(path: Path) -> None:
     for link in LINK.findall(prose(path)):
         if link.startswith(("http://", "https://")):
             continue
@@ -59,12 +59,12 @@ def test_every_file_that_a_page_names_exists(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
-def test_a_page_has_no_riddles(path: Path) -> None:
-    found = re.findall(rf"\b(?:{'|'.join(RIDDLES)})\b", prose(path), re.I)
+def test_a_page_avoids_hard_words(path: Path) -> None:
+    found = re.findall(rf"\b(?:{'|'.join(HARD_WORDS)})\b", prose(path), re.I)
     assert found == []
 
 
-def test_every_page_stands_in_the_index() -> None:
+def test_every_page_is_listed_in_the_index() -> None:
     listed = set(re.findall(r"^([a-z_]+)$", page("index"), re.M))
     assert listed == {path.stem for path in DOCS.glob("*.md")} - {"index"}
 
@@ -80,13 +80,13 @@ def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= LONGEST_README
 
 
-def test_a_block_that_nothing_makes_is_refused() -> None:
+def test_an_unknown_generated_block_is_refused() -> None:
     text = "<!-- generated: riddles -->\n<!-- end -->\n"
     with pytest.raises(SystemExit, match="'riddles'; there are results, parameters"):
         pages.generated(text)
 
 
-def test_what_stands_in_a_block_is_replaced_and_nothing_else() -> None:
+def test_only_the_content_of_a_block_is_replaced() -> None:
     text = "before\n\n<!-- generated: rooms -->\n<stale>\n<!-- end -->\n\nafter\n"
     made = pages.generated(text)
     assert made.startswith("before\n\n<!-- generated: rooms -->\n| room |")

@@ -1,7 +1,7 @@
-"""The adaptive controller at a door of a few lines: it finds the hinge, and does not force it.
+"""The adaptive controller at a simulated door: it finds the hinge with moderate forces.
 
-The door is quasi-static: springs join hand and handle, and the door turns as soon as their moment
-about the hinge is more than the friction's. The hand follows the reference with a lag, and yields.
+The door is quasi-static: springs connect end-effector and handle, and the door turns as soon as
+their moment about the hinge exceeds friction. The end-effector follows the reference with a lag.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from app.simulation.scenarios.door_opening import (
 
 Array = np.ndarray
 
-DT = 0.002  # [s]; half as often as in a run
+DT = 0.002  # [s]; twice the period of a run
 UP = np.array([0.0, 0.0, 1.0])
-SEEDS = range(6)  # each side with each kind of first guess
+SEEDS = range(6)  # both sides with each kind of initial guess
 
 
 def turned(angle: float) -> Array:
-    """(3, 3) about the vertical."""
+    """(3, 3) rotation about the vertical."""
     return pin.rpy.rpyToMatrix(0.0, 0.0, angle)
 
 
 @dataclass
 class Hinged:
-    """A door and the hand that holds it.
+    """A door and the end-effector that grasps it.
 
-    `side` is +1 where the hinge is on the left of who stands before the door and looks along `yaw`.
+    `side` is +1 if the hinge is on the left, seen from the front of the door along `yaw`.
     """
 
     side: float = 1.0
@@ -50,7 +50,7 @@ class Hinged:
     friction: float = 1.0  # [N m]
     stiffness: float = 4000.0  # [N/m] of the grasp
     twist: float = 100.0  # [N m/rad] of the grasp
-    lag: float = 0.02  # [s] of the hand behind its reference
+    lag: float = 0.02  # [s] of the end-effector behind its reference
 
     def __post_init__(self) -> None:
         into, left = turned(self.yaw)[:, 0], turned(self.yaw)[:, 1]
@@ -61,25 +61,27 @@ class Hinged:
 
     @property
     def radial(self) -> Array:
-        """(3,) the true direction from the hand to the hinge."""
+        """(3,) true direction from the end-effector to the hinge."""
         away = (self.hinge - self.hand.translation) * [1, 1, 0]
         return away / np.linalg.norm(away)
 
     def handle(self, angle: float) -> pin.SE3:
-        """Where the handle is when the door is open by an angle."""
+        """Pose of the handle at an opening angle [rad]."""
         R = turned(-self.side * angle)
         arm = self.closed.translation - self.hinge
         return pin.SE3(R @ self.closed.rotation, self.hinge + R @ arm)
 
     def wrench(self, angle: float) -> Wrench:
-        """(3,) [N] and (3,) [N m] that the hand exerts on the handle, about its own origin."""
+        """(3,) [N] and (3,) [N m] of the end-effector on the handle, about the end-effector's
+        origin.
+        """
         handle = self.handle(angle)
         force = self.stiffness * (self.hand.translation - handle.translation)
         torque = self.twist * pin.log3(self.hand.rotation @ handle.rotation.T)
         return Wrench(force, torque)
 
     def opening_moment(self, angle: float) -> float:
-        """[N m] about the hinge, positive opens."""
+        """[N m] moment about the hinge; positive opens."""
         force, torque = self.wrench(angle)
         arm = self.hand.translation - self.hinge
         return -self.side * float(arm[0] * force[1] - arm[1] * force[0] + torque[2])
@@ -88,7 +90,7 @@ class Hinged:
         return self.hand.copy(), self.velocity, self.wrench(self.angle)
 
     def follow(self, reference: Reference) -> None:
-        """Move the hand towards the reference, and the door as its friction lets it."""
+        """Move the end-effector towards the reference, and the door as its friction permits."""
         share = -math.expm1(-DT / self.lag)
         step = share * (reference.pose.translation - self.hand.translation)
         self.velocity = step / DT
@@ -106,13 +108,13 @@ class Hinged:
                 moment = self.opening_moment(self.angle)
 
     def move_hinge(self, radial: Array, radius: float) -> None:
-        """Another door at the same place in the same hand."""
+        """Replace the door by one with another hinge, at the same end-effector pose."""
         self.hinge = self.hand.translation + radius * radial
         self.closed, self.angle, self.radius = self.hand.copy(), 0.0, radius
 
 
 def random_door(seed: int) -> tuple[Hinged, float]:
-    """A door, and the error [rad] of the first guess."""
+    """A door, and the error [rad] of the initial guess."""
     rng = np.random.default_rng(seed)
     door = Hinged(
         side=(-1.0) ** seed,
@@ -133,7 +135,7 @@ class Sample(NamedTuple):
     error: float  # [rad]
     force: float  # [N]
     angle: float  # [rad]
-    speed: float  # [m/s] asked
+    speed: float  # [m/s] commanded
     along: float  # [m/s] the reference's velocity along the estimated tangent
     read: tuple[pin.SE3, Array, Wrench]
     reference: Reference
@@ -175,43 +177,43 @@ def run(door: Hinged, opening: DoorOpening, seconds: float) -> list[Sample]:
 
 @pytest.fixture(scope="module", params=SEEDS)
 def opened(request) -> tuple[Hinged, float, DoorOpening, list[Sample]]:
-    """The first 8 s of a random door."""
+    """The first 8 s of opening a random door."""
     door, wrong = random_door(request.param)
     opening = opening_of(door, wrong)
     return door, wrong, opening, run(door, opening, 8.0)
 
 
 @pytest.mark.slow
-def test_the_estimate_of_the_radial_direction_converges_for_random_hinges(opened):
-    """From up to 30° to either side to within 5° after 5 s, of either sense of opening."""
+def test_radial_direction_estimate_converges_for_random_hinges(opened):
+    """Initial errors up to 30° fall below 5° within 5 s, for both senses of opening."""
     _, wrong, _, trace = opened
     assert trace[0].error == pytest.approx(wrong)
     assert max(abs(s.error) for s in trace[step_at(5.0) :]) < math.radians(5)
     assert abs(trace[-1].error) < math.radians(1)
 
 
-def test_the_hands_force_stays_moderate(opened):
-    """Under the issue's 50 N always, and near the force of the hinge's friction in the end."""
+def test_force_of_the_end_effector_stays_moderate(opened):
+    """Always below 50 N, and finally near the force of the hinge's friction."""
     door, _, _, trace = opened
     assert max(s.force for s in trace) < 50.0
     assert max(s.force for s in trace[step_at(6.0) :]) < 3.0 + door.friction / door.radius
 
 
 @pytest.mark.slow
-def test_the_radial_force_is_regulated_to_what_is_wanted():
+def test_radial_force_converges_to_the_desired_value():
     for wanted in (5.0, -5.0):
         door = Hinged(friction=0.5)
         trace = run(door, opening_of(door, 0.2, DoorOpeningGains(radial_force=wanted)), 12.0)
         assert trace[-1].read[2].force @ door.radial == pytest.approx(wanted, abs=0.5)
 
 
-def test_the_path_is_learnt_too(opened):
-    """The curvature is that of a circle of the handle's radius, its sign that of the sense."""
+def test_curvature_estimate_converges(opened):
+    """Its magnitude is 1/radius of the handle, its sign the sense of opening."""
     door, _, opening, _ = opened
     assert opening.curvature == pytest.approx(-door.side / door.radius, rel=0.05)
 
 
-def test_the_reference_moves_along_the_estimated_tangent_with_the_asked_speed(opened):
+def test_reference_moves_along_the_estimated_tangent_at_commanded_speed(opened):
     door, _, _, trace = opened
     gains = DoorOpeningGains()
     for s in trace[::97]:
@@ -220,13 +222,13 @@ def test_the_reference_moves_along_the_estimated_tangent_with_the_asked_speed(op
     end = trace[-1]
     assert end.speed == pytest.approx(gains.speed)
     assert np.linalg.norm(end.reference.velocity[:3]) == pytest.approx(gains.speed, rel=0.02)
-    # And so does the hand: the door turns by v/r.
+    # The end-effector follows: the door turns at v/r.
     assert (end.angle - trace[-1 - step_at(1.0)].angle) == pytest.approx(
         gains.speed / door.radius, rel=0.02
     )
 
 
-def test_the_references_pose_moves_by_its_velocity(opened):
+def test_reference_pose_is_the_integral_of_its_velocity(opened):
     *_, trace = opened
     for before, after in zip(trace[1500::250], trace[1501::250], strict=True):
         moved = after.reference.pose.translation - before.reference.pose.translation
@@ -235,7 +237,7 @@ def test_the_references_pose_moves_by_its_velocity(opened):
         np.testing.assert_allclose(spin / DT, after.reference.velocity[3:], atol=1e-9)
 
 
-def test_it_starts_at_rest_where_the_hand_is_and_without_a_jerk(opened):
+def test_reference_starts_at_the_end_effector_without_a_jerk(opened):
     door, *_, trace = opened
     first, gains = trace[0], DoorOpeningGains()
     np.testing.assert_allclose(first.reference.velocity, np.zeros(6), atol=1e-12)
@@ -250,8 +252,8 @@ def test_it_starts_at_rest_where_the_hand_is_and_without_a_jerk(opened):
 
 
 @pytest.mark.slow
-def test_it_knows_of_the_door_only_what_the_hand_feels():
-    """The door is exchanged for one with another hinge and radius, unseen: it finds that too."""
+def test_controller_adapts_to_a_changed_hinge_by_force_alone():
+    """The door is replaced by one with another hinge and radius without notice."""
     door = Hinged(radius=0.45)
     opening = opening_of(door, 0.4)
     run(door, opening, 6.0)
@@ -263,8 +265,8 @@ def test_it_knows_of_the_door_only_what_the_hand_feels():
     assert max(s.force for s in trace) < 50.0
 
 
-def test_the_same_readings_give_the_same_references():
-    """Only the first guess and the readings have an effect: a replay without a door agrees."""
+def test_same_measurements_give_the_same_references():
+    """A replay of the measurements without a door gives the same references."""
     door = Hinged(side=-1.0, radius=0.4)
     first = opening_of(door, -0.5)
     again = opening_of(Hinged(side=-1.0, radius=0.7, friction=3.0), -0.5)
@@ -274,7 +276,7 @@ def test_the_same_readings_give_the_same_references():
         np.testing.assert_array_equal(reference.velocity, s.reference.velocity)
 
 
-def test_the_worlds_axes_are_of_no_matter():
+def test_result_does_not_depend_on_the_world_frame():
     here, there = Hinged(yaw=0.0), Hinged(yaw=2.1)
     ends = [run(door, opening_of(door, 0.5), 4.0) for door in (here, there)]
     for a, b in zip(*(trace[::100] for trace in ends), strict=True):
@@ -285,7 +287,7 @@ def test_the_worlds_axes_are_of_no_matter():
 
 
 @pytest.mark.slow
-def test_a_mirrored_door_is_opened_in_the_mirror():
+def test_mirrored_door_gives_mirrored_references():
     left, right = Hinged(side=1.0), Hinged(side=-1.0)
     ends = [run(d, opening_of(d, d.side * 0.5), 4.0) for d in (left, right)]
     for a, b in zip(*(trace[::100] for trace in ends), strict=True):
@@ -295,8 +297,8 @@ def test_a_mirrored_door_is_opened_in_the_mirror():
 
 
 @pytest.mark.slow
-def test_it_opens_the_door_and_stops_there():
-    """The end-effector turns by the commanded angle, and stops; a fast run."""
+def test_opening_stops_at_the_commanded_angle():
+    """With a high speed to save time."""
     gains = DoorOpeningGains(speed=0.06)
     door = Hinged(radius=0.4)
     trace = run(door, opening_of(door, 0.3, gains), 20.0)
@@ -306,20 +308,20 @@ def test_it_opens_the_door_and_stops_there():
 
 
 @pytest.mark.slow
-def test_a_door_that_does_not_move_is_not_forced():
-    """The speed falls to zero at the force from which on the hand does not move on."""
+def test_blocked_door_limits_the_force():
+    """The speed falls to zero at the force `slow_until`."""
     gains = DoorOpeningGains()
     door = Hinged(friction=1e3)
     trace = run(door, opening_of(door, 0.1), 20.0)
     assert trace[-1].angle == 0.0
     assert max(s.force for s in trace) < 1.1 * gains.slow_until
     assert trace[-1].speed < 0.1 * gains.speed
-    # Where nothing moves, nothing is learnt.
+    # Without motion there is no adaptation.
     assert abs(trace[-1].error - trace[0].error) < math.radians(3)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_the_tangent_is_level_and_across_the_radius(sense: float):
+def test_tangent_is_horizontal_unit_and_normal_to_the_radius(sense: float):
     for angle in np.linspace(-3, 3, 13):
         radial = np.array([math.cos(angle), math.sin(angle), 0.0])
         t = tangent(radial, sense)
@@ -330,15 +332,15 @@ def test_the_tangent_is_level_and_across_the_radius(sense: float):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("wrong", [-1.0, -0.5, 0.0, 0.5, 1.0])  # [rad]
-def test_it_opens_towards_where_the_hand_comes_from(side: float, wrong: float):
+def test_door_opens_towards_the_robot(side: float, wrong: float):
     door = Hinged(side=side)
     reference = run(door, opening_of(door, wrong), 0.5)[-1].reference
     assert reference.velocity[:3] @ -door.closed.rotation[:, 2] > 0
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_the_update_is_the_gradient_step_of_its_docstring(sense: float):
-    """At α_f R = -s v_d tan e and full speed, ė = -λ tan e; nothing without progress."""
+def test_radial_update_is_the_gradient_step_of_its_docstring(sense: float):
+    """At α_f R = -s v_d tan e and full speed, ė = -λ tan e; without progress, zero."""
     gains = DoorOpeningGains()
     for e in np.linspace(-1, 1, 9):
         force = -sense * gains.speed * math.tan(e) / gains.compliance
@@ -348,8 +350,8 @@ def test_the_update_is_the_gradient_step_of_its_docstring(sense: float):
         assert radial_update(force, 0.0, sense, gains) == 0.0
 
 
-def test_the_curvature_goes_to_where_the_torque_vanishes():
-    """At α_τ τ = (κ̂ - κ) v_d and full speed, κ̂ nears κ with the rate λ."""
+def test_curvature_update_converges_to_zero_torque():
+    """At α_τ τ = (κ̂ - κ) v_d and full speed, κ̂ converges to κ at the rate λ."""
     gains = DoorOpeningGains()
     for off in (-2.0, 0.0, 3.0):  # [1/m]
         torque = off * gains.speed / gains.angular_compliance

@@ -1,4 +1,4 @@
-"""A robot edited by hand: shapes follow gizmos, and a saved robot keeps everything else."""
+"""A robot edited by hand: shapes follow gizmos, and a save changes nothing else."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ T = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.5, 1.1), np.array([0.1, -0.2, 0.3]))
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
-def test_a_shape_stands_where_it_is_put_and_keeps_its_size(shape: Shape) -> None:
+def test_placing_a_shape_sets_its_pose_and_preserves_its_size(shape: Shape) -> None:
     moved = placed(shape, T)
     assert moved.placement().translation == pytest.approx(T.translation, abs=1e-4)
     assert half_extents(moved) == pytest.approx(half_extents(shape), abs=2e-4)
@@ -46,7 +46,7 @@ def test_a_shape_stands_where_it_is_put_and_keeps_its_size(shape: Shape) -> None
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
-def test_a_shape_reaches_as_far_as_its_corner_is_dragged_and_stays_in_place(shape: Shape) -> None:
+def test_resizing_a_shape_sets_its_extents_and_preserves_its_pose(shape: Shape) -> None:
     shape = placed(shape, T)
     half = half_extents(shape) * (1.5 if shape.type == "sphere" else np.array([1.5, 1.5, 2.0]))
     larger = resized(shape, half)
@@ -54,7 +54,7 @@ def test_a_shape_reaches_as_far_as_its_corner_is_dragged_and_stays_in_place(shap
     assert larger.placement().isApprox(shape.placement(), 1e-3)
 
 
-def test_a_round_shape_takes_the_side_that_was_dragged() -> None:
+def test_resizing_one_side_of_a_cylinder_sets_its_radius() -> None:
     cylinder = Cylinder(type="cylinder", radius_m=0.1, length_m=0.4)
     wider = resized(cylinder, np.array([0.1, 0.15, 0.2]))
     assert isinstance(wider, Cylinder)
@@ -75,7 +75,7 @@ def test_the_panel_lists_every_kind_of_unsaved_change() -> None:
     assert "Not saved" not in changes_html(HandMade({}, before, None), before)
 
 
-def test_what_is_saved_by_hand_says_so_and_all_else_stays(
+def test_saved_edits_are_marked_and_everything_else_is_unchanged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
@@ -96,10 +96,10 @@ def test_what_is_saved_by_hand_says_so_and_all_else_stays(
         for folder in (source, tmp_path / "mine")
     ]
     assert comments[0] == comments[1]
-    RobotModel(after)  # its URDF came along
+    RobotModel(after)  # its URDF was copied
 
 
-def test_what_was_there_before_is_read_within_its_budget(
+def test_the_source_description_is_read_within_its_budget(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = tmp_path / "before"
@@ -111,7 +111,7 @@ def test_what_was_there_before_is_read_within_its_budget(
         save_by_hand(source, tmp_path / "mine", CHANGES)
 
 
-def test_a_robot_of_ones_own_is_saved_in_its_place_and_no_other_one_is(tmp_path: Path) -> None:
+def test_a_save_overwrites_only_the_edited_robot_itself(tmp_path: Path) -> None:
     source, own = robot_folder("husky_panda"), tmp_path / "mine"
     save_by_hand(source, own, CHANGES)
     text = (own / "robot.toml").read_text()
@@ -174,6 +174,6 @@ def test_a_body_is_dragged_resized_and_saved_in_the_page(
     assert np.linalg.norm(moved - (moved @ along) * along) < 0.005
     assert after.length_m == pytest.approx(before.length_m + 0.1, abs=0.02)
     assert saved.unwatched == {"l2-lEE": BY_HAND}
-    # The page of the robot before stands until that of the saved one is whole.
+    # The page of the previous robot stays until the page of the saved robot is complete.
     tab.page.get_by_role("button", name="Save and use").wait_for(state="hidden")
     tab.wait_for_scene()

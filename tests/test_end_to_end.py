@@ -1,6 +1,6 @@
-"""The real thing: `dbb serve`, a browser, and a mouse that drags the hand at the base.
+"""The complete system: `dbb serve`, a browser, and a mouse drag of the end-effector to the base.
 
-All that is asserted is read off the page, as a person would.
+The assertions read only the page and the output of the command.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ pytestmark = pytest.mark.browser
 
 PROJECT = Path(__file__).resolve().parent.parent
 TOWARDS_BASE = -0.30  # [m] along x, the base's front
-PATIENCE = 120.0  # [s] for work that takes a second or two on a quiet machine
+PATIENCE = 120.0  # [s] for work that takes a second or two on an idle machine
 
 
 class Served:
-    """`dbb serve` in a process of its own.
+    """`dbb serve` in a separate process.
 
     Attributes:
         process: The process.
@@ -47,17 +47,17 @@ class Served:
             seen += line
             if found := re.search(r"http://\S+", line):
                 return found.group()
-        raise AssertionError(f"it ended before it served: {seen}")
+        raise AssertionError(f"the process ended before it served: {seen}")
 
     def interrupt(self) -> tuple[int, str]:
-        """Press Ctrl-C; the status and the remaining output."""
+        """Press Ctrl-C; returns the status and the remaining output."""
         self.process.send_signal(signal.SIGINT)
         _, errors = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, errors
 
 
 def simulation_of(served: Served) -> psutil.Process:
-    """The process in which the simulation runs."""
+    """The process that runs the simulation."""
     children = psutil.Process(served.process.pid).children()
     [simulation] = [child for child in children if "dbb _run_loop" in child.cmdline()]
     return simulation
@@ -72,19 +72,19 @@ def served():
 
 
 def reading(tab: DashboardTab, label: str) -> str:
-    """The text of the table of the tab "Lab" beside a label."""
+    """The cell beside a label in the table of the tab "Lab"."""
     text = re.compile(rf"^{re.escape(label)}$")
     row = tab.page.locator("tr").filter(has=tab.page.locator("td").filter(has_text=text))
     return row.locator("td").last.inner_text()
 
 
 def greatest_activation(tab: DashboardTab) -> float:
-    """The highest β_m on the plot of activation."""
+    """The largest β_m in the plot of the activation."""
     return float(tab.plot("activation of the avoidance β_m")[1].max())
 
 
 def pull_towards_base(tab: DashboardTab) -> None:
-    """Drag the hand at the base, hold it there until the base has gone, and let go."""
+    """Drag the end-effector to the base, hold it until the base has moved, and release it."""
     before = tab.position("/robot")
     tab.drag_gizmo(GIZMO, axis=0, metres=TOWARDS_BASE, scale=SCALE, steps=12, drop=False)
     wait_for(
@@ -94,12 +94,12 @@ def pull_towards_base(tab: DashboardTab) -> None:
     def base_has_moved() -> bool:
         return float(np.linalg.norm(tab.position("/robot") - before)) > 0.05
 
-    wait_for(base_has_moved, PATIENCE, "the base has moved by 0.05 m")
+    wait_for(base_has_moved, PATIENCE, "base motion of 0.05 m")
     tab.page.mouse.up()
 
 
-def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, served):
-    """And when the process of the simulation dies, the page and the command say why."""
+def test_base_moves_away_from_the_dragged_end_effector(browser, served):
+    """After the simulation's process is killed, page and command report the cause."""
     tab = DashboardTab(browser, served.address)
     tab.open_tab("Lab")
     tab.open_tab("Plots")
@@ -112,11 +112,11 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
 
     pull_towards_base(tab)
 
-    wait_for(lambda: greatest_activation(tab) > 0.2, PATIENCE, "the plot comes after the scene")
-    assert tab.position("/robot")[0] < -0.05, "it backs off, away from the hand"
-    wait_for(lambda: reading(tab, "pull") == "none", PATIENCE, "nobody pulls any more")
+    wait_for(lambda: greatest_activation(tab) > 0.2, PATIENCE, "activation in the plot")
+    assert tab.position("/robot")[0] < -0.05, "the base must back off"
+    wait_for(lambda: reading(tab, "pull") == "none", PATIENCE, "no pull in the table")
     wait_for(
-        lambda: tab.position(GIZMO)[0] < start[0] - 0.1, PATIENCE, "the hand is nearer than it was"
+        lambda: tab.position(GIZMO)[0] < start[0] - 0.1, PATIENCE, "end-effector nearer to the base"
     )
     tab.wait_for_change(before, 1000)
     assert reading(tab, "contact") == "none"

@@ -1,4 +1,4 @@
-"""Any scenario by its name behind the dashboard is the run of the command line."""
+"""A scenario behind the dashboard is the same run as on the command line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def fridge_setting(robot: RobotModel, border_data: BorderData) -> Setting:
 
 @pytest.fixture
 def known_fridge(monkeypatch: pytest.MonkeyPatch, fridge_setting: Setting) -> None:
-    """The search for the grasp, once for all tests: it takes seconds."""
+    """Search the grasp once for all tests, because the search takes seconds."""
     monkeypatch.setattr(
         RefrigeratorScenario, "setting", lambda self, model, data, config, seed: fridge_setting
     )
@@ -86,7 +86,7 @@ def test_a_scenario_is_the_same_run_as_on_the_command_line(make, robot, border_d
 
 
 @pytest.mark.slow
-def test_it_leads_until_its_end_and_then_the_hand_is_free(make):
+def test_a_scenario_leads_the_robot_until_its_end(make):
     ensemble = make()
     ensemble.play(TRACKING.changed(duration=0.2))
     assert (ensemble.leading, ensemble.ends) == ("tracking", 0.2)
@@ -95,7 +95,7 @@ def test_it_leads_until_its_end_and_then_the_hand_is_free(make):
     assert (ensemble.leading, ensemble.ends) == ("", None)
 
 
-def test_a_pull_ends_the_lead_and_a_restart_begins_it_again(make):
+def test_a_pull_ends_a_scenario_and_a_restart_repeats_it(make):
     ensemble = make()
     ensemble.play(LATERAL)
     first = steps(ensemble, 0.3)
@@ -108,7 +108,7 @@ def test_a_pull_ends_the_lead_and_a_restart_begins_it_again(make):
     np.testing.assert_allclose(steps(ensemble, 0.3), first, atol=1e-9)
 
 
-def test_a_reset_returns_to_the_free_start_and_so_does_a_restart_after_it(make, robot):
+def test_a_reset_and_a_later_restart_return_to_the_free_start(make, robot):
     ensemble = make()
     ensemble.play(LATERAL)
     ensemble.step()
@@ -122,7 +122,7 @@ def test_a_reset_returns_to_the_free_start_and_so_does_a_restart_after_it(make, 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("known_fridge")
-def test_the_refrigerator_brings_its_door_and_takes_it_away_again(make, fridge_setting):
+def test_the_refrigerator_adds_its_door_and_a_reset_removes_it(make, fridge_setting):
     ensemble = make("planar", "repulsive")
     free = ensemble.main
     ensemble.configure(Config().replace("force.f_max", 111.0))
@@ -137,7 +137,7 @@ def test_the_refrigerator_brings_its_door_and_takes_it_away_again(make, fridge_s
     assert (begun.mode, begun.controller) == ("tracking", "repulsive")
     assert "lm-door" in {pair.name for pair in begun.pairs}
     assert begun.config.force.f_max == 111.0
-    assert begun.config.task.posture_stiffness == 100.0  # as firm as that scenario needs it
+    assert begun.config.task.posture_stiffness == 100.0  # the scenario's own value
     ensemble.configure(Config().replace("force.f_max", 99.0))
     assert ensemble.main.config.task.posture_stiffness == 100.0
     steps(ensemble, 1.5)
@@ -153,7 +153,7 @@ def test_the_refrigerator_brings_its_door_and_takes_it_away_again(make, fridge_s
 
 
 @pytest.mark.usefixtures("known_fridge")
-def test_a_restart_of_the_refrigerator_is_the_same_run_again(make):
+def test_a_restart_of_the_refrigerator_repeats_its_run(make):
     ensemble = make("planar")
     ensemble.play(FRIDGE)
     first = steps(ensemble, 0.3)
@@ -162,7 +162,7 @@ def test_a_restart_of_the_refrigerator_is_the_same_run_again(make):
 
 
 @pytest.mark.usefixtures("known_fridge")
-def test_what_cannot_begin_changes_nothing(make):
+def test_a_refused_scenario_changes_nothing(make):
     ensemble = make("kinematic")
     ensemble.play(LATERAL)
     steps(ensemble, 0.1)
@@ -175,7 +175,7 @@ def test_what_cannot_begin_changes_nothing(make):
     assert ensemble.step().t == t
 
 
-def test_a_pull_elsewhere_disturbs_a_scenario_and_does_not_end_it(make):
+def test_a_pull_at_another_link_disturbs_a_scenario_without_ending_it(make):
     ensemble = make()
     ensemble.play(TRACKING)
     alone = steps(ensemble, 0.4)
@@ -188,13 +188,13 @@ def test_a_pull_elsewhere_disturbs_a_scenario_and_does_not_end_it(make):
     assert (ensemble.leading, ensemble.step().pulls) == ("tracking", ())
 
 
-def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
+def test_each_viewer_releases_its_own_pull_and_pulls_are_limited(make):
     ensemble = make()
     for who in range(MAX_PULLS):
         ensemble.pull(Pull((0.5, 0.1 * who, 0.8), who=who))
     with pytest.raises(TargetError, match="8 people already hold the robot"):
         ensemble.pull(Pull((0.5, 0.0, 0.8), who=99))
-    ensemble.pull(Pull((0.6, 0.0, 0.8), "panda_link5", who=2))  # who holds may take another point
+    ensemble.pull(Pull((0.6, 0.0, 0.8), "panda_link5", who=2))  # another point
     ensemble.release(0)
     ensemble.release(5)
     ensemble.release(77)
@@ -205,7 +205,7 @@ def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("known_fridge")
-def test_ghosts_hold_doors_of_their_own(make):
+def test_ghosts_have_separate_doors(make):
     ensemble = make("planar")
     ensemble.play(FRIDGE)
     closed = ensemble.main.physics.door.angle()

@@ -1,4 +1,4 @@
-"""A user's locale, folders and time zone change no result."""
+"""A user's locale, folders and time zone do not change results."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ for plant in sorted({{default_plant(), "mujoco", "mujoco-contact", "kinematic"}}
 
 
 def digests(cwd: Path, **other: str | None) -> str:
-    """The result of a run in a process of this environment."""
+    """Checksums of short runs, in a process with this environment."""
     changed = {name: value for name, value in other.items() if value is not None}
     kept = {name: value for name, value in os.environ.items() if name not in other}
     done = subprocess.run(
@@ -74,12 +74,12 @@ def digests(cwd: Path, **other: str | None) -> str:
 
 
 @pytest.mark.slow
-def test_no_result_depends_on_folders_time_zone_open_files_or_decimal_commas(
+def test_results_do_not_depend_on_folders_time_zone_or_decimal_commas(
     tmp_path: Path,
 ) -> None:
     here, source, commas = tmp_path / "here", Path("/usr/lib/locale/C.utf8"), {}
     here.mkdir()
-    if source.is_dir():  # a locale of glibc, to change
+    if source.is_dir():  # a glibc locale as template
         numbers = shutil.copytree(source, tmp_path / COMMAS) / "LC_NUMERIC"
         numbers.write_bytes(numbers.read_bytes().replace(b".", b","))
         commas = {"LOCPATH": str(tmp_path), "LC_ALL": None}
@@ -119,7 +119,7 @@ def test_robots_are_found_in_every_folder_of_a_list(
     ],
     ids=["user", "robot", "file", "loop", "quotes"],
 )
-def test_a_folder_that_cannot_have_robots_is_named(
+def test_error_names_a_folder_that_cannot_contain_robots(
     listed: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(assets.ASSETS / "husky_panda", tmp_path / "robot")
@@ -131,7 +131,7 @@ def test_a_folder_that_cannot_have_robots_is_named(
 
 
 @pytest.mark.parametrize("listed", ["", ":/elsewhere", "/elsewhere:"])
-def test_an_empty_entry_is_the_usual_folder(
+def test_empty_entry_means_the_default_folder(
     listed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
@@ -141,10 +141,10 @@ def test_an_empty_entry_is_the_usual_folder(
     )
 
 
-def test_without_a_home_nothing_is_written_beside_the_user(
+def test_folders_are_absolute_without_a_home(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`~` does not change for a user whom the system does not know, as in a container."""
+    """`~` is not expanded for an unknown user, as in a container."""
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
     for name in ("HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME", "DBB_ROBOTS"):
         monkeypatch.delenv(name, raising=False)
@@ -162,7 +162,7 @@ EDITORS = {
 
 
 @pytest.mark.parametrize("edit", EDITORS.values(), ids=EDITORS)
-def test_files_survive_editors(edit, tmp_path: Path) -> None:
+def test_files_survive_encodings_and_line_ends_of_editors(edit, tmp_path: Path) -> None:
     config = 'name = "grün"\n[border]\nd_b = 0.2 # [m]\n'
     assert decode_config(edit(config)).config.border.d_b == 0.2
     source = assets.ASSETS / "husky_panda" / "robot.toml"
@@ -177,8 +177,8 @@ def test_files_survive_editors(edit, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mark", [";", "\t"])
-def test_a_log_survives_a_spreadsheet(tmp_path: Path, mark: str) -> None:
-    """With decimal commas, and empty rows and columns at its ends."""
+def test_log_survives_a_spreadsheet(tmp_path: Path, mark: str) -> None:
+    """With decimal commas, and empty rows and columns at the ends."""
     snapshots = [replace(each, pulls=(), ghosts=(), scores=()) for each in random_snapshots(3, 4)]
     log = tmp_path / "log.csv"
     write_trace(log, trace_of(snapshots))
@@ -213,18 +213,18 @@ def test_a_log_survives_a_spreadsheet(tmp_path: Path, mark: str) -> None:
         (b"\x1f\x8b\x08\x00", "an archive; unpack it"),
     ],
 )
-def test_a_slip_of_an_editor_is_named(content: bytes, named: str) -> None:
+def test_error_names_the_typing_mistake(content: bytes, named: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(named)):
         decode_config(content)
 
 
-def test_a_comma_after_the_last_value_is_named(tmp_path: Path) -> None:
+def test_trailing_comma_is_named(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text('{"dbb_case": 1,\n}\n')
     with pytest.raises(CaseError, match="comma before"):
         read_case(tmp_path / "c.json")
 
 
-def test_a_log_whose_first_line_a_spreadsheet_has_changed_says_so(tmp_path: Path) -> None:
+def test_error_explains_a_first_line_changed_by_a_spreadsheet(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     write_trace(log, trace_of(random_snapshots(3, 4)))
     text = log.read_text(encoding="utf-8")

@@ -63,7 +63,9 @@ class RunningEstimate:
         self._v_last = read.base_velocity
         memory = self._x, self._P, self._variances, self._last, self._samples
         gains = Gains(dt, c.external_drift, c.least_noise, c.velocity_noise, c.noise_window)
-        estimate_arm(*memory, known, read.q_m, read.qd_m, robot.qd_max, gains)
+        estimate_arm(
+            *memory, known, np.stack((read.q_m, read.qd_m)), robot.qd_max, np.zeros(7), gains
+        )
         return read._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
 
 

@@ -22,7 +22,7 @@ def example():
 
 
 @pytest.mark.slow
-def test_the_carriage_gives_way_along_its_rail_and_the_arm_does_not_touch_it(example) -> None:
+def test_the_carriage_gives_way_along_its_rail_without_contact(example) -> None:
     figures = example["main"](duration=4.0)
     assert figures["min_clearance_m"] > 0.05
     assert figures["contacts"] == 0
@@ -30,7 +30,7 @@ def test_the_carriage_gives_way_along_its_rail_and_the_arm_does_not_touch_it(exa
     assert figures["base_yaw_rad"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_registered_kind_is_one_that_a_description_may_have(example) -> None:
+def test_a_registered_kind_is_accepted_in_a_description(example) -> None:
     example["main"](duration=0.01)
     own: type[BaseKind] = example["RailBase"]
     assert KINDS["rail"] is own
@@ -38,7 +38,7 @@ def test_a_registered_kind_is_one_that_a_description_may_have(example) -> None:
     assert own in field.annotation.__args__
 
 
-def test_another_kind_cannot_take_a_name_that_there_is(example) -> None:
+def test_a_second_kind_of_the_same_name_is_refused(example) -> None:
     example["main"](duration=0.01)
     taken = type("Taken", (example["RailBase"],), {"__module__": __name__})
     with pytest.raises(DescriptionError, match="'rail'"):

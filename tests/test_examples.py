@@ -1,4 +1,4 @@
-"""The examples run without changes, in short runs, and are short enough for reading."""
+"""The examples work in short runs and are short to read."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def example(name: str) -> ModuleType:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
-def test_an_example_has_at_most_sixty_lines_and_says_how_it_is_run(path: Path) -> None:
+def test_example_has_at_most_sixty_lines_and_its_command(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
     assert f"python examples/{path.name}" in text
 
 
-def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_arm(capsys) -> None:
+def test_base_moves_away_in_the_own_loop_example(capsys) -> None:
     assert example("own_loop").main(duration=1.0) < -0.05
     assert "lm-lEE" in capsys.readouterr().out
 
@@ -51,11 +51,11 @@ def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_arm(capsys) -> None:
         ("load", lambda found: found[0] == pytest.approx(2.0, abs=0.1) and found[1] < 0.1),
     ],
 )
-def test_a_case_of_ones_own_loop_runs(name: str, holds) -> None:
+def test_own_loop_variants_work(name: str, holds) -> None:
     assert holds(example(name).main())
 
 
-def test_the_table_of_a_step_is_printed_with_units_and_frames(capsys) -> None:
+def test_step_table_has_units_and_frames(capsys) -> None:
     step = example("step_table").main()
     assert step.solved[()] == 1.0
     printed = capsys.readouterr().out
@@ -64,14 +64,14 @@ def test_the_table_of_a_step_is_printed_with_units_and_frames(capsys) -> None:
     assert f"{step.pairs[0].name}: {step.d[0]:.3f} m" in printed
 
 
-def test_a_run_is_replayed_and_plotted(tmp_path: Path) -> None:
+def test_replay_and_plot_examples_write_their_files(tmp_path: Path) -> None:
     page = example("replay").main(tmp_path, duration=0.5)
     assert page.read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
     picture = example("plot").main(tmp_path / "distances.png", duration=0.5)
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_node_sends_what_the_loop_gives_for_its_messages(robot, border_data) -> None:
+def test_ros2_example_publishes_the_loops_command(robot, border_data) -> None:
     sent = example("ros2_shape").main(steps=5)
     ready = np.array(robot.description.arm.ready_position)
     expected = ControlLoop(robot, border_data).step(at_rest(robot, ready))
@@ -79,7 +79,7 @@ def test_a_node_sends_what_the_loop_gives_for_its_messages(robot, border_data) -
     np.testing.assert_allclose(sent["/cmd_vel"].velocity, 0.0, atol=1e-9)
 
 
-def test_a_body_that_is_put_on_the_base_is_kept_clear_of() -> None:
+def test_cargo_on_the_base_is_avoided() -> None:
     module = example("cargo")
     hit, kept = module.main("none"), module.main("dbb")
     assert hit["min_clearance_m"] < 0.0

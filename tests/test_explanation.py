@@ -1,4 +1,4 @@
-"""Laws of the explanation of a step: forces, levels and limits agree with other computations."""
+"""Forces, levels and limits in the explanation of a step agree with independent computations."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from tests.qps import Limits, Objective, Rows, hand_task, inserted, solved
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
-"""The end-effector's task has no weight, so that the base does (29)."""
+"""The end-effector's task has almost no weight, so that the base follows (29)."""
 REST = np.zeros(2)
 SEEDS = range(4)
 
 
 @pytest.fixture(scope="module")
 def controllers(robot: RobotModel, border_data: BorderData) -> dict[str, Controller]:
-    """One of each, with torques that may change at once, so that they are those of the QP."""
+    """One controller of each kind; torques may change at once and are those of the QP."""
     return {name: Controller(robot, border_data, AT_ONCE, name=name) for name in CONTROLLERS}
 
 
@@ -46,7 +46,7 @@ def dbb(controllers: dict[str, Controller]) -> Controller:
 
 
 def near(robot: RobotModel, pair: str, seed: int, low: float = 0.06, high: float = 0.12):
-    """A random posture, moving slowly, with a pair that meets from the side between two bounds."""
+    """A random slow state with a pair's distance within bounds and its normal not steep."""
     rng = np.random.default_rng(seed)
     reader = PairDistances(robot, candidate_pairs(robot))
     names = [p.name for p in reader.pairs]
@@ -87,7 +87,7 @@ def level(why: Explanation, name: str) -> Level:
 
 
 def here(controller: Controller, m: Measurement, *, off: float = 0.0) -> Reference:
-    """A reference at rest where the hand is, or so many metres above."""
+    """A reference at rest at the end-effector, or `off` metres above it."""
     controller.state.update(m)
     pose = controller.state.T_world_ee
     pose = pin.SE3(pose.rotation.copy(), pose.translation + np.array([0.0, 0.0, off]))
@@ -98,14 +98,14 @@ def here(controller: Controller, m: Measurement, *, off: float = 0.0) -> Referen
 
 
 def number_of(output: ControlStep, pair: NearPair) -> int:
-    """Which of the pairs of a step it is."""
+    """Index of the pair among the pairs of a step."""
     return [each.name for each in output.pairs].index(f"{pair.a}-{pair.b}")
 
 
 @given(
     st.floats(-np.pi, np.pi), st.floats(0, 600), st.floats(-np.pi, np.pi), st.floats(-1.57, 1.57)
 )
-def test_away_and_turn_add_up_and_are_along_and_across_the_normal(heading, size, azimuth, height):
+def test_away_and_turn_sum_to_the_force_and_are_orthogonal(heading, size, azimuth, height):
     f = size * np.array([np.cos(heading), np.sin(heading), 0.0])
     n = np.array([*(np.cos(height) * np.array([np.cos(azimuth), np.sin(azimuth)])), np.sin(height)])
     away, turn = split(f, n)
@@ -116,7 +116,7 @@ def test_away_and_turn_add_up_and_are_along_and_across_the_normal(heading, size,
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_force_is_that_of_the_pair_and_its_parts_make_the_bases_acceleration(robot, dbb, seed):
+def test_a_pairs_force_and_its_parts_give_the_base_acceleration(robot, dbb, seed):
     why, output = explained(dbb, near(robot, "lm-lEE", seed))
     assert why.forces
     for pair in why.near:
@@ -131,8 +131,8 @@ def test_the_force_is_that_of_the_pair_and_its_parts_make_the_bases_acceleration
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_turn_draws_the_better_part_of_the_border_to_the_hand(robot, dbb, seed):
-    """And the rest of the force moves the base away from it."""
+def test_the_turn_moves_a_higher_score_towards_the_end_effector(robot, dbb, seed):
+    """The other part of the force moves the base away from the end-effector."""
     why, output = explained(dbb, near(robot, "lm-lEE", seed))
     for pair in why.near:
         if pair.force is None:
@@ -159,7 +159,7 @@ def test_determinant_reachability_and_score_are_the_fields_at_p_act(robot, dbb, 
         assert force.score_near == pytest.approx(float(field.score(p_n)))
 
 
-def test_nothing_depends_on_where_the_base_stands_and_how_it_is_turned(robot, dbb):
+def test_forces_and_normals_do_not_depend_on_the_base_pose(robot, dbb):
     m = near(robot, "lm-lEE", 1)
     here_, there = (
         explained(dbb, m._replace(base_pose=np.array(pose)))[0]
@@ -174,8 +174,8 @@ def test_nothing_depends_on_where_the_base_stands_and_how_it_is_turned(robot, db
 
 @pytest.mark.parametrize("name", ["dbb", "repulsive", "barrier", "none"])
 @pytest.mark.parametrize("off", [0.0, 0.8])
-def test_the_hands_slack_is_what_the_torques_leave_of_its_task(robot, controllers, name, off):
-    """With an error of 0.8 m the task demands 720 m/s², which no torque gives."""
+def test_the_end_effectors_slack_is_the_residual_of_its_task(robot, controllers, name, off):
+    """With an error of 0.8 m the task demands 720 m/s², beyond the torque limits."""
     controller, m = controllers[name], near(robot, "lm-lEE", 2)
     reference = here(controller, m, off=off)
     why, output = explained(controller, m, reference)
@@ -189,29 +189,29 @@ def test_the_hands_slack_is_what_the_torques_leave_of_its_task(robot, controller
     assert (off > 0.0) == (hand.linear > 10.0) or name == "repulsive"
 
 
-def test_a_level_that_is_met_gives_up_nothing(robot, dbb):
+def test_a_level_that_is_met_has_no_slack(robot, dbb):
     m = near(robot, "lm-lEE", 2)
     why, _ = explained(dbb, m, here(dbb, m), config=UNHELD)
-    assert level(why, "hand").linear == pytest.approx(0.0, abs=1e-2)  # to its weight
+    assert level(why, "hand").linear == pytest.approx(0.0, abs=1e-2)  # up to its weight
     assert level(why, "base")[1:] == pytest.approx((0.0, 0.0), abs=1e-2)
     names = [reading.name for reading in why.levels]
     assert (names[0], *names[-2:]) == ("base", "hand", "posture")
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_posture_gives_up_what_its_joints_do_not_get(robot, dbb, seed):
+def test_the_slack_of_the_posture_is_the_missing_acceleration(robot, dbb, seed):
     m = near(robot, "lm-lEE", seed)
     why, output = explained(dbb, m, here(dbb, m))
     lower, upper = robot.q_limits
     out = (2.0 * m.q_m - lower - upper) / (upper - lower)
-    task = AT_ONCE.task  # the posture is the present one
+    task = AT_ONCE.task  # the posture is the current one
     wanted = -task.posture_damping * m.qd_m - task.joint_centering * (upper - lower) / 2 * out**5
     expected = np.linalg.norm(qdd_of(dbb, output)[2:] - wanted)
     assert level(why, "posture").angular == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("pair", ["lm-lEE", "l1-l3"])
-def test_a_guided_arm_gives_up_what_is_asked_beyond_carrying_itself(robot, dbb, pair):
+def test_the_slack_of_a_guided_arm_is_its_deviation_from_free_motion(robot, dbb, pair):
     why, output = explained(dbb, near(robot, pair, 0))
     u_0, near_base = free_arm_torque(output.g, output.qd, robot.joint_damping), slice(output.n_mob)
     distances, f_arm = (output.d[near_base], output.J[near_base]), AT_ONCE.force.f_arm
@@ -221,7 +221,7 @@ def test_a_guided_arm_gives_up_what_is_asked_beyond_carrying_itself(robot, dbb, 
 
 
 @pytest.mark.parametrize("gap", [0.0, 2.0, 5.0])
-def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(robot, dbb, gap):
+def test_contradicting_rows_share_their_difference_equally(robot, dbb, gap):
     _, output = explained(dbb, near(robot, "l1-l3", 0))
     e = np.eye(9)
     objective, base = Objective(e, np.zeros(9)), Rows(e[:2], np.zeros(2), np.ones(2))
@@ -238,12 +238,12 @@ def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(r
     assert free.angular == pytest.approx(1.0 + gap / 2.0, abs=1e-4)
 
 
-def test_the_base_gives_up_what_its_largest_acceleration_does_not_allow(robot, dbb):
+def test_the_slack_of_the_base_is_the_demand_beyond_its_acceleration(robot, dbb):
     strong = UNHELD.replace("force.f_max", 600.0)
     seeds = (explained(dbb, near(robot, "lm-lEE", s, 0.02, 0.04), config=strong) for s in range(20))
     why, output = next((w, o) for w, o in seeds if any(b.where == "base" for b in w.bounds))
     most = np.array(robot.description.base.max_acceleration)
-    wanted = output.beta_m * output.xdd_m  # β = 1: nothing else is wanted
+    wanted = output.beta_m * output.xdd_m  # β = 1: no other term
     assert output.beta_m == 1.0
     excess = np.maximum(np.abs(wanted) - most, 0.0)
     assert level(why, "base")[1:] == pytest.approx(tuple(excess), abs=1e-2)
@@ -253,17 +253,17 @@ def test_the_base_gives_up_what_its_largest_acceleration_does_not_allow(robot, d
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_base_gives_up_what_would_take_along_a_hand_that_the_arm_cannot_hold(
+def test_the_slack_of_the_base_has_motion_that_the_arm_cannot_compensate(
     robot, border_data, dbb, seed
 ):
-    """Reported as the base's slack, and as no limit of the base."""
+    """This part is reported as slack of the base, not as a limit of the base."""
     speeds = tuple(float(v) for v in robot.qd_max / 50)
     arm = robot.description.arm.model_copy(update={"max_velocity": speeds})
     slow = RobotModel(robot.description.model_copy(update={"arm": arm}))
     m = near(robot, "lm-lEE", seed)
     m = Measurement(m.base_pose, REST, m.q_m, np.zeros(7))
     why, output = explained(Controller(slow, border_data, AT_ONCE), m)
-    wanted = output.beta_m * output.xdd_m  # at rest nothing else is wanted
+    wanted = output.beta_m * output.xdd_m  # no other term at rest
     missing = np.abs(wanted - output.a_base_cmd)
     assert level(why, "base")[1:] == pytest.approx(tuple(missing), abs=1e-9)
     assert np.linalg.norm(missing) > 0.5 * np.linalg.norm(wanted) > 0.0
@@ -274,7 +274,7 @@ def test_the_base_gives_up_what_would_take_along_a_hand_that_the_arm_cannot_hold
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_bound_is_reported_exactly_where_giving_way_would_change_the_answer(robot, dbb, seed):
+def test_a_bound_is_reported_exactly_if_relaxing_it_changes_the_result(robot, dbb, seed):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(9, 9))
     objective = Objective(A @ A.T + np.eye(9), 3.0 * rng.normal(size=9))
@@ -293,7 +293,7 @@ def test_a_bound_is_reported_exactly_where_giving_way_would_change_the_answer(ro
             assert (moved > 10 * TOLERANCE) == at
 
 
-def test_a_torque_limit_is_reported_for_the_joints_whose_torque_is_at_it(robot, dbb):
+def test_a_torque_limit_is_reported_for_each_joint_at_its_limit(robot, dbb):
     m = near(robot, "lm-lEE", 2)
     for off in (0.0, 0.8):
         why, output = explained(dbb, m, here(dbb, m, off=off))
@@ -306,7 +306,7 @@ def test_a_torque_limit_is_reported_for_the_joints_whose_torque_is_at_it(robot, 
 
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize("kind", ["position", "velocity"])
-def test_a_joint_that_is_braked_before_its_limit_says_which_one(robot, dbb, kind, upper):
+def test_a_joint_braked_before_its_limit_reports_the_limit(robot, dbb, kind, upper):
     sign, joint = (1.0 if upper else -1.0), 0
     q_m, qd_m = np.array(robot.description.arm.ready_position), np.zeros(robot.n_m)
     if kind == "position":
@@ -314,7 +314,7 @@ def test_a_joint_that_is_braked_before_its_limit_says_which_one(robot, dbb, kind
         qd_m[joint] = sign * 0.5
     else:
         qd_m[joint] = sign * 1.3 * robot.qd_max[joint]
-    prompt = AT_ONCE.replace("limit.velocity_rate", 100.0)  # sooner than by the joint's damping
+    prompt = AT_ONCE.replace("limit.velocity_rate", 100.0)  # brakes before the joint's damping does
     why, _ = explained(dbb, Measurement(np.zeros(3), np.zeros(2), q_m, qd_m), config=prompt)
     assert Bound(robot.description.arm.joints[joint], kind, upper) in why.bounds
     qd_m[:] = 0.0
@@ -323,14 +323,14 @@ def test_a_joint_that_is_braked_before_its_limit_says_which_one(robot, dbb, kind
     assert why.bounds == ()
 
 
-def test_a_torque_that_cannot_change_so_fast_is_reported_until_it_has_arrived(robot, dbb):
-    slow = Config()  # and a robot that stands still is not held
+def test_a_torque_rate_limit_is_reported_until_the_torque_is_reached(robot, dbb):
+    slow = Config()  # with the limit of the torque rate
     m = near(robot, "l1-l3", 0)
     dbb.reset()
     dbb.configure(slow)
 
     def step() -> ControlStep:
-        dbb.last.v_last[:] = np.nan  # a gap: nobody is thought to hold the arm
+        dbb.last.v_last[:] = np.nan  # a gap, so that no person is assumed to hold the arm
         return dbb.step(m)
 
     for _ in range(3):
@@ -354,14 +354,14 @@ def test_a_torque_that_cannot_change_so_fast_is_reported_until_it_has_arrived(ro
         ((0.5, -1.0), [Bound("base", "speed", True), Bound("base", "turning speed", False)]),
     ],
 )
-def test_the_bases_top_speeds_are_reported_when_they_are_commanded(robot, command, expected):
+def test_a_commanded_top_speed_of_the_base_is_reported(robot, command, expected):
     assert admittance_bounds(robot, Config(), np.array(command)) == expected
 
 
 # Methods and failures
 
 
-def test_only_the_method_that_moves_the_base_has_forces(robot, controllers):
+def test_only_methods_that_move_the_base_have_forces(robot, controllers):
     m = near(robot, "lm-lEE", 0)
     why = {name: explained(controller, m)[0] for name, controller in controllers.items()}
     assert {name for name, each in why.items() if each.forces} == {"dbb", "hqp"}
@@ -371,7 +371,7 @@ def test_only_the_method_that_moves_the_base_has_forces(robot, controllers):
     assert why["none"].near[0].arm_beta == 0.0
 
 
-def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controllers):
+def test_a_barrier_is_active_exactly_if_its_row_is_at_its_bound(robot, controllers):
     held = set()
     for seed in range(6):
         why, output = explained(controllers["barrier"], near(robot, "lm-lEE", seed, 0.01, 0.06))
@@ -390,7 +390,7 @@ def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controll
     assert held == {True, False}
 
 
-def test_without_a_solution_it_says_so_and_still_what_is_near(robot, dbb):
+def test_an_unsolved_step_is_reported_with_its_near_pairs(robot, dbb):
     dbb.reset()
     dbb.configure(AT_ONCE)
     output = dbb.step(near(robot, "lm-lEE", 0), base_acceleration=np.full(2, np.nan))
@@ -401,10 +401,10 @@ def test_without_a_solution_it_says_so_and_still_what_is_near(robot, dbb):
     assert why.near[0].b == "lEE"
 
 
-def test_it_is_plain_small_data(robot, dbb):
+def test_an_explanation_is_small_and_has_only_plain_types(robot, dbb):
     why, _ = explained(dbb, near(robot, "lm-lEE", 0))
     assert pickle.loads(pickle.dumps(why)) == why
-    assert len(pickle.dumps(why)) < 2000  # [bytes] 3000 of them are kept
+    assert len(pickle.dumps(why)) < 2000  # [bytes] 3000 explanations are stored
     assert {type(x) for x in leaves(why)} <= {str, float, bool, type(None)}
 
 
@@ -416,7 +416,7 @@ def leaves(value: object):
         yield value
 
 
-def test_every_published_snapshot_is_explained(robot, border_data):
+def test_a_snapshot_contains_the_explanation_of_its_step(robot, border_data):
     session = Session(robot, border_data, Config(), physics="kinematic")
     m = near(robot, "lm-lEE", 3)
     session.reset(m.q_m)

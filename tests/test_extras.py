@@ -1,4 +1,4 @@
-"""`pip install` alone installs the controller; a command names the extra that it needs."""
+"""A plain installation contains the controller; a command names the extra that it lacks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BASE = {
     "typing_extensions",
     "tyro",
 }
-"""Modules that a plain installation brings."""
+"""Modules of a plain installation."""
 
 NAMED_OTHERWISE = {
     "collada": "pycollada",
@@ -43,13 +43,13 @@ NAMED_OTHERWISE = {
     "msgspec": "viser",
     "websockets": "viser",
 }
-"""Packages by a module of another name that they or their dependencies bring."""
+"""Packages of modules with another name."""
 
 OURS = {"app", "benchmarks"}
-"""The project's own; without a checkout `dbb bench` says where the second is."""
+"""The project's own packages; only a checkout has the second."""
 
 
-def test_every_library_comes_with_the_package_or_an_extra_that_is_named() -> None:
+def test_every_imported_library_belongs_to_the_package_or_an_extra() -> None:
     known = BASE | {module for modules in EXTRAS.values() for module in modules} | OURS
     for path in FILES:
         tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -57,8 +57,8 @@ def test_every_library_comes_with_the_package_or_an_extra_that_is_named() -> Non
         assert names - sys.stdlib_module_names - {"tomllib"} <= known, path
 
 
-def test_the_method_needs_no_extra_where_it_imports_at_the_top_of_a_module() -> None:
-    lazily = {"map.py", "chain.py"}  # of `dbb reach`
+def test_method_imports_no_extra_at_the_top_of_a_module() -> None:
+    lazily = {"map.py", "chain.py"}  # modules of `dbb reach`
     for path in FILES:
         if room_of(path) in {"robot", "border", "avoidance", "control"} and path.name not in lazily:
             tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -73,7 +73,7 @@ def test_the_method_needs_no_extra_where_it_imports_at_the_top_of_a_module() -> 
 
 
 @pytest.mark.parametrize(("extra", "modules"), EXTRAS.items())
-def test_an_extra_brings_what_is_said_of_it(extra: str, modules: tuple[str, ...]) -> None:
+def test_extra_lists_the_packages_of_its_modules(extra: str, modules: tuple[str, ...]) -> None:
     text = (PROJECT / "pyproject.toml").read_text(encoding="utf-8")
     (packages,) = re.findall(rf"^{extra} = \[\n(.*?)^\]", text, re.M | re.S)
     named = set(re.findall(r'^    "([A-Za-z0-9-]+)', packages, re.M))
@@ -89,7 +89,7 @@ def test_an_extra_brings_what_is_said_of_it(extra: str, modules: tuple[str, ...]
         ("app.robot.shapes", "trimesh", "sim"),
     ],
 )
-def test_the_extra_is_that_of_the_importing_package_if_it_installs_the_module(
+def test_suggested_extra_belongs_to_the_importing_package(
     importer: str, module: str, extra: str
 ) -> None:
     wanted = rf"pip install 'dbb-mobile-manipulator\[{extra}\]'"
@@ -97,7 +97,7 @@ def test_the_extra_is_that_of_the_importing_package_if_it_installs_the_module(
         exec(f"raise ModuleNotFoundError(name={module!r})", {"__name__": importer})
 
 
-def test_a_missing_module_names_its_extra_and_any_other_stays_an_error() -> None:
+def test_missing_module_names_its_extra_and_other_errors_pass() -> None:
     wanted = r"pip install 'dbb-mobile-manipulator\[dashboard\]'"
     with pytest.raises(MissingExtraError, match=wanted), extras_named():
         raise ModuleNotFoundError(name="viser.transforms")
@@ -114,7 +114,7 @@ def test_a_missing_module_names_its_extra_and_any_other_stays_an_error() -> None
         ("run guiding-lateral", "scipy", "sim"),
     ],
 )
-def test_a_command_without_its_extra_says_so_in_one_line(
+def test_command_without_its_extra_fails_with_one_line(
     command: str, module: str, extra: str
 ) -> None:
     code = f"import sys; sys.modules[{module!r}] = None; from app.cli import main; main()"

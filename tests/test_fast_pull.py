@@ -1,4 +1,4 @@
-"""Hard pulls towards the base on the wheel axis and into the arm's column: the arm holds alone."""
+"""Hard pulls towards the base on the wheel axis and into the arm's column; only the arm resists."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ HARD = RANDOM_PULL.changed(
     moving=0.53565,
     q_m=(-1.60267, 1.18757, -0.10693, -1.41824, -0.30458, 3.40376, 0.0),
 )
-"""A force beyond the torque of a wrist."""
+"""The force exceeds the torque limit of a wrist joint."""
 STRONG = {"hand.f_max": 60.0, "hand.stiffness": 1088.0}
 
 
@@ -47,7 +47,7 @@ STRONG = {"hand.f_max": 60.0, "hand.stiffness": 1088.0}
         pytest.param(HARD, 0.7802, 1.5, STRONG, 10952216, 0.02, id="hard"),
     ],
 )
-def test_the_arm_holds_the_hand_and_does_not_throw_it_back(
+def test_the_arm_stops_a_hard_pull_without_contact_or_overspeed(
     robot: RobotModel,
     border_data: BorderData,
     pull: StartedLine,
@@ -57,7 +57,7 @@ def test_the_arm_holds_the_hand_and_does_not_throw_it_back(
     seed: int,
     least: float,
 ) -> None:
-    """`speed` [m/s] is the largest of the person's hand, `until` [s] when the pull has ended."""
+    """`speed` [m/s] is the largest speed of the person's hand; the pull ends before `until` [s]."""
     config = Config()
     for path, value in parameters.items():
         config = config.replace(path, value)
@@ -69,15 +69,15 @@ def test_the_arm_holds_the_hand_and_does_not_throw_it_back(
         if step.t > until:
             break
     assert nearest > least
-    # Nothing but the person drives the hand; 4.3 m/s where joints' limits asked other joints.
+    # Only the person drives the end-effector; it reached 4.3 m/s when joint limits moved others.
     assert fastest < 1.1 * speed
 
 
 @pytest.mark.parametrize("force", [40.0, 60.0, 80.0])
-def test_a_pull_into_the_arms_own_column_leaves_a_gap_and_the_bound_covers_joint_speeds(
+def test_a_pull_into_the_column_leaves_a_gap_and_the_bound_fits_speeds(
     robot: RobotModel, border_data: BorderData, force: float
 ) -> None:
-    """At 80 N the end-effector was 16 mm inside the shoulder; at 60 N the bound was 68 N."""
+    """Formerly, the gap was -16 mm at the shoulder at 80 N, and the bound was 68 N at 60 N."""
     pull = LINES["guiding-lateral"].changed(
         start=(0.067, -0.698, 0.392), move=(0.039, 0.758, -0.082), duration=1.16
     )

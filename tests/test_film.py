@@ -1,4 +1,4 @@
-"""Films without a display: encoded completely or not at all, and the same on a busy machine."""
+"""Films without a display: written completely or not at all, and reproducible."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def grey(count: int) -> Iterator[Image.Image]:
 
 
 def frames(path: Path) -> list[np.ndarray]:
-    """(H, W, 3) each, as other programs than the one that wrote them read them."""
+    """(H, W, 3) uint8 of each picture, read by independent libraries."""
     if path.suffix in (".gif", ".webp"):
         with Image.open(path) as film:
             found = []
@@ -71,7 +71,7 @@ def test_each_codec_keeps_every_picture_in_order(suffix: str, codec: str, tmp_pa
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_ffmpeg_cannot_write_is_one_line_and_leaves_the_old_file(
+def test_ffmpeg_failure_is_one_line_and_keeps_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = tmp_path / "ffmpeg"
@@ -89,7 +89,7 @@ def test_what_ffmpeg_cannot_write_is_one_line_and_leaves_the_old_file(
     assert sorted(tmp_path.iterdir()) == [full, path]
 
 
-def test_a_film_larger_than_a_file_may_be_is_one_line(tmp_path: Path) -> None:
+def test_exceeded_file_size_limit_is_one_line(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (30, 240, 320, 3), dtype=np.uint8)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
@@ -101,7 +101,7 @@ def test_a_film_larger_than_a_file_may_be_is_one_line(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_no_file(tmp_path: Path) -> None:
     def pictures() -> Iterator[Image.Image]:
         yield from grey(3)
         raise KeyboardInterrupt
@@ -123,7 +123,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
         ("--out x.mp4 --span 0 99", "--span: 99 s is not within 0 to 8 s"),
     ],
 )
-def test_wrong_words_are_one_line(
+def test_invalid_arguments_are_one_line(
     words: str,
     error: str,
     tmp_path: Path,
@@ -140,7 +140,7 @@ def test_wrong_words_are_one_line(
 
 @pytest.fixture(scope="module")
 def run(robot: RobotModel, border_data: BorderData) -> list[Snapshot]:
-    """The first 0.1 s of a scenario, with a ghost."""
+    """Start and end of a run of 0.1 s, with a ghost."""
     scenario = scenario_of(robot.description, "guiding-front")
     both = [
         filmed(RunSpec("husky_panda", scenario, Config(), name), robot, border_data, [0.0, 0.1])
@@ -149,7 +149,7 @@ def run(robot: RobotModel, border_data: BorderData) -> list[Snapshot]:
     return with_ghosts(both[0], both[1:])
 
 
-def test_the_caption_says_time_distance_and_ghost(run: list[Snapshot]) -> None:
+def test_caption_changes_with_time_and_ghost(run: list[Snapshot]) -> None:
     how = (Look(),)
     plain = Image.new("RGB", (640, 360), (20, 20, 20))
     one = np.array(captioned(plain.copy(), run[0], *how))
@@ -160,7 +160,7 @@ def test_the_caption_says_time_distance_and_ghost(run: list[Snapshot]) -> None:
     assert (one != alone).any(axis=-1).sum() > 100  # the ghost's line
 
 
-def test_words_for_strangers_say_method_cause_distance_and_way(run: list[Snapshot]) -> None:
+def test_story_names_method_cause_distance_and_base_motion(run: list[Snapshot]) -> None:
     x, y, phi = run[0].base_pose
     gone = replace(run[0], base_pose=np.array([x + 0.3, y - 0.4, phi]))
     texts = [line if isinstance(line, str) else line[0] for line in story(gone, run[0])]
@@ -177,7 +177,7 @@ def test_words_for_strangers_say_method_cause_distance_and_way(run: list[Snapsho
     assert texts[2] == "arm hits its base"
 
 
-def test_pictures_stand_side_by_side_in_their_order() -> None:
+def test_side_by_side_pictures_keep_their_order() -> None:
     pairs = zip(grey(3), reversed(list(grey(3))), strict=True)
     wholes = [side_by_side(pair) for pair in pairs]
     assert [whole.size for whole in wholes] == [(2 * SIZE[0], SIZE[1])] * 3
@@ -189,7 +189,7 @@ def test_pictures_stand_side_by_side_in_their_order() -> None:
 
 
 @pytest.mark.browser
-def test_a_film_is_the_same_each_time_and_turns(
+def test_film_is_reproducible_and_orbits(
     browser: object, run: list[Snapshot], robot: RobotModel, border_data: BorderData
 ) -> None:
     look = Look(160, 90)
@@ -201,7 +201,7 @@ def test_a_film_is_the_same_each_time_and_turns(
 
     one, two = film(0.0)
     assert one.shape == (90, 160, 3)
-    assert one.std() > 10  # the robot is there
+    assert one.std() > 10  # the robot is visible
     again, turned = film(0.5)
     assert (again == one).all()
     assert (np.abs(turned.astype(int) - two) > 24).mean() > 0.1

@@ -1,4 +1,4 @@
-"""Programs in place of a browser: with any message, the loop continues within its ranges."""
+"""The loop continues within its ranges after any message of a program instead of a browser."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ def served():
         yield served
 
 
-def goes_on(served) -> bool:
-    """Whether time passes in the loop, and a viewer who comes now gets a page.
+def is_responsive(served) -> bool:
+    """Whether the loop runs and a new viewer gets a page.
 
-    Any program may pause it or restart it, and messages may still be on their way: so it gets the
-    command to continue until it does.
+    A late message may pause or restart the loop, so the command to continue is repeated.
     """
 
     def passes() -> bool:
@@ -42,17 +41,17 @@ def goes_on(served) -> bool:
         time.sleep(0.3)
         return served.loop.latest().t > before + 0.1
 
-    wait_for(passes, what="time goes on")
-    with visitor(served):
+    wait_for(passes, what="a running loop")
+    with new_viewer(served):
         return served.server.error is None
 
 
 @contextmanager
-def visitor(served):
-    """A program that has come as a viewer, and the page that was made for it."""
+def new_viewer(served):
+    """A raw client and the page that the server has built for it."""
     known = set(served.server.pages)
     with RawClient(served.server.address) as client:
-        wait_for(lambda: set(served.server.pages) - known, what="a page for who comes now")
+        wait_for(lambda: set(served.server.pages) - known, what="a page of the new viewer")
         yield client, served.server.pages[max(served.server.pages)]
 
 
@@ -66,15 +65,15 @@ def labelled(page, label):
     return next(each for each in widgets(page) if getattr(each, "label", None) == label)
 
 
-def test_no_widget_takes_what_is_not_of_its_kind_or_out_of_its_range(served, caplog):
+def test_no_widget_accepts_values_of_a_wrong_type_or_out_of_range(served, caplog):
     first = served.loop.latest().config
-    with visitor(served) as (client, page):
+    with new_viewer(served) as (client, page):
         handles = widgets(page)
         assert len(handles) > 60
         for handle in handles:
             for value in WRONG:
                 client.set_widget(handle, value)
-        assert goes_on(served)
+        assert is_responsive(served)
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []
     for command in served.loop.commands:  # these commands have passed their own checks
         if isinstance(command, Configure):
@@ -87,7 +86,7 @@ def test_no_widget_takes_what_is_not_of_its_kind_or_out_of_its_range(served, cap
 
 def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
     config = served.loop.latest().config
-    with visitor(served) as (client, page):
+    with new_viewer(served) as (client, page):
         handle = widgets(page)[0]
         for message in (
             _messages.GuiUpdateMessage("no such widget", {"value": 1}),
@@ -96,41 +95,39 @@ def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
             _messages.TransformControlsUpdateMessage("/no/such/node", (1, 0, 0, 0), (9, 9, 9)),
         ):
             client.send(message)
-        assert goes_on(served)
+        assert is_responsive(served)
         assert handle.label != "forged"
     assert served.loop.latest().config == config
 
 
-def test_a_page_that_answers_with_another_picture_than_it_was_asked_for_is_told_so(
-    served, monkeypatch, caplog
-):
+def test_a_picture_of_another_size_gives_the_viewer_a_warning(served, monkeypatch, caplog):
     monkeypatch.setattr(_viser, "_make_uuid", lambda: "asked")
-    told, small = [], png(Image.new("RGBA", (8, 4)))
-    with visitor(served) as (client, page):
-        monkeypatch.setattr(page._notifier, "warn", lambda _, text: told.append(text))
+    warnings, small = [], png(Image.new("RGBA", (8, 4)))
+    with new_viewer(served) as (client, page):
+        monkeypatch.setattr(page._notifier, "warn", lambda _, text: warnings.append(text))
         button = labelled(page, "Picture (PNG)")
         client.set_widget(button, True)
 
         def answer() -> bool:
             client.send(_messages.GetRenderResponseMessage(small, "asked"))
-            return bool(told)
+            return bool(warnings)
 
-        wait_for(answer, what="a word on the picture")
-    assert told == ["the browser delivered a picture of another size"]
+        wait_for(answer, what="the warning about the picture")
+    assert warnings == ["the browser delivered a picture of another size"]
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []
 
 
-def test_who_cancels_a_picture_that_does_not_come_has_not_to_wait_for_it(served):
-    with visitor(served) as (client, page):
+def test_a_picture_that_does_not_arrive_can_be_cancelled(served):
+    with new_viewer(served) as (client, page):
         files = page.viewer.files
         client.set_widget(labelled(page, "Picture (PNG)"), True)
-        wait_for(lambda: files.progress is not None, what="the picture's begin")
+        wait_for(lambda: files.progress is not None, what="the start of the picture")
         files.cancel()
         wait_for(lambda: files.progress is None, seconds=5.0, what="its end")
 
 
-def test_thousands_of_messages_at_once_hold_nobody_up_and_the_last_value_counts(served):
-    with visitor(served) as (client, page):
+def test_thousands_of_messages_do_not_stop_the_loop_and_the_last_counts(served):
+    with new_viewer(served) as (client, page):
         slider = page.tuning_panel.widgets["border.d_b"].handle
         served.loop.send(Pause(False))
         begin, before = time.monotonic(), served.loop.latest().t
@@ -138,13 +135,13 @@ def test_thousands_of_messages_at_once_hold_nobody_up_and_the_last_value_counts(
             client.set_widget(slider, 0.10 + 0.1 * (i % 2) if i < FLOOD - 1 else 0.22)
         wait_for(lambda: served.loop.latest().config.border.d_b == 0.22, 60.0, "the last value")
         passed = time.monotonic() - begin
-        assert served.loop.latest().t - before > 0.25 * passed, "the loop has gone on meanwhile"
-        assert goes_on(served)
+        assert served.loop.latest().t - before > 0.25 * passed, "the loop has stalled meanwhile"
+        assert is_responsive(served)
     served.loop.send(Configure(type(served.loop.latest().config)()))
 
 
-def test_many_who_come_at_once_hold_nobody_up_and_who_has_gone_gets_no_page(served, monkeypatch):
-    """Each page is built between two pictures of the others, which include panels and labels."""
+def test_pages_of_many_viewers_are_built_one_by_one_for_open_clients(served, monkeypatch):
+    """Each page is built between two pictures of the other pages, with panels and labels."""
     built, texts = [], []
 
     class Slow(Page):
@@ -158,7 +155,7 @@ def test_many_who_come_at_once_hold_nobody_up_and_who_has_gone_gets_no_page(serv
             super().draw(**how)
 
     monkeypatch.setattr("app.dashboard.server.Page", Slow)
-    with visitor(served), ExitStack() as stack:
+    with new_viewer(served), ExitStack() as stack:
         built.clear()
         texts.clear()
         for _ in range(4):
@@ -169,7 +166,10 @@ def test_many_who_come_at_once_hold_nobody_up_and_who_has_gone_gets_no_page(serv
         built.clear()
         for _ in range(8):
             RawClient(served.server.address).close()
-        wait_for(lambda: len(served.server.viser.get_clients()) == 5, what="all have gone")
+        wait_for(
+            lambda: len(served.server.viser.get_clients()) == 5,
+            what="closed clients",
+        )
         end = served.server.pictures + 5
         wait_for(lambda: served.server.pictures > end, what="the next pictures")
         assert len(built) < 8

@@ -1,4 +1,4 @@
-"""Cameras: the relevant objects are in the free part of the picture, as large as possible."""
+"""Cameras: the relevant objects fill the free part of the picture."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ AHEAD = np.array([1.0, 0.0, 0.0])
 
 
 def on_picture(points: Array, eye: Array, target: Array, window: Window) -> Array:
-    """(N, 2) where points are seen: -1 left and at the bottom, 1 right and at the top."""
+    """(N, 2) picture coordinates: -1 left and bottom, 1 right and top."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, UP)
     right /= np.linalg.norm(right)
@@ -55,7 +55,7 @@ def on_picture(points: Array, eye: Array, target: Array, window: Window) -> Arra
     covered=st.floats(0.0, 0.45),
     above=st.floats(0.0, 0.25),
 )
-def test_all_is_seen_and_from_no_nearer_it_would_be(
+def test_fit_shows_all_points_from_the_least_distance(
     seed: int, size: float, aspect: float, covered: float, above: float
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -70,12 +70,12 @@ def test_all_is_seen_and_from_no_nearer_it_would_be(
     floor, roof = np.array([-1.0, 2.0 * covered - 1.0]), np.array([1.0, 1.0 - 2.0 * above])
     assert (low > floor).all()
     assert (high < roof).all()
-    # In one direction the margin is touched on both sides.
+    # In one direction the margin is reached on both sides.
     room = np.array([low - floor, roof - high]) / [2.0, free]
     assert np.min(np.max(room, axis=0)) == pytest.approx(0.05, abs=1e-6)
 
 
-def test_what_a_browser_says_of_its_window_is_believed_within_reason() -> None:
+def test_window_size_of_the_browser_is_limited_to_valid_values() -> None:
     assert Window.of(0, 0, 0.1, 0.1) == Window.of(float("nan"), 10, 0.1, 0.1) == Window()
     assert Window.of(1e9, 1, 9.0, 9.0) == Window(4.0, 0.55, 0.25)
     assert Window.of(800, 1000, 0.2, 0.1) == Window(0.8, 0.1, 0.2)
@@ -84,13 +84,13 @@ def test_what_a_browser_says_of_its_window_is_believed_within_reason() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("window", [Window(0.85, 0.23), Window(1.6, 0.18), Window()])
 @pytest.mark.parametrize("name", [name for name in PRESETS if PRESETS[name].of == "robot"])
-def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Window) -> None:
+def test_preset_shows_the_whole_robot_at_any_pose(name: str, window: Window) -> None:
     loop = ScriptedLoop(husky_panda())
     loop.place((2.0, -1.0, 0.7))
     snapshot, extent = loop.latest(), parts().extent
     c, s = np.cos(snapshot.base_pose[2]), np.sin(snapshot.base_pose[2])
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    arrows = snapshot.p_ee + SCALE * np.eye(3)  # of the gizmo: the mouse has to reach them
+    arrows = snapshot.p_ee + SCALE * np.eye(3)  # arrows of the gizmo, which the mouse must reach
     points = np.vstack([extent @ R.T + [*snapshot.base_pose[:2], 0.0], snapshot.p_ee, arrows])
     eye, target = placed(PRESETS[name], [snapshot], extent, window)
     seen = on_picture(points, eye, target, window)
@@ -99,7 +99,7 @@ def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Wi
 
 
 def beside(snapshot: Snapshot, *away: float) -> Snapshot:
-    """With ghosts so far [m] ahead of it."""
+    """The snapshot with ghosts at these distances [m] ahead of it."""
     ghosts = (
         GhostReading(
             "none",
@@ -114,7 +114,7 @@ def beside(snapshot: Snapshot, *away: float) -> Snapshot:
     return replace(snapshot, ghosts=tuple(ghosts))
 
 
-def test_ghosts_beside_the_robot_are_in_the_picture_and_one_far_away_is_left_behind() -> None:
+def test_near_ghosts_are_in_the_picture_and_far_ones_are_not() -> None:
     extent, window = parts().extent, Window(0.85, 0.23)
     shown = beside(ScriptedLoop(husky_panda()).latest(), 0.6, 5.0)
     eye, target = placed(PRESETS["iso"], [shown], extent, window)
@@ -123,7 +123,7 @@ def test_ghosts_beside_the_robot_are_in_the_picture_and_one_far_away_is_left_beh
     assert np.abs(far).max() > 1.0
 
 
-def test_a_film_has_all_that_happens_in_its_picture() -> None:
+def test_film_camera_shows_every_pose_of_the_run() -> None:
     loop, extent, window = ScriptedLoop(husky_panda()), parts().extent, Window()
     shown = []
     for x in (0.0, 0.4, 3.0):
@@ -136,7 +136,7 @@ def test_a_film_has_all_that_happens_in_its_picture() -> None:
 
 
 class Eye:
-    """The camera of a browser that reports its state 0.5 s after a command."""
+    """A browser's camera that reports its state 0.5 s after a command."""
 
     def __init__(self) -> None:
         self.time = 0.0
@@ -149,7 +149,7 @@ class Eye:
     look_at = np.zeros(3)
 
     def answer(self, moved: float = 0.0, width: int = 1280) -> None:
-        """Say where it is now, after the viewer has moved it, and how wide the page is [px]."""
+        """Report position and page width [px], after a motion of `moved` [m] by the user."""
         self.time += 0.5
         self.position = self.position + np.array([moved, 0.0, 0.0])
         self._state.image_width = width
@@ -158,7 +158,7 @@ class Eye:
 
 @pytest.fixture
 def looking(monkeypatch: pytest.MonkeyPatch) -> tuple[Camera, Eye, ScriptedLoop]:
-    """A camera that follows, on a page that is still as wide as its window."""
+    """A following camera on a page that still has the width of its window."""
     eye, loop = Eye(), ScriptedLoop(husky_panda())
     monkeypatch.setattr(camera_module, "monotonic", lambda: eye.time)
     client: Any = SimpleNamespace(camera=eye, atomic=nullcontext)
@@ -170,7 +170,7 @@ def looking(monkeypatch: pytest.MonkeyPatch) -> tuple[Camera, Eye, ScriptedLoop]
 
 
 def go_on(camera: Camera, eye: Eye, loop: ScriptedLoop, *, moved: float = 0.0) -> None:
-    """The base drives on by 0.1 m a picture, and the camera with it."""
+    """Move the base by 0.1 m for each picture, and let the camera follow."""
     for _ in range(3):
         x = loop.latest().base_pose[0] + 0.1
         loop.place((x, 0.0, 0.0))
@@ -180,7 +180,7 @@ def go_on(camera: Camera, eye: Eye, loop: ScriptedLoop, *, moved: float = 0.0) -
 
 
 def settled(camera: Camera, eye: Eye, loop: ScriptedLoop, *, busy: bool = False) -> bool:
-    """Whether it looks again once the panels are there."""
+    """Whether the camera is placed again once the panels have their width."""
     before = eye.position
     eye.answer(width=620)
     camera.settle(loop.latest(), busy=busy)
@@ -188,7 +188,7 @@ def settled(camera: Camera, eye: Eye, loop: ScriptedLoop, *, busy: bool = False)
 
 
 @pytest.mark.slow
-def test_a_camera_that_follows_still_looks_again_when_the_panels_come(
+def test_following_camera_is_placed_again_when_the_panels_appear(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, eye, loop = looking
@@ -200,7 +200,7 @@ def test_a_camera_that_follows_still_looks_again_when_the_panels_come(
     assert eye.position[0] > target[0]
 
 
-def test_a_viewer_who_has_moved_is_left_alone_while_the_camera_follows(
+def test_camera_moved_by_the_user_is_not_placed_again(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, eye, loop = looking
@@ -208,16 +208,16 @@ def test_a_viewer_who_has_moved_is_left_alone_while_the_camera_follows(
     assert not settled(camera, eye, loop)
 
 
-def test_the_scene_stays_where_it_is_under_a_viewer_who_holds_something(
+def test_camera_does_not_move_during_a_drag(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, eye, loop = looking
     assert not settled(camera, eye, loop, busy=True)
-    assert settled(camera, eye, loop), "once it is let go"
+    assert settled(camera, eye, loop), "the camera must move after the drag"
 
 
 @pytest.mark.parametrize("follow", [True, False])
-def test_a_beginning_finds_the_robot_that_a_long_drive_has_taken_out_of_sight(
+def test_reset_brings_the_robot_back_into_view(
     looking: tuple[Camera, Eye, ScriptedLoop], follow: bool
 ) -> None:
     camera, eye, loop = looking
@@ -231,7 +231,7 @@ def test_a_beginning_finds_the_robot_that_a_long_drive_has_taken_out_of_sight(
     loop.place((30.0, 0.0, 0.0))
     camera.find(loop.latest(), on=follow)
     eye.answer()
-    assert seen() == follow, "the camera that follows finds it on the way, too"
+    assert seen() == follow, "only the following camera shows it before the reset"
     loop.send(Reset())
     if not follow:
         eye.position, eye.look_at = np.array([30.0, 1.0, 1.0]), np.array([30.0, 0.0, 0.0])
@@ -242,7 +242,7 @@ def test_a_beginning_finds_the_robot_that_a_long_drive_has_taken_out_of_sight(
     assert seen()
 
 
-def test_who_has_moved_the_camera_keeps_his_view_of_the_robot_at_a_beginning(
+def test_reset_keeps_a_user_view_that_shows_the_robot(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, eye, loop = looking
@@ -256,7 +256,7 @@ def test_who_has_moved_the_camera_keeps_his_view_of_the_robot_at_a_beginning(
     np.testing.assert_array_equal(eye.position, place)
 
 
-def test_a_ghost_whose_hand_leaves_the_picture_is_found(
+def test_camera_finds_a_ghost_whose_end_effector_leaves_the_picture(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, eye, loop = looking
@@ -270,7 +270,7 @@ def test_a_ghost_whose_hand_leaves_the_picture_is_found(
     assert not np.array_equal(eye.position, before)
 
 
-def test_who_looks_at_the_nearest_pair_sees_the_hand_and_where_it_goes(
+def test_pair_view_always_shows_the_end_effector(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, eye, loop = looking
@@ -283,7 +283,7 @@ def test_who_looks_at_the_nearest_pair_sees_the_hand_and_where_it_goes(
         assert lens.has(lens.pixel(shown.p_ee))
 
 
-def test_a_viewer_who_comes_while_a_door_is_opened_looks_at_it(
+def test_new_client_sees_the_door_while_it_is_opened(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, _, loop = looking
@@ -295,7 +295,7 @@ def test_a_viewer_who_comes_while_a_door_is_opened_looks_at_it(
 
 
 @pytest.mark.parametrize("hinge", ["left", "right"])
-def test_the_view_of_a_door_shows_all_of_it_open_or_closed(hinge: Any) -> None:
+def test_door_view_shows_the_open_and_the_closed_door(hinge: Any) -> None:
     door = RefrigeratorScenario(hinge=hinge).door
     view = DoorView(door, np.deg2rad(63.0), np.zeros(3))
     snapshot = replace(ScriptedLoop(husky_panda()).latest(), door=view)
@@ -305,13 +305,13 @@ def test_the_view_of_a_door_shows_all_of_it_open_or_closed(hinge: Any) -> None:
     corners = [np.array([0.0, -door.side * u, v]) for u in (0.0, width) for v in (0.0, height)]
     points = [door.pose(angle).act(c) for angle in (0.0, view.angle) for c in corners]
     seen = on_picture(np.array([*points, *parts().extent]), eye, target, window)
-    assert (np.abs(seen) < 1.0).all(), "the door, and the base that has to give way"
+    assert (np.abs(seen) < 1.0).all(), "door and base must be visible"
     assert (eye - door.pose(0.0).translation) @ door.pose(0.0).rotation[:, 0] < 0.0, (
-        "from its front"
+        "the camera must be in front of the door"
     )
 
 
-def test_a_step_waits_for_a_slow_browser_that_still_says_where_it_was(
+def test_camera_waits_for_a_slow_browser_before_the_next_step(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
     camera, eye, loop = looking
@@ -321,7 +321,7 @@ def test_a_step_waits_for_a_slow_browser_that_still_says_where_it_was(
     eye.answer()
     loop.place((0.1, 0.0, 0.0))
     camera.follow(loop.latest().base_pose[:2], on=True)
-    np.testing.assert_array_equal(eye.position, before, "no step from where it no longer is")
+    np.testing.assert_array_equal(eye.position, before, "no step from an outdated position")
     eye.position = wanted
     eye.answer()
     camera.follow(loop.latest().base_pose[:2], on=True)

@@ -1,4 +1,4 @@
-"""The gate in front of viser: who may connect, which messages arrive, and that none is lost."""
+"""The gate in front of viser: permitted connections and messages, and no lost wake-up."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def camera(**changes):
         ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
         ("http://robot:8080", "robot:8080", True),
         ("https://robot", "robot.", True),
-        ("https://robot.", "robot.", True),  # the same name, written out
-        ("https://robot", "robot:443", True),  # proxies that write out the default port,
+        ("https://robot.", "robot.", True),  # the same name, fully qualified
+        ("https://robot", "robot:443", True),  # proxies that add the default port,
         ("http://robot:8080", "robot", True),  # lose the port,
         ("https://robot", "127.0.0.1:8080", True),  # or forward their own address
         ("https://192.168.1.7", "192.168.1.7:443", True),
@@ -94,11 +94,15 @@ def camera(**changes):
         ("http://localhost:8080", "127.0.0.1:8080", False),
         ("null", "127.0.0.1:8080", False),  # a file, or a sandboxed frame
         ("", "127.0.0.1:8080", False),
-        ("http://evil.example:8080", "evil.example:8080", False),  # a name made to point here
+        (
+            "http://evil.example:8080",
+            "evil.example:8080",
+            False,
+        ),  # it may resolve to this host
         (None, "evil.example:8080", False),
         ("http://localhost.evil.example:8080", "localhost.evil.example:8080", False),
         ("http://127.0.0.1:8080", None, False),
-        (None, "[", False),  # no addresses
+        (None, "[", False),  # not an address
         ("http://[", "127.0.0.1:8080", False),
         (None, "127.0.0.1:x", False),
         (None, "127.0.0.1:8080; script-src *", False),
@@ -135,7 +139,7 @@ def try_to_connect(server, of_page):
 
 
 def get(server, path, host=""):
-    """Status, headers and text of a page, of a server that is reached by some name."""
+    """Status, headers and text of a page; `host` is the name by which the server is reached."""
     address = f"http://127.0.0.1:{server.get_port()}{path}"
     headers = {"Host": host} if host else {}
     try:
@@ -155,7 +159,7 @@ def test_pages_of_other_ports_need_the_option(host):
         assert is_allowed(f"http://{shown}:9000", f"{shown}:8080", *names) is bool(allowed)
 
 
-def test_a_foreign_page_cannot_connect_and_the_own_one_can():
+def test_the_servers_own_page_can_connect_and_a_foreign_page_cannot():
     with served() as server:
         with pytest.raises(websockets.InvalidStatus) as refused:
             try_to_connect(server, "http://evil.example")
@@ -189,7 +193,7 @@ def test_every_request_gets_an_answer(request_line, status, has_page, caplog):
     ["websocket=ws://evil.example", "playbackPath=x", "initDarkMode=1", "=x", "fixedDpr=1&<b>=1"]
     + [f"fixedDpr={value}" for value in ("", "50", "nan", "-1", "1e9")],
 )
-def test_a_link_cannot_give_the_page_orders(query):
+def test_a_link_cannot_set_options_of_the_page(query):
     with served() as server:
         status, _, text = get(server, f"/?{query}")
         assert status == 400
@@ -202,7 +206,7 @@ def test_a_link_cannot_give_the_page_orders(query):
     ("header", "status"),
     [("Host: \xff", 403), ("Host: a\r\nHost: b", 400), ("Host: a\r\nCookie: a\r\nCookie: b", 400)],
 )
-def test_a_request_that_cannot_be_read_is_refused_without_a_word_in_the_log(header, status, caplog):
+def test_an_unreadable_request_is_refused_without_a_log_entry(header, status, caplog):
     with served() as server, socket.create_connection(("127.0.0.1", server.get_port())) as raw:
         raw.sendall(f"GET //[ HTTP/1.1\r\n{header}\r\n\r\n".encode("latin1"))
         answer = raw.makefile("rb").read()
@@ -211,7 +215,7 @@ def test_a_request_that_cannot_be_read_is_refused_without_a_word_in_the_log(head
     assert caplog.records == []
 
 
-def test_who_only_knocks_is_told_of_in_a_line_a_minute(caplog, monkeypatch):
+def test_connections_without_a_session_are_logged_once_a_minute(caplog, monkeypatch):
     monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
     with served() as server:
         here = "127.0.0.1", server.get_port()
@@ -224,25 +228,25 @@ def test_who_only_knocks_is_told_of_in_a_line_a_minute(caplog, monkeypatch):
         assert get(server, "/")[0] == 200
         for _ in range(2):
             logging.getLogger("asyncio").error("socket.accept() out of system resource\nsocket: x")
-    told = [record for record in caplog.records if record.levelno >= logging.ERROR]
-    assert 1 <= len(told) == len({record.getMessage() for record in told}) <= 3
-    assert all("\n" not in record.getMessage() and not record.exc_info for record in told)
+    logged = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    assert 1 <= len(logged) == len({record.getMessage() for record in logged}) <= 3
+    assert all("\n" not in record.getMessage() and not record.exc_info for record in logged)
     assert "a connection: socket.accept() out of system resource" in caplog.text
 
 
-def test_a_mistake_in_answering_is_no_knock_and_is_written_with_its_way(caplog, monkeypatch):
+def test_an_error_while_answering_is_logged_with_its_traceback(caplog, monkeypatch):
     """Viser itself hides all errors before a connection is open."""
     with served() as server:
-        assert get(server, "/")[0] == 200  # from here on it does
+        assert get(server, "/")[0] == 200  # from here on, viser does so
         with monkeypatch.context() as patched:
             patched.setattr("app.dashboard.gate.is_allowed", lambda *_: {}["a mistake"])
             assert get(server, "/")[0] == 500
-    [told] = [record for record in caplog.records if record.levelno >= logging.ERROR]
-    assert "a mistake" in told.getMessage()
-    assert isinstance(told.exc_info[1], KeyError)
+    [logged] = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    assert "a mistake" in logged.getMessage()
+    assert isinstance(logged.exc_info[1], KeyError)
 
 
-def test_an_error_within_an_open_connection_is_no_knock(caplog):
+def test_an_error_within_an_open_connection_is_logged_with_its_traceback(caplog):
     with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
         wait_for(server.get_clients, what="the client")
         [connection] = server._websock_server._live_connections.values()
@@ -250,12 +254,12 @@ def test_an_error_within_an_open_connection_is_no_knock(caplog):
             raise AssertionError("a mistake")
         except AssertionError:
             connection.logger.exception("unexpected internal error")
-    [told] = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    [logged] = [record for record in caplog.records if record.levelno >= logging.ERROR]
     assert "a mistake" in caplog.text
-    assert told.exc_info
+    assert logged.exc_info
 
 
-def test_pages_of_another_version_are_sent_away_without_a_word(capfd):
+def test_pages_of_another_version_are_closed_without_output(capfd):
     async def reason(server, protocols):
         address = f"ws://127.0.0.1:{server.get_port()}"
         async with connect(address, subprotocols=protocols) as connection:
@@ -265,9 +269,9 @@ def test_pages_of_another_version_are_sent_away_without_a_word(capfd):
 
     with served() as server:
         for protocols in (None, ["viser-v0.0.1"]):
-            told = asyncio.run(reason(server, protocols))
-            assert told.code == 1002  # by which a page knows that it need not try again
-            assert "another version" in told.reason
+            closed = asyncio.run(reason(server, protocols))
+            assert closed.code == 1002  # by this code a page does not try again
+            assert "another version" in closed.reason
     assert "ersion" not in capfd.readouterr().out
 
 
@@ -287,7 +291,7 @@ def test_every_answer_forbids_frames_and_connections_to_others():
             assert headers["X-Frame-Options"] == "DENY"
 
 
-def test_one_more_viewer_than_may_come_is_refused_and_may_come_when_one_has_gone(monkeypatch):
+def test_a_viewer_beyond_the_limit_is_refused_until_another_leaves(monkeypatch):
     monkeypatch.setattr("app.dashboard.gate._MOST_VIEWERS", 2)
 
     async def visit(server):
@@ -295,7 +299,7 @@ def test_one_more_viewer_than_may_come_is_refused_and_may_come_when_one_has_gone
             with pytest.raises(websockets.InvalidStatus) as refused:
                 await link(server, None)
             assert refused.value.response.status_code == 503
-        for _ in range(100):  # the server learns of it a little later
+        for _ in range(100):  # the server registers the end a little later
             try:
                 async with link(server, None) as connection:
                     return await asyncio.wait_for(connection.recv(), timeout=10.0)
@@ -307,13 +311,13 @@ def test_one_more_viewer_than_may_come_is_refused_and_may_come_when_one_has_gone
         assert asyncio.run(visit(server))
 
 
-def test_the_gate_is_taken_away_again_for_other_servers():
+def test_the_gate_does_not_apply_to_other_servers():
     before = websockets_server.serve
     with served():
         assert websockets_server.serve is before
 
 
-def test_a_viser_that_starts_in_another_way_is_not_used():
+def test_a_viser_without_the_gates_entry_point_is_refused():
     with (
         pytest.raises(ServerError, match="this version of viser"),
         Gate("127.0.0.1", (), 0).closed(),
@@ -321,7 +325,7 @@ def test_a_viser_that_starts_in_another_way_is_not_used():
         pass
 
 
-def test_what_a_page_sends_passes_unchanged():
+def test_messages_of_a_page_pass_unchanged():
     pass_on(CAMERA)
     pass_on({"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [1, 2.5, "x", True]}})
     pass_on(
@@ -355,7 +359,7 @@ def test_what_a_page_sends_passes_unchanged():
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": -(2**60)}},
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [[[[[[[[1]]]]]]]]}},
         {"type": "GuiUpdateMessage", "uuid": "a" * 5000, "updates": {"value": 1}},
-        {"type": "GuiFormDirtyMessage", "uuid": "a"},  # it would be kept for ever
+        {"type": "GuiFormDirtyMessage", "uuid": "a"},  # it would be stored for ever
         {"type": "ShareUrlRequest"},
         {"type": "ShareUrlDisconnect"},
         {"type": "RunJavascriptMessage", "source": "1"},
@@ -365,8 +369,8 @@ def test_what_a_page_sends_passes_unchanged():
         7,
     ],
     ids=repr,
-)  # accepted by viser
-def test_what_no_page_sends_never_reaches_viser(message):
+)  # viser itself accepts these
+def test_messages_that_no_page_sends_are_refused(message):
     with pytest.raises(RefusedError):
         pass_on(message)
 
@@ -384,7 +388,7 @@ def test_bytes_that_are_no_message_are_refused(data):
     [([b""] * 90, 0.0, True), ([b"x" * 2**17] * 9, 0.0, False), ([b""] * 9, 0.1, False)],
     ids=["many", "large", "slow"],
 )
-def test_a_message_that_grows_beyond_any_is_cut_off(parts, pause, stays, monkeypatch):
+def test_a_too_large_or_too_slow_message_ends_its_connection(parts, pause, stays, monkeypatch):
     monkeypatch.setattr("app.dashboard.gate._SLOWEST", 0.5)
     with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}") as client:
         camera = msgspec.msgpack.encode(CAMERA)
@@ -392,7 +396,7 @@ def test_a_message_that_grows_beyond_any_is_cut_off(parts, pause, stays, monkeyp
         def message():
             yield camera[:9]
             yield from (time.sleep(pause) or part for part in parts)
-            client._thread.join(0.0 if stays else 10.0)  # it reads until the end
+            client._thread.join(0.0 if stays else 10.0)  # the client reads until the end
             yield camera[9:]
 
         with suppress(websockets.ConnectionClosed):
@@ -401,7 +405,7 @@ def test_a_message_that_grows_beyond_any_is_cut_off(parts, pause, stays, monkeyp
         assert client._thread.is_alive() is stays
 
 
-def test_of_all_kinds_that_viser_obeys_some_are_taken_and_the_others_are_known():
+def test_every_message_kind_of_viser_is_accepted_or_listed_as_refused():
     with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
         wait_for(server.get_clients, what="the client")
         [client] = server.get_clients().values()
@@ -416,8 +420,8 @@ def test_of_all_kinds_that_viser_obeys_some_are_taken_and_the_others_are_known()
         _messages.ShareUrlDisconnect,
         _messages.ShareUrlRequest,
     }
-    asked_for = _messages.GetRenderResponseMessage
-    assert set(_TAKEN) - obeyed == {asked_for, _messages.FileTransferPartAck}
+    requested = _messages.GetRenderResponseMessage
+    assert set(_TAKEN) - obeyed == {requested, _messages.FileTransferPartAck}
 
 
 def test_only_a_picture_may_be_large():
@@ -457,10 +461,10 @@ def answered(payload):
     "payload",
     [b"x", b"GIF89a" + bytes(30), png((20_000, 2_000)), png(frames=3), png()[:20], b"\x89PNG"],
     ids=["bytes", "another kind", "many pixels", "many frames", "cut", "short"],
-)  # some kilobytes that would take gigabytes
-def test_an_answer_that_is_no_picture_or_unpacks_to_much_is_refused(payload):
+)  # some unpack to gigabytes
+def test_a_reply_that_is_no_picture_or_too_large_unpacked_is_refused(payload):
     pass_on(answered(png()))
-    pass_on(answered(b""))  # a page that could make none
+    pass_on(answered(b""))  # a page that could draw none
     with pytest.raises(RefusedError, match="not a requested picture"):
         pass_on(answered(payload))
 
@@ -487,7 +491,7 @@ def part(content, transfer="a", index=0):
     }
 
 
-def test_an_upload_takes_what_was_announced_no_more_and_no_less():
+def test_an_upload_accepts_exactly_the_announced_parts():
     uploads = Uploads(1000)
     pass_on(announced(900, 2), uploads=uploads)
     pass_on(part(b"x" * 500), uploads=uploads)
@@ -500,15 +504,15 @@ def test_an_upload_takes_what_was_announced_no_more_and_no_less():
         pass_on(part(b"", index=2), uploads=uploads)
 
 
-def test_of_an_upload_viser_keeps_no_part_that_is_not_counted():
-    """A duplicate part counted twice, and viser waited for another one with the parts it had."""
+def test_a_duplicate_part_of_an_upload_is_refused():
+    """A counted duplicate would let viser wait for a missing part and store the others."""
     uploads = Uploads(1000)
     for transfer in ("a", "b"):
         pass_on(announced(900, 3, transfer), uploads=uploads)
         pass_on(part(b"x" * 450, transfer, index=0), uploads=uploads)
         with pytest.raises(RefusedError, match="announced"):
             pass_on(part(b"x" * 450, transfer, index=0), uploads=uploads)
-    with pytest.raises(RefusedError, match="too many uploads at a time"):  # by another viewer
+    with pytest.raises(RefusedError, match="too many uploads at a time"):  # of another viewer
         pass_on(announced(900, 3, "c"), uploads=Uploads(1000, [uploads]))
 
 
@@ -531,8 +535,8 @@ def test_uploads_are_bounded_in_size_and_number():
     pass_on(announced(900, transfer="c"), uploads=uploads)
 
 
-def test_no_widget_takes_a_file_but_one_for_uploads():
-    """Viser makes the file the value of any named element, in each of the two messages."""
+def test_only_upload_widgets_accept_a_file():
+    """By either message, viser would make the file the value of any named element."""
     slider, button = (SimpleNamespace(value=value) for value in (0.3, viser.UploadedFile("", b"")))
     uploads = Uploads(1000)
     pass_on(announced(9), uploads=uploads, widget=button)
@@ -550,7 +554,7 @@ values = st.recursive(
 
 
 @given(st.sampled_from([1, 0.5, True, "a", (1.0, 2.0), ("a", "b")]), values)
-def test_a_value_that_is_alike_can_be_cast_as_viser_casts_it(current, value):
+def test_a_value_of_the_same_kind_can_be_cast_like_viser_does(current, value):
     if not is_alike(value, current):
         return
     if isinstance(current, tuple):
@@ -562,7 +566,7 @@ def test_a_value_that_is_alike_can_be_cast_as_viser_casts_it(current, value):
         assert type(current)(value) == value or isinstance(current, int)
 
 
-def test_what_is_not_to_choose_is_refused():
+def test_a_value_that_is_not_among_the_choices_is_refused():
     choice = SimpleNamespace(value="a", options=("a", "b"))
     message = {"type": "GuiUpdateMessage", "uuid": "w", "updates": {"value": "b"}}
     pass_on(message, widget=choice)
@@ -571,7 +575,7 @@ def test_what_is_not_to_choose_is_refused():
 
 
 @given(st.dictionaries(st.sampled_from(list(CAMERA)), values, max_size=3))
-def test_whatever_a_camera_message_holds_it_is_whole_and_finite_or_refused(changes):
+def test_any_camera_message_is_complete_and_finite_or_refused(changes):
     message = {**CAMERA, **changes}
     try:
         pass_on(message)
@@ -583,17 +587,17 @@ def test_whatever_a_camera_message_holds_it_is_whole_and_finite_or_refused(chang
     assert all(map(math.isfinite, numbers))
 
 
-def test_what_is_still_said_to_a_viewer_who_has_gone_is_lost_without_a_word():
-    with warnings.catch_warnings(record=True) as told, served() as server:
+def test_messages_to_a_closed_viewer_are_dropped_without_a_warning():
+    with warnings.catch_warnings(record=True) as warned, served() as server:
         with RawClient(f"http://127.0.0.1:{server.get_port()}"):
             wait_for(server.get_clients, what="the client")
             [client] = server.get_clients().values()
-        wait_for(lambda: not server.get_clients(), what="he has gone")
+        wait_for(lambda: not server.get_clients(), what="the end of the viewer")
         client.gui.add_text("x", "")
-    assert [str(each.message) for each in told] == []
+    assert [str(each.message) for each in warned] == []
 
 
-def sent_by_nobody(kind, server, client):
+def messages_of_kind(kind, server, client):
     """Messages of a kind within viser's own annotations, about existing elements."""
     known = {
         "uuid": list(client.gui._gui_input_handle_from_uuid),
@@ -615,7 +619,7 @@ def sent_by_nobody(kind, server, client):
 
 @pytest.fixture(scope="module")
 def visited():
-    """A server and a viewer with a widget of each kind of message's."""
+    """A server and a viewer with a widget for each kind of message."""
     with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
         wait_for(server.get_clients, what="the client")
         [client] = server.get_clients().values()
@@ -629,8 +633,8 @@ def visited():
 
 
 @pytest.mark.parametrize("kind", _TAKEN, ids=lambda kind: kind.__name__)
-def test_whatever_of_viser_s_own_types_passes_its_handlers_bear(kind, visited):
-    """The gate has to narrow the rest: no case has to be known beforehand."""
+def test_visers_handlers_process_every_message_that_passes_the_gate(kind, visited):
+    """Random messages within viser's own types either are refused or raise no error."""
     server, client = visited
     loop = server._websock_server._background_event_loop
 
@@ -639,7 +643,7 @@ def test_whatever_of_viser_s_own_types_passes_its_handlers_bear(kind, visited):
             await place._handle_incoming_message(client.client_id, message)
 
     @settings(max_examples=100, deadline=None, database=None)
-    @given(sent_by_nobody(kind, server, client))
+    @given(messages_of_kind(kind, server, client))
     def bears(content):
         widgets = client.gui._gui_input_handle_from_uuid
         try:
@@ -653,10 +657,10 @@ def test_whatever_of_viser_s_own_types_passes_its_handlers_bear(kind, visited):
 
 
 async def _set_between_look_and_wait(event: asyncio.Event) -> bool:
-    """Whether a waiter wakes when another thread set the event just before it began to wait."""
+    """Whether a waiter wakes if another thread sets the event just before the wait starts."""
     waiter = asyncio.ensure_future(event.wait())
     await asyncio.sleep(0)
-    event._value = True  # the thread's call: it saw no waiter yet
+    event._value = True  # the thread's call, which saw no waiter yet
     asyncio.get_running_loop().call_soon(event.set)
     done, _ = await asyncio.wait([waiter], timeout=0.2)
     waiter.cancel()
@@ -669,10 +673,10 @@ def test_no_wake_up_of_the_message_queue_is_lost():
         ours = await _set_between_look_and_wait(buffer.message_event)
         return ours, await _set_between_look_and_wait(asyncio.Event())
 
-    assert asyncio.run(both()) == (True, False), "the second is viser's own, which loses it"
+    assert asyncio.run(both()) == (True, False), "viser's own event, the second one, loses it"
 
 
-def test_viewers_and_broadcasts_get_the_queue_that_loses_nothing():
+def test_viewers_and_broadcasts_use_the_queue_without_lost_wake_ups():
     with served() as server:
         assert type(server._websock_server._broadcast_buffer) is _Buffer
 
@@ -698,11 +702,9 @@ def test_viewers_and_broadcasts_get_the_queue_that_loses_nothing():
         {"removed": True},
     ],
 )
-def test_what_a_widget_cannot_hold_is_told_to_its_sender_who_gets_the_value_back(
-    updates, monkeypatch
-):
-    told, sent = [], []
-    monkeypatch.setattr(Notifier, "warn", lambda _, client, text: told.append(text))
+def test_an_invalid_widget_value_is_reported_and_reset_at_its_sender(updates, monkeypatch):
+    notices, sent = [], []
+    monkeypatch.setattr(Notifier, "warn", lambda _, client, text: notices.append(text))
     with served() as server:
         slider = server.gui.add_slider("x", min=0.0, max=1.0, step=0.1, initial_value=0.3)
         state = dict(vars(slider._impl))
@@ -711,13 +713,13 @@ def test_what_a_widget_cannot_hold_is_told_to_its_sender_who_gets_the_value_back
             [client] = server.get_clients().values()
             monkeypatch.setattr(client._websock_connection, "queue_message", sent.append)
             raw.send(_messages.GuiUpdateMessage(slider._impl.uuid, updates))
-            wait_for(lambda: sent, what="the value that holds")
+            wait_for(lambda: sent, what="the valid value")
         assert [message.updates for message in sent] == [{"value": 0.3}]
-        assert len(told) == 1
+        assert len(notices) == 1
         assert vars(slider._impl) == state
 
 
-def test_the_page_of_a_refused_name_says_how_to_allow_it_and_then_it_is():
+def test_the_page_of_a_refused_host_name_states_the_option_to_allow_it():
     with served() as server:
         status, _, page = get(server, "/", "Robot.local:8080")
         assert status == 403
@@ -728,4 +730,4 @@ def test_the_page_of_a_refused_name_says_how_to_allow_it_and_then_it_is():
         assert b"<script>" not in get(server, "/", "<script>")[2]
         status, _, page = get(server, "/?unknown=1", "robot.local")
         assert status == 400
-        assert b'href="."' in page  # relative: a proxy may have the server below a path
+        assert b'href="."' in page  # relative, because a proxy may serve it below a path

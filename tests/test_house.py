@@ -17,12 +17,12 @@ GRAPH = {
 }
 
 
-def test_a_circle_is_found_by_way_of_others_and_once() -> None:
+def test_an_indirect_import_cycle_is_found_once() -> None:
     assert house.circles(GRAPH) == [frozenset({"app.a", "app.b", "app.c"})]
     assert house.circles({**GRAPH, "app.c": frozenset({"app.d"})}) == []
 
 
-def test_a_module_of_one_user_is_counted_and_a_package_is_not() -> None:
+def test_only_modules_with_one_user_are_counted_and_no_packages() -> None:
     assert house.single_users(GRAPH, frozenset({"app.c"})) == ["app.a", "app.b"]
 
 
@@ -37,19 +37,19 @@ def test_a_module_of_one_user_is_counted_and_a_package_is_not() -> None:
         ("import numpy", set()),
     ],
 )
-def test_an_import_is_seen_wherever_it_stands(source: str, found: set[str]) -> None:
+def test_every_form_and_place_of_an_import_is_found(source: str, found: set[str]) -> None:
     known = frozenset({"app", "app.a", "app.b"})
     assert house.imports_of("app.a", ast.parse(source), known) - {"app"} == found
 
 
-def test_parameters_and_lines_are_counted_as_people_do() -> None:
+def test_counts_exclude_self_variadic_parameters_and_blank_lines() -> None:
     source = "def f(self, a, /, b, *rest, c=1, **others):\n    return a\n\n\nx = 1"
     (function,) = (n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef))
     assert house.parameters_of(function) == 3
     assert house.lines_of(function) == 2
 
 
-def test_a_control_step_enters_the_algorithms_of_the_paper() -> None:
+def test_the_files_of_a_control_step_include_the_papers_algorithms() -> None:
     found = house.step_files()
     assert found[0] == "app/control/control_loop.py"
     assert {"app/control/algorithm.py", "app/robot/link_pairs.py"} <= set(found)

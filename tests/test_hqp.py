@@ -1,4 +1,4 @@
-"""The controller that the paper prints: its levels, its transition, its behaviour, its jumps."""
+"""The controller as printed in the paper: its levels, transition, behaviour and jumps."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def level(rng: np.random.Generator, rows: int) -> Task:
 
 
 def levels(seed: int, *rows: int) -> list[Task]:
-    """Levels of so many rows each, and a last one that closes the null space."""
+    """Levels with these numbers of rows, and a last one that closes the null space."""
     rng = np.random.default_rng(seed)
     lowest = Task(np.diag(np.sqrt([1e3, 1e3, 1, 1, 1, 1, 1, 1, 1])), rng.normal(size=N))
     return [*(level(rng, m) for m in rows), lowest]
@@ -43,8 +43,8 @@ def null_space(J: Array) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_no_level_disturbs_those_above(seed: int) -> None:
-    """Each level's slack is the least that the null space of those above leaves."""
+def test_lower_levels_do_not_change_higher_levels(seed: int) -> None:
+    """Each level's slack is minimal in the null space of the higher levels."""
     T_sca, T_2, lowest = levels(seed, 3, 5)
     qdd = cascade([T_sca, T_2, lowest])
     assert slack(T_sca, qdd) < 1e-7
@@ -55,7 +55,7 @@ def test_no_level_disturbs_those_above(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_contradicts_a_level_above_gives_way(seed: int) -> None:
+def test_conflicting_row_yields_to_the_higher_level(seed: int) -> None:
     T_sca, T_2, lowest = levels(seed, 4, 6)  # ten rows of nine axes
     T_2 = Task(np.vstack([T_sca.J[:1], T_2.J[1:]]), T_2.b)
     qdd = cascade([T_sca, T_2, lowest])
@@ -64,7 +64,7 @@ def test_what_contradicts_a_level_above_gives_way(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_29_is_26_at_B_zero_and_meets_the_avoidance_task_at_B_identity(seed: int) -> None:
+def test_29_equals_26_at_B_zero_and_the_avoidance_task_at_B_identity(seed: int) -> None:
     T_sca, *below = levels(seed, 3, 5)
     qdd_2 = cascade(below)
     np.testing.assert_allclose(inserted(T_sca, np.zeros(3), below, qdd_2), qdd_2, atol=1e-6)
@@ -74,7 +74,7 @@ def test_29_is_26_at_B_zero_and_meets_the_avoidance_task_at_B_identity(seed: int
     np.testing.assert_allclose(T_sca.J @ inserted(T_sca, B, below, qdd_2), wanted, atol=1e-7)
 
 
-def test_a_hierarchy_without_a_finite_solution_is_nan(
+def test_hierarchy_without_finite_solution_is_nan(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     controller = Controller(robot, border_data, Config(), name="hqp")
@@ -84,7 +84,7 @@ def test_a_hierarchy_without_a_finite_solution_is_nan(
     assert np.isnan(solved_by_hierarchy(w, Config().task)).all()
 
 
-def test_guided_far_away_the_arm_gets_gravity_compensation_and_the_base_comes_to_rest(
+def test_guided_arm_far_away_gets_gravity_compensation_and_base_stops(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     config = Config().replace("limit.torque_rate", 1e6)
@@ -95,7 +95,7 @@ def test_guided_far_away_the_arm_gets_gravity_compensation_and_the_base_comes_to
     np.testing.assert_allclose(w.a_base_cmd, config.task.base_damping * np.array([-0.1, 0.2]))
 
 
-def test_a_controller_chosen_after_it_searches_the_configured_border_again(
+def test_choosing_dbb_after_hqp_restores_the_configured_border(
     robot: RobotModel, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kinds: list[str] = []
@@ -112,9 +112,11 @@ def test_a_controller_chosen_after_it_searches_the_configured_border_again(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["tracking", "guiding-lateral", "guiding-front"])
-def test_the_papers_results_of_4_2(robot: RobotModel, border_data: BorderData, name: str) -> None:
-    """The base gives way, nothing touches, and a tracked hand reaches its target."""
-    # Faster than the paper's 30 and 8 s.
+def test_results_of_the_paper_section_4_2(
+    robot: RobotModel, border_data: BorderData, name: str
+) -> None:
+    """The base moves away without contact, and a tracking end-effector reaches its target."""
+    # Shorter than the paper's 30 s and 8 s.
     scenario = scenario_by_name(name).changed(duration=8.0 if name == "tracking" else 4.0)
     figures = run_scenario(
         robot, border_data, scenario, Config(), controller="hqp", physics="kinematic"
@@ -126,8 +128,8 @@ def test_the_papers_results_of_4_2(robot: RobotModel, border_data: BorderData, n
         assert figures["ee_error_final_m"] < 1e-3
 
 
-def test_it_jumps_where_ours_does_not() -> None:
-    """Along one random motion of arm and base within the buffer; 0.3 rad/s² against 6e-7."""
+def test_hqp_jumps_where_dbb_is_continuous() -> None:
+    """On one random path of arm and base within the buffer: 0.3 rad/s² against 6e-7."""
     jumps = {}
     for name in ("hqp", "dbb"):
         report = continuity(Options(controller=name), 1, 0.1, refined=1, first=1, kinds=TRACKING)

@@ -1,4 +1,4 @@
-"""Data flows one way: a module imports only from its own room and from rooms before it."""
+"""Data flows in one direction: a module imports only from its own room and earlier rooms."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ ROOMS = (
     "cli",
     "__main__",
 )
-"""In the order of the data's way: packages and single modules."""
+"""Packages and single modules in the order of the data flow."""
 
 CORE = ("robot", "border", "avoidance", "control")
-"""The method: it knows no simulator, no screen and no file of results."""
+"""The method, which imports no simulator, dashboard or files of results."""
 
 ONLY_IN = {
     "viser": {"dashboard"},
@@ -52,24 +52,24 @@ ONLY_IN = {
     "matplotlib": {"studies", "onboarding"},
     "mpl_toolkits": {"studies"},
 }
-"""Libraries that belong to some rooms alone."""
+"""Libraries that only some rooms may import."""
 
 ONE_FOLDER = {"pyarrow": "simulation/trace/"}
-"""The one folder outside of its rooms that may import a library. A log is Parquet like the table of
-a study, and the dashboard writes logs too, without a study's libraries."""
+"""The one folder outside these rooms that may import a library: a log is a Parquet file, and the
+dashboard writes logs without the libraries of a study."""
 
 
 FILES = sorted((PROJECT / "app").rglob("*.py"))
 
 
-def test_every_module_stands_in_a_known_room() -> None:
+def test_every_module_is_in_a_known_room() -> None:
     assert len(FILES) > len(ROOMS)
     assert {room_of(path) for path in FILES} <= {*ROOMS, "__init__"}
     assert {room_of(path) for path in FILES} >= set(ROOMS)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PROJECT)))
-def test_a_module_imports_only_from_its_own_room_and_those_before(path: Path) -> None:
+def test_a_module_imports_only_from_its_own_and_earlier_rooms(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
     here = path.relative_to(PROJECT / "app").as_posix()
     excused = {library for library, folder in ONE_FOLDER.items() if here.startswith(folder)}
@@ -93,7 +93,7 @@ def test_a_module_imports_only_from_its_own_room_and_those_before(path: Path) ->
         ("simulation", "import pyarrow.csv", "pyarrow"),
     ],
 )
-def test_the_rule_sees_every_way_to_break_it(room: str, source: str, culprit: str) -> None:
+def test_the_rule_detects_every_forbidden_import(room: str, source: str, culprit: str) -> None:
     package = "app" if room == "config" else f"app.{room}"
     assert violations(source, room, package) == [culprit]
 
@@ -101,10 +101,10 @@ def test_the_rule_sees_every_way_to_break_it(room: str, source: str, culprit: st
 SCREEN = re.compile(
     r"</?(su[bp]|b|br|i|p|div|span|t[dr])\b|[a-z]_(mps2?|radps2?|rad|nm)$|\w[a-z]_n$|\bHTML\b"
 )
-"""Marks of a page and names of a log's columns; p_n is a point."""
+"""Markup of a page and names of a log's columns, but not the point p_n."""
 
 
-def test_the_core_has_no_markup_and_no_names_of_columns() -> None:
+def test_the_core_has_no_markup_and_no_column_names() -> None:
     found = [
         f"{path.relative_to(PROJECT)}: {node.value}"
         for path in FILES
@@ -118,12 +118,12 @@ def test_the_core_has_no_markup_and_no_names_of_columns() -> None:
 @pytest.mark.parametrize(
     "text", ["det(J<sub>c</sub>)", "vx_mps", "aw_radps2", "hand_force_n", "Of it, as HTML."]
 )
-def test_that_rule_sees_markup_and_columns(text: str) -> None:
+def test_the_pattern_detects_markup_and_column_names(text: str) -> None:
     assert SCREEN.search(text)
 
 
 def is_text(node: ast.AST) -> TypeGuard[ast.Constant]:
-    """Whether a node is a text that stands in the code."""
+    """Whether a node is a string constant."""
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
@@ -133,12 +133,12 @@ def room_of(path: Path) -> str:
 
 
 def package_of(path: Path) -> str:
-    """The package against which a file's relative imports count."""
+    """The package to which a file's relative imports refer."""
     return ".".join(path.relative_to(PROJECT).parent.parts)
 
 
 def violations(source: str, room: str, package: str) -> list[str]:
-    """Forbidden imports of a module of a room."""
+    """Forbidden imports of a module in a room."""
     return [name for name in imported(ast.parse(source), package) if not allowed(name, room)]
 
 
@@ -149,13 +149,13 @@ def allowed(name: str, room: str) -> bool:
         other = rest.partition(".")[0]
         if room == "__init__":
             return other in ROOMS[: ROOMS.index("simulation")]
-        # `import app` alone would reach every room.
+        # `import app` alone gives access to every room.
         return other in ROOMS and ROOMS.index(other) <= ROOMS.index(room)
     return room in ONLY_IN.get(top, {room})
 
 
 def imported(tree: ast.AST, package: str) -> Iterator[str]:
-    """Full names of the modules that a module imports, anywhere in it and by any means."""
+    """Full names of the imported modules, in any place and form of import."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (top_of_library(alias.name) for alias in node.names)

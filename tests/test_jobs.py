@@ -1,4 +1,4 @@
-"""However a process ends, all that it has started ends within 5 s, and temporary files go."""
+"""However a process ends, its child processes end within 5 s, and temporary files are removed."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def start(script: Path, folder: Path, *args: str) -> subprocess.Popen[str]:
         *product([True], [signal.SIGTERM, signal.SIGKILL]),
     ],
 )
-def test_all_that_a_process_has_started_ends_with_it(
+def test_child_processes_end_with_their_parent(
     tmp_path: Path, number: int, suspended: bool
 ) -> None:
     script, files = tmp_path / "script.py", tmp_path / "files"
@@ -84,7 +84,9 @@ def test_all_that_a_process_has_started_ends_with_it(
     _, alive = psutil.wait_procs(children, timeout=30)
     assert alive == []
     left = [path.name.rpartition("-")[0] for path in files.iterdir()]
-    assert left == ["its-own"] * (number == signal.SIGKILL), "only when it could do nothing"
+    assert left == ["its-own"] * (number == signal.SIGKILL), (
+        "only a killed process leaves its folder"
+    )
 
 
 SLOW = r"""
@@ -121,11 +123,11 @@ LEADS = ("leads a group",)
     [(False, SLOW, ()), (False, HANGING, LEADS), (True, SLOW, LEADS), (True, HANGING, ())],
     ids=["imports", "hangs, leads", "stopped, imports, leads", "stopped, hangs"],
 )
-def test_a_child_ends_with_its_killed_parent_whatever_it_does(
+def test_child_ends_with_its_killed_parent_in_any_state(
     tmp_path: Path, stopped: bool, code: str, leads: tuple[str, ...]
 ) -> None:
     if code is HANGING and not leads and sys.platform != "linux":
-        pytest.skip("only there does the system itself end it")
+        pytest.skip("only Linux ends such a child itself")
     script = tmp_path / "script.py"
     script.write_text(STARTING)
     (tmp_path / "slow.py").write_text(code)
@@ -133,7 +135,7 @@ def test_a_child_ends_with_its_killed_parent_whatever_it_does(
     assert process.stdout is not None
     assert process.stdout.readline() == "importing\n"
     children = psutil.Process(process.pid).children(recursive=True)
-    if stopped and sys.platform == "linux":  # nobody else wakes it
+    if stopped and sys.platform == "linux":  # no other process wakes it
         children[0].suspend()
     process.kill()
     process.wait()
@@ -153,13 +155,13 @@ with ending_signals_raised():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there are a process's children listed")
-def test_a_foreign_process_that_is_stopped_ends_with_the_command_that_began_it(tmp_path) -> None:
+def test_stopped_foreign_process_ends_with_the_command_that_started_it(tmp_path) -> None:
     script = tmp_path / "script.py"
     script.write_text(DRIVER)
     process = start(script, tmp_path)
     assert process.stdout is not None
     assert process.stdout.readline() == "started\n"
-    children = psutil.Process(process.pid).children()  # it, and the command's guard
+    children = psutil.Process(process.pid).children()  # the process and the command's guard
     for each in children:
         each.suspend()
     process.terminate()
@@ -182,8 +184,8 @@ with Workers(int, processes=2) as workers:
 """
 
 
-def test_a_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> None:
-    """Nor the main module of its parent, which has no guard."""
+def test_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> None:
+    """Nor does it import its parent's main module, which has no `__main__` guard."""
     script, folder = tmp_path / "script.py", tmp_path / "foreign"
     script.write_text(CHILD)
     for name in ("app", "tests", "multiprocessing", "numpy"):
@@ -196,14 +198,14 @@ def test_a_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> N
     assert (out, errors) == ("[0, 1, 2]\n", "")
 
 
-def test_a_job_may_take_longer_than_its_guard_is_patient() -> None:
-    """Which counts from the end of its parent only."""
+def test_job_may_take_longer_than_the_patience_of_its_guard() -> None:
+    """The patience counts only from the end of the parent."""
     done = run_in_process(nap, 4.5, report=print, cancelled=threading.Event())
     assert done == 4.5
 
 
-def test_there_are_as_many_processes_as_this_one_may_use_cores(monkeypatch) -> None:
-    """By `taskset`, or in a container, these may be fewer than the machine has."""
+def test_pool_has_as_many_processes_as_available_cores(monkeypatch) -> None:
+    """`taskset` or a container may allow fewer cores than the machine has."""
     begun = psutil.Process().children()
     for cores in (1, 3):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=cores: set(range(n)), False)
@@ -213,7 +215,7 @@ def test_there_are_as_many_processes_as_this_one_may_use_cores(monkeypatch) -> N
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_a_pool_tells_the_share_of_all_jobs_while_they_are_done(processes: int) -> None:
+def test_pool_reports_the_share_of_all_jobs_during_the_work(processes: int) -> None:
     told: list[tuple[float, threading.Thread]] = []
 
     def on_progress(share: float) -> None:
@@ -224,13 +226,13 @@ def test_a_pool_tells_the_share_of_all_jobs_while_they_are_done(processes: int) 
         assert [*results] == [1, 2, 3, 4]
     shares = [share for share, _ in told]
     assert shares == sorted(shares)
-    assert {*shares} >= {k / 16 for k in range(13, 17)}  # those of the last job, and its end
+    assert {*shares} >= {k / 16 for k in range(13, 17)}  # reports during the last job, and its end
     assert len({*shares}) == 16
-    assert {thread for _, thread in told} == {threading.current_thread()}  # which hears Ctrl-C
+    assert {thread for _, thread in told} == {threading.current_thread()}  # receives Ctrl-C
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_no_job_counts_for_more_than_itself(processes: int) -> None:
+def test_progress_of_a_job_is_limited_to_its_share(processes: int) -> None:
     shares: list[float] = []
     with Workers(int, processes) as workers:
         results = workers.map(add_twice_over, [1, 2], shares.append, tells=True)
@@ -239,7 +241,7 @@ def test_no_job_counts_for_more_than_itself(processes: int) -> None:
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_of_jobs_that_tell_nothing_a_pool_tells_how_many_are_done(processes: int) -> None:
+def test_pool_reports_finished_jobs_if_jobs_report_nothing(processes: int) -> None:
     shares: list[float] = []
     with Workers(int, processes) as workers:
         assert [*workers.map(add, [1, 2, 3, 4], shares.append)] == [1, 2, 3, 4]
@@ -247,7 +249,7 @@ def test_of_jobs_that_tell_nothing_a_pool_tells_how_many_are_done(processes: int
     assert shares == [0.25, 0.5, 0.75, 1.0]
 
 
-def test_processes_begin_a_job_before_its_result_is_taken(tmp_path: Path) -> None:
+def test_pool_starts_jobs_before_a_result_is_requested(tmp_path: Path) -> None:
     file, last = tmp_path / "touched", time.monotonic() + 30
     with Workers(int, processes=2) as workers:
         results = workers.map(touch, [str(file)])
@@ -257,8 +259,8 @@ def test_processes_begin_a_job_before_its_result_is_taken(tmp_path: Path) -> Non
         assert [*results] == [None]
 
 
-def test_a_worker_that_is_killed_is_replaced_and_its_job_done_again_twice(tmp_path: Path) -> None:
-    """Then the job counts as lost; the others have their processes all the while."""
+def test_killed_worker_is_replaced_and_its_job_repeated_twice(tmp_path: Path) -> None:
+    """After the third kill the job counts as lost; the other jobs are not affected."""
     jobs = [str(tmp_path / f"killed-{times}") for times in (0, 2, 3, 1)]
     with Workers(int, processes=2) as workers:
         done = [*workers.map(killed_at_first, jobs, lost=lambda job: f"lost {Path(job).name}")]
@@ -292,7 +294,7 @@ print("imported" if "app.onboarding.new_robot" in sys.modules else "not imported
         ("<robot name='r'><link name='other'/></robot>", "'base'"),
     ],
 )
-def test_a_wrong_urdf_is_refused_before_slow_imports_and_before_workers_start(
+def test_invalid_urdf_is_rejected_before_slow_imports_and_workers(
     tmp_path: Path, content: str | None, message: str
 ) -> None:
     script = tmp_path / "script.py"

@@ -1,4 +1,4 @@
-"""Laws of the whole avoidance over random paths: continuity, symmetry, invariance."""
+"""Continuity, symmetry and invariance of the complete avoidance on random paths."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 """The arm's left-right mirror image, joint by joint."""
 LOW = np.array([0.3, 0.5, -0.3, -2.6, -0.5, 1.2, 0.0])
 HIGH = np.array([2.2, 1.6, 0.6, -1.2, 0.5, 2.6, 1.0])
-"""[rad] postures with the hand low beside, before or over the base."""
+"""[rad] postures with the end-effector low beside, in front of or above the base."""
 
 
 @cache
 def controller_with(border: str) -> Controller:
-    """The method with a border of some kind."""
+    """The method with a kind of border, "surface" or "points"."""
     model = husky_panda()
     data = load_border_data(model, progress=False)
     return Controller(model, data, Config().replace("border.kind", border))
 
 
 def step_at(q_m: Array, base_pose: Array | None = None, border: str = "surface") -> ControlStep:
-    """The first step of a guided arm, at rest in a posture; the next one overwrites it."""
+    """The first step of a guided arm at rest in a posture; the next step overwrites it."""
     controller = controller_with(border)
     controller.reset()
     return controller.step(at_rest(husky_panda(), q_m, base_pose))
@@ -54,7 +54,7 @@ def base_demand(q_m: Array, base_pose: Array | None = None, border: str = "surfa
 
 
 def paths_in_the_buffer(count: int) -> list[tuple[Array, Array]]:
-    """Random short ways between postures at which an arm beside the base is inside its buffer."""
+    """Random short paths from postures inside the buffer of the base."""
     rng, found = np.random.default_rng(3), []
     while len(found) < count:
         q_m, towards = rng.uniform(LOW, HIGH, (2, 7))
@@ -65,24 +65,23 @@ def paths_in_the_buffer(count: int) -> list[tuple[Array, Array]]:
 
 
 def jump_on(path: tuple[Array, Array], demand: Callable[[Array], Array]) -> float:
-    """[m/s² or rad/s²] limit of the largest step of a path as the path is refined there."""
+    """[m/s² or rad/s²] Largest change along a path after refinement at its steepest part."""
     begin, end = path
     for _ in range(6):
         shares = np.linspace(0.0, 1.0, 11)[:, None]
         places = begin + shares * (end - begin)
-        asked = np.array([demand(q_m) for q_m in places])
-        steps = np.abs(np.diff(asked, axis=0)).max(axis=1)
+        demands = np.array([demand(q_m) for q_m in places])
+        steps = np.abs(np.diff(demands, axis=0)).max(axis=1)
         k = int(steps.argmax())
         begin, end = places[k], places[k + 1]
     return float(steps[k])
 
 
 @pytest.mark.slow
-def test_what_is_asked_of_the_base_is_continuous_wherever_the_arm_is() -> None:
-    """Each path is refined where it is steepest, to steps of 5e-8 rad: a jump would be left over.
+def test_the_base_demand_is_continuous_along_random_paths() -> None:
+    """Only a jump stays large when a path is refined to steps of 5e-8 rad.
 
-    Where the base's outline has two nearest points (its medial axis) no method is continuous; that
-    is deep inside of the base or over its top, where the force vanishes.
+    On the medial axis of the base's outline no method is continuous; there the force vanishes.
     """
     paths = paths_in_the_buffer(60)
     assert max(jump_on(path, base_demand) for path in paths) < 1e-3
@@ -92,19 +91,19 @@ def test_what_is_asked_of_the_base_is_continuous_wherever_the_arm_is() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(q_m=postures)
-def test_left_and_right_are_mirror_images(q_m: Array) -> None:
-    """The mirrored hand gets the mirrored force at the mirrored point (the forearm is lopsided)."""
+def test_mirrored_postures_get_mirrored_forces_at_mirrored_points(q_m: Array) -> None:
+    """Only for the end-effector, because the forearm is not symmetric."""
     left, right = (step_at(posture).copy() for posture in (q_m, MIRROR * q_m))
     assert left.pairs[0].name == right.pairs[0].name == "lm-lEE"
-    assume(left.d[0] > 0.0)  # inside of the base the nearest side may be either
+    assume(left.d[0] > 0.0)  # inside the base, either side may be the nearest
     np.testing.assert_allclose(right.f[0], left.f[0] * [1.0, -1.0, 1.0], atol=1.0)
-    # NaN in both where no point acts
+    # NaN in both if there is no acting point
     np.testing.assert_allclose(right.p_act[0], left.p_act[0] * [1.0, -1.0, 1.0], atol=2e-3)
 
 
 @settings(max_examples=40, deadline=None)
 @given(q_m=postures, x=st.floats(-5, 5), y=st.floats(-5, 5), yaw=st.floats(-np.pi, np.pi))
-def test_where_the_world_frame_stands_does_not_matter(
+def test_the_base_demand_does_not_depend_on_the_base_pose(
     q_m: Array, x: float, y: float, yaw: float
 ) -> None:
     here, there = base_demand(q_m), base_demand(q_m, np.array([x, y, yaw]))
@@ -112,9 +111,7 @@ def test_where_the_world_frame_stands_does_not_matter(
 
 
 @pytest.mark.parametrize("seed", [0])
-def test_a_run_is_the_same_for_the_same_seed(
-    robot: RobotModel, border_data: BorderData, seed: int
-) -> None:
+def test_equal_seeds_give_equal_runs(robot: RobotModel, border_data: BorderData, seed: int) -> None:
     scenario = LINES["guiding-lateral"].changed(duration=0.6)
     config = Config().replace("disturbance.encoder_noise", 1e-4)
     first, again = (
@@ -122,5 +119,5 @@ def test_a_run_is_the_same_for_the_same_seed(
         for _ in range(2)
     )
     for name in set(QUANTITIES) - {"duration_us"}:
-        # The QP solver's last digits depend on where its memory lies.
+        # The last digits of the QP solver depend on its memory addresses.
         np.testing.assert_allclose(again.trace.of(name), first.trace.of(name), atol=1e-7)

@@ -1,4 +1,4 @@
-"""Limits of the arm hold in runs: velocities to 1 %, and a base that was pushed comes to rest."""
+"""Limits of the arm in runs: joint speeds exceed their limits by at most 1 %."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from benchmarks.law.pulls import cases, play
 pytestmark = pytest.mark.slow
 
 ARC, TIME = 1.4, 7.0
-"""[rad] about the base's vertical axis, [s] that the hand takes for it."""
+"""[rad] about the base's vertical axis, [s] for the arc."""
 
 
-def test_no_joint_leaves_its_velocity_or_position_limit_on_an_ordinary_arc(
+def test_ordinary_arc_satisfies_joint_and_torque_rate_limits(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """Nor does a torque change faster than its rate, with nothing cut off after the QP."""
+    """The torques satisfy the equation of motion: none is cut off after the QP."""
     session = Session(robot, border_data, Config())
     session.reset(np.array(robot.description.arm.ready_position))
     begin = session.T_world_ee.copy()
@@ -49,29 +49,29 @@ def test_no_joint_leaves_its_velocity_or_position_limit_on_an_ordinary_arc(
     assert 0.05 < fastest <= 1.01
 
 
-def test_a_wrist_that_comes_to_its_limit_while_the_base_makes_room_keeps_to_its_target() -> None:
-    """A curve around the base's corner (`python -m benchmarks.law paths --first 10 --count 1`)."""
+def test_wrist_at_its_limit_keeps_its_target_while_the_base_moves_away() -> None:
+    """A path around the base's corner (`python -m benchmarks.law paths --first 10 --count 1`)."""
     begin, end = (0.330713, 0.721916, 0.195174), (0.716204, 0.370628, 0.1)
     q_m = 1.544053, 1.588897, -0.028581, -0.811761, 0.042323, 2.400219, 0.0
     row = follow(Options(), Curve("arc", begin, end, (0.0, 0.0), 4.368467), q_m)
-    assert row["error_max_mm"] < 1.0  # 8.7 if the base looks at its rows alone
+    assert row["error_max_mm"] < 1.0  # 8.7 if the base ignores the arm's limits
     assert row["least_distance_m"] > 0.05
     assert row["contact_steps"] == row["failures"] == 0
 
 
-def test_a_joint_that_a_tracking_arm_throws_aside_stops_gaining_speed_in_time() -> None:
-    """A fast curve onto the deck's edge (`python -m benchmarks.law paths --first 290 --count 1`).
+def test_accelerated_joint_of_a_tracking_arm_brakes_in_time() -> None:
+    """A fast path onto the deck's edge (`python -m benchmarks.law paths --first 290 --count 1`).
 
-    Its shoulder gains speed by torques that change at their rate, and cannot lose it any faster.
+    The torque rate limits how fast the shoulder can brake.
     """
     row = play_path(Tracking(Options(), 290))
-    assert 0.98 < row["joint_speed_share"] <= 1.01  # 1.10 by bounds that know no rate
+    assert 0.98 < row["joint_speed_share"] <= 1.01  # 1.10 by bounds without the torque rate
     assert row["contact_steps"] == row["failures"] == 0
 
 
 @pytest.mark.parametrize("number", [0, 8, 17])
-def test_a_hard_pull_takes_no_joint_beyond_its_speed_where_torques_suffice(number: int) -> None:
-    """As `python -m benchmarks.law pulls` pulls; it took them to 1.5 of it."""
+def test_hard_pull_keeps_joint_speed_limits_if_torques_suffice(number: int) -> None:
+    """The pulls are those of `python -m benchmarks.law pulls`."""
     (case,) = cases(Options(), 1, 1.5, number)[-1:]
     row = play(case)
     assert row["torque_share"] < 0.99
@@ -79,14 +79,14 @@ def test_a_hard_pull_takes_no_joint_beyond_its_speed_where_torques_suffice(numbe
     assert row["least_distance_m"] > 0.02
 
 
-def test_noise_of_encoders_does_not_shake_an_arm_that_tracks(
+def test_encoder_noise_does_not_shake_a_tracking_arm(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """Torques that follow each reading hit their rate limit, and joints swing at top speed."""
+    """Torques that follow the noise would reach their rate limit and shake the joints."""
     session = Session(robot, border_data, Config().replace("disturbance.encoder_noise", 1e-3))
     session.reset(np.array(robot.description.arm.ready_position))
     here = Reference(session.T_world_ee.copy(), np.zeros(6), np.zeros(6))
     steps = [session.step(reference=here) for _ in range(2000)][500:]
     session.close()
-    assert max((np.abs(s.truth.qd_m) / robot.qd_max).max() for s in steps) < 0.2  # it was 0.9
+    assert max((np.abs(s.truth.qd_m) / robot.qd_max).max() for s in steps) < 0.2  # formerly 0.9
     assert max(s.ee_error for s in steps) < 2e-3

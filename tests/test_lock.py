@@ -31,7 +31,7 @@ ENVIRONMENTS = [
 
 
 def locked(extra: str) -> dict[Requirement, int]:
-    """The pins of a file of `requirements/`, and how many hashes each has."""
+    """The pins of a file of `requirements/` with the number of their hashes."""
     text = (PROJECT / "requirements" / f"{extra}.txt").read_text(encoding="utf-8")
     blocks = re.split(r"\n(?=\S)", re.sub(r"^#.*\n", "", text, flags=re.M).strip())
     return {
@@ -40,7 +40,7 @@ def locked(extra: str) -> dict[Requirement, int]:
     }
 
 
-def asked(extra: str) -> Iterator[Requirement]:
+def required(extra: str) -> Iterator[Requirement]:
     """The requirements of the package and one of its extras, including extras within it."""
     project = tomli.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     waiting = [*project["dependencies"], *project["optional-dependencies"][extra]]
@@ -70,12 +70,12 @@ def test_every_pin_is_one_version_with_hashes(extra: str) -> None:
     "environment", ENVIRONMENTS, ids=lambda e: f"{e['python_version']}-{e['sys_platform']}"
 )
 @pytest.mark.parametrize("extra", EXTRAS)
-def test_what_is_asked_for_is_pinned_once_within_its_bounds(
+def test_each_requirement_is_pinned_once_within_its_bounds(
     extra: str, environment: dict[str, str]
 ) -> None:
-    """After a change of pyproject.toml: tools/lock.sh."""
+    """After a change of pyproject.toml, run tools/lock.sh."""
     pins = [pin for pin in locked(extra) if holds(pin, environment)]
-    for requirement in asked(extra):
+    for requirement in required(extra):
         name = canonicalize_name(requirement.name)
         versions = [str(p.specifier)[2:] for p in pins if canonicalize_name(p.name) == name]
         if not holds(requirement, environment):
@@ -84,6 +84,6 @@ def test_what_is_asked_for_is_pinned_once_within_its_bounds(
         assert requirement.specifier.contains(versions[0], prereleases=True), requirement
 
 
-def test_what_make_test_tries_is_what_make_run_installs() -> None:
+def test_make_test_includes_the_pins_of_make_run() -> None:
     run, tried = ({(pin.name, str(pin.specifier)) for pin in locked(extra)} for extra in EXTRAS)
     assert run <= tried

@@ -1,4 +1,4 @@
-"""Logs: they return the written content, and damaged ones are refused."""
+"""Logs return the written content; damaged logs are rejected."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOT_LOGGED = ("run", "busy", "refusal", "explanation", "case", "changing")
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
-def test_a_log_that_is_read_is_the_one_that_was_written(tmp_path, ending, seed, count):
+def test_log_round_trip_preserves_content(tmp_path, ending, seed, count):
     snapshots = random_snapshots(seed, count)
     path = tmp_path / f"log.{ending}"
     write_trace(path, trace_of(snapshots))
@@ -44,7 +44,7 @@ def test_a_log_that_is_read_is_the_one_that_was_written(tmp_path, ending, seed, 
 
 
 @pytest.mark.parametrize("ending", FORMATS)
-def test_the_same_snapshots_give_the_same_bytes(tmp_path, ending):
+def test_same_snapshots_give_identical_bytes(tmp_path, ending):
     snapshots = random_snapshots(1, 20)
     files = [tmp_path / f"{name}.{ending}" for name in "ab"]
     for file in files:
@@ -52,7 +52,7 @@ def test_the_same_snapshots_give_the_same_bytes(tmp_path, ending):
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
-def test_the_comparison_of_these_tests_sees_a_single_bit():
+def test_difference_detects_a_single_bit():
     a, b = random_snapshots(3, 1)[0], random_snapshots(3, 1)[0]
     assert difference(a, b) == ""
     q = b.q_m.copy()
@@ -61,13 +61,13 @@ def test_the_comparison_of_these_tests_sees_a_single_bit():
     assert difference(a, b).startswith(".q_m")
 
 
-def test_every_field_is_logged_or_about_the_moment():
+def test_every_snapshot_field_is_logged_or_listed_as_not_logged():
     assert sorted([*QUANTITIES, *NOT_LOGGED]) == sorted(f.name for f in fields(Snapshot))
 
 
 @pytest.fixture(scope="module")
 def taken(robot: RobotModel, border_data: BorderData):
-    """A second of a person's pull that enters the buffer."""
+    """One second of a pull that enters the buffer."""
     scenario = scenario_by_name("guiding-front").changed(duration=1.0)
     run = (robot, border_data, scenario, Config())
     return run_scenario(*run, physics="kinematic", seed=5, drawn=True).trace
@@ -75,9 +75,7 @@ def taken(robot: RobotModel, border_data: BorderData):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
-def test_a_run_is_logged_each_step_drawn_fifty_times_a_second_and_comes_back(
-    taken, tmp_path, ending
-):
+def test_run_log_has_every_step_and_50_snapshots_per_second(taken, tmp_path, ending):
     path = tmp_path / f"run.{ending}"
     write_trace(path, taken)
     log = read_trace(path)
@@ -94,12 +92,12 @@ def test_a_run_is_logged_each_step_drawn_fifty_times_a_second_and_comes_back(
     assert log.at(0.431).t == pytest.approx(0.44)
 
 
-def test_the_snapshots_of_a_run_say_which_scenario_leads_the_hand(taken):
+def test_snapshots_of_a_run_name_their_scenario(taken):
     assert {(s.scenario, s.scenario_ends) for s in taken.snapshots} == {("guiding-front", 1.0)}
     assert np.isnan([s.step_time_us for s in taken.snapshots]).all()
 
 
-def test_snapshots_out_of_order_of_other_pairs_or_none_at_all_are_refused():
+def test_trace_rejects_unordered_inconsistent_or_no_snapshots():
     a, b = random_snapshots(4, 2)
     with pytest.raises(LogError, match="follows one at"):
         trace_of([b, a])
@@ -110,7 +108,7 @@ def test_snapshots_out_of_order_of_other_pairs_or_none_at_all_are_refused():
         trace_of([a, b])
 
 
-def test_an_ending_or_a_folder_that_is_no_good_is_named(tmp_path):
+def test_error_names_an_invalid_log_path(tmp_path):
     snapshots = random_snapshots(5, 1)
     with pytest.raises(LogError, match=r"log\.xlsx: a log ends in \.csv or \.parquet"):
         write_trace(tmp_path / "log.xlsx", trace_of(snapshots))
@@ -122,7 +120,7 @@ def test_an_ending_or_a_folder_that_is_no_good_is_named(tmp_path):
 
 @pytest.fixture
 def csv_lines(tmp_path):
-    """A valid CSV by its lines, and a function that writes and reads a changed one."""
+    """The lines of a valid CSV, and a function that writes and reads changed lines."""
     snapshots = random_snapshots(6, 4)
     path = tmp_path / "log.csv"
     write_trace(path, trace_of(snapshots))
@@ -140,7 +138,7 @@ def changed_header(line: str, change) -> str:
     return "# " + json.dumps(data)
 
 
-def test_a_csv_that_is_not_a_log_says_what_is_wrong(csv_lines):
+def test_error_explains_a_damaged_csv(csv_lines):
     lines, read = csv_lines
     head, names, *rows = lines
     assert len(read(lines).snapshots) == 4
@@ -165,7 +163,7 @@ def test_a_csv_that_is_not_a_log_says_what_is_wrong(csv_lines):
         assert "\n" not in str(caught.value)
 
 
-def test_a_missing_column_and_an_empty_cell_are_named(csv_lines):
+def test_error_names_missing_columns_and_empty_cells(csv_lines):
     (head, names, *rows), read = csv_lines
     with pytest.raises(LogError, match="column 't_s' is missing"):
         read([head, *(line.partition(",")[2] for line in (names, *rows))])
@@ -177,7 +175,7 @@ def test_a_missing_column_and_an_empty_cell_are_named(csv_lines):
         read([head, names, rows[0], ",".join(cells), *rows[2:]])
 
 
-def test_a_log_without_a_newer_quantity_is_read_with_its_default(csv_lines):
+def test_missing_newer_quantity_gets_its_default(csv_lines):
     (head, names, *rows), read = csv_lines
     k = names.replace('"', "").split(",").index("activation")
     lines = list(csv.reader([names, *rows]))
@@ -187,7 +185,7 @@ def test_a_log_without_a_newer_quantity_is_read_with_its_default(csv_lines):
     assert {snapshot.activation for snapshot in trace.snapshots} == {0.0}
 
 
-def test_meta_data_are_checked_field_by_field(csv_lines):
+def test_metadata_are_checked_field_by_field(csv_lines):
     (head, *rest), read = csv_lines
     for change, words in (
         (lambda d: d["dbb_log"].update(robto="x"), "robto: unknown field .did you mean 'robot'"),
@@ -202,7 +200,7 @@ def test_meta_data_are_checked_field_by_field(csv_lines):
             read([changed_header(head, change), *rest])
 
 
-def test_parameters_of_a_row_out_of_their_range_are_refused(tmp_path):
+def test_parameter_changes_out_of_range_are_rejected(tmp_path):
     first, *others = random_snapshots(8, 12)
     path = tmp_path / "log.csv"
     write_trace(path, trace_of([replace(first, config=Config()), *others]))
@@ -213,7 +211,7 @@ def test_parameters_of_a_row_out_of_their_range_are_refused(tmp_path):
         read_trace(path)
 
 
-def test_a_parquet_file_with_any_byte_of_its_data_changed_is_not_believed(tmp_path):
+def test_damaged_parquet_is_rejected_or_has_the_same_content(tmp_path):
     snapshots = random_snapshots(9, 30)
     path = tmp_path / "log.parquet"
     write_trace(path, trace_of(snapshots))
@@ -224,7 +222,7 @@ def test_a_parquet_file_with_any_byte_of_its_data_changed_is_not_believed(tmp_pa
             log = read_trace(path)
         except LogError:
             continue
-        # The rest of the file is names and statistics that no reader uses.
+        # The other bytes are names and statistics that no reader uses.
         assert difference(log.snapshots, tuple(snapshots)) == ""
     for end in (0, 3, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:end])
@@ -232,7 +230,7 @@ def test_a_parquet_file_with_any_byte_of_its_data_changed_is_not_believed(tmp_pa
             read_trace(path)
 
 
-def test_parquet_of_something_else_is_no_log(tmp_path):
+def test_other_parquet_file_is_rejected(tmp_path):
     import pyarrow as pa
 
     path = Path(tmp_path) / "log.parquet"

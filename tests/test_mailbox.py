@@ -1,4 +1,4 @@
-"""With any number of commands, few wait, and their result is the same."""
+"""Of any number of commands only a few wait, with the same result."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def pull(x: float) -> Pull:
     return Pull((x, 0.0, 0.5))
 
 
-def test_of_a_flood_the_newest_of_each_kind_is_left():
+def test_only_the_newest_of_many_commands_of_a_kind_waits():
     rng = np.random.default_rng(0)
     configs = [Config().replace("border.d_b", d) for d in (0.10, 0.15, 0.20)]
     kinds = (
@@ -56,7 +56,7 @@ def test_of_a_flood_the_newest_of_each_kind_is_left():
         assert command == [other for other in sent if type(other) is type(command)][-1]
 
 
-def test_it_is_empty_once_it_was_fetched_and_keeps_order():
+def test_taking_preserves_the_order_and_empties_the_mailbox():
     mailbox = Mailbox()
     for command in (LATERAL, pull(0.4), Pause(True)):
         mailbox.put(command, ("panda_link4",))
@@ -64,25 +64,25 @@ def test_it_is_empty_once_it_was_fetched_and_keeps_order():
     assert mailbox.take() == []
 
 
-def test_a_pull_after_a_beginning_holds_and_one_before_it_is_forgotten_by_it():
+def test_a_later_pull_stays_after_a_scenario_and_a_release_replaces_pulls():
     assert after(pull(0.4), LATERAL, pull(0.5)) == [LATERAL, pull(0.5)]
     assert after(pull(0.4), LATERAL) == [pull(0.4), LATERAL]
     assert after(pull(0.4), pull(0.5), Release(0)) == [Release(0)]
 
 
-def test_a_beginning_has_the_newest_parameters():
+def test_a_scenario_starts_with_the_newest_parameters():
     old, new = Config(), Config().replace("border.d_b", 0.2)
     assert after(Configure(old), LATERAL, Configure(new)) == [Configure(new), LATERAL]
 
 
-def test_of_several_beginnings_only_the_last_begins():
+def test_only_the_last_of_several_starts_waits():
     assert after(LATERAL, Reset()) == [Reset()]
     assert after(Reset(), LATERAL) == [LATERAL]
-    assert after(LATERAL, Restart()) == [LATERAL]  # the restarted scenario starts already
+    assert after(LATERAL, Restart()) == [LATERAL]  # the scenario starts anyway
     assert after(Restart()) == [Restart()]
 
 
-def test_everybodys_pull_waits_for_itself():
+def test_each_persons_pull_waits_separately_up_to_a_limit():
     two = pull(0.4), Pull((0.3, 0.0, 0.5), "panda_link4", who=2)
     assert after(*two) == list(two)
     assert after(*two, Release(0)) == [two[1], Release(0)]

@@ -1,4 +1,4 @@
-"""A run as MCAP, read back by the libraries of other viewers: mcap, Rerun, rosbags."""
+"""A run as MCAP, read by the libraries of other viewers: mcap, Rerun, rosbags."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def read(folder: Path) -> Read:
 
 
 def places(read: Read, k: int) -> dict[str, pin.SE3]:
-    """T_world_link by the name of each link, at the k-th snapshot."""
+    """T_world_link of each link by name, at the k-th snapshot."""
     placed = {WORLD: pin.SE3.Identity()}
     for each in read["/tf"][k][1].transforms:
         at, turn = each.transform.translation, each.transform.rotation
@@ -80,14 +80,14 @@ def places(read: Read, k: int) -> dict[str, pin.SE3]:
     return placed
 
 
-def test_a_topic_has_a_message_for_each_row_or_snapshot(read: Read, trace: Trace) -> None:
+def test_each_topic_has_one_message_per_row_or_snapshot(read: Read, trace: Trace) -> None:
     assert set(TOPICS) <= set(read)
     for topic in ("/tf", "/joint_states", "/markers", "/step", "/curves/pairs"):
         assert [t for t, _ in read[topic]] == pytest.approx(trace.t.tolist(), abs=1e-9)
     assert len(read["/robot"]) == len(read["/bodies"]) == len(read["/robot_description"]) == 1
 
 
-def test_a_step_and_the_curves_have_the_numbers_of_the_log(read: Read, trace: Trace) -> None:
+def test_steps_and_curves_have_the_values_of_the_log(read: Read, trace: Trace) -> None:
     for k, (row, (_, step)) in enumerate(zip(trace.table, read["/step"], strict=True)):
         names = [column.name.replace("-", "_") for column in trace.columns]
         assert [getattr(step, name) for name in names] == pytest.approx(row, nan_ok=True, abs=0)
@@ -98,9 +98,7 @@ def test_a_step_and_the_curves_have_the_numbers_of_the_log(read: Read, trace: Tr
             assert curves.position == pytest.approx(wanted, nan_ok=True, abs=0)
 
 
-def test_the_links_stand_where_kinematics_put_them(
-    read: Read, trace: Trace, robot: RobotModel
-) -> None:
+def test_link_poses_match_forward_kinematics(read: Read, trace: Trace, robot: RobotModel) -> None:
     data = robot.pin.createData()
     for k, s in enumerate(trace.snapshots):
         placed = places(read, k)
@@ -113,7 +111,7 @@ def test_the_links_stand_where_kinematics_put_them(
             assert placed[name].rotation == pytest.approx(wanted.rotation, abs=1e-6)
 
 
-def test_bodies_and_visuals_are_fixed_to_links_and_forces_point_as_they_act(
+def test_bodies_are_fixed_to_links_and_arrows_match_forces(
     read: Read, trace: Trace, robot: RobotModel
 ) -> None:
     [(_, bodies)], [(_, looks)] = read["/bodies"], read["/robot"]
@@ -132,7 +130,7 @@ def test_bodies_and_visuals_are_fixed_to_links_and_forces_point_as_they_act(
             turn = arrow.pose.orientation
             axis = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix()[:, 0]
             along = axis * 400 * arrow.shaft_length
-            off = 1e-12 * float(np.linalg.norm(force)) + 1e-150  # [N] whose square is not 0
+            off = 1e-12 * float(np.linalg.norm(force)) + 1e-150  # [N] tolerance that is not zero
             assert along == pytest.approx(force, abs=off)
 
 
@@ -147,7 +145,7 @@ def test_rerun_shows_robot_transforms_and_curves(folder: Path, trace: Trace) -> 
             columns[each.entity_path][name] += batch.column(name).to_pylist()
     meshes = [path for path, has in columns.items() if "Asset3D:blob" in has]
     shown = [path for path in meshes if "/visual_geometries/" in path]
-    assert len(shown) >= 15, "the URDF's meshes"
+    assert len(shown) >= 15, "too few of the URDF's meshes"
     linked = {frame for path in shown for [frame] in columns[path]["CoordinateFrame:frame"]}
     assert linked <= {child for [child] in columns["/tf"]["Transform3D:child_frame"]}
     curves = columns["/curves/pairs/position"]
@@ -159,7 +157,7 @@ def test_rerun_shows_robot_transforms_and_curves(folder: Path, trace: Trace) -> 
             assert found[labels.index(name)] == row[trace.index[name]]
 
 
-def test_ros_tools_play_joints_and_transforms(folder: Path, trace: Trace, read: Read) -> None:
+def test_ros_tools_read_joints_and_transforms(folder: Path, trace: Trace, read: Read) -> None:
     from rosbags.highlevel import AnyReader
 
     with AnyReader([folder / "ros.mcap"]) as bag:
@@ -182,7 +180,7 @@ def test_ros_tools_play_joints_and_transforms(folder: Path, trace: Trace, read: 
 
 @pytest.fixture
 def mirrored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RobotModel:
-    """The paper's robot, the axes of whose left wheels point to the right."""
+    """The paper's robot with left wheel axes that point to the right."""
     made = shutil.copytree(assets.ASSETS / "husky_panda", tmp_path / "mirrored")
     tree = ElementTree.parse(made / "robot.urdf")
     for joint in tree.iterfind("joint"):
@@ -197,7 +195,7 @@ def mirrored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RobotModel:
     return RobotModel(load_robot("mirrored"))
 
 
-def test_wheels_turn_as_the_base_drives_whichever_way_their_axes_point(
+def test_wheel_rotation_matches_the_drive_for_any_axis_direction(
     mirrored: RobotModel, robot: RobotModel, trace: Trace
 ) -> None:
     turned = mirrored.wheel_positions([0.3, 0.3])
@@ -214,7 +212,7 @@ NAMES = ("arm_1", "arm1", "Arm-1", "a.b/c", "Gelenk;1", "Gelenk, ü", "7")
 
 
 def test_joints_with_any_names_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Protobuf refuses names that differ only in underscores and the case of letters."""
+    """Protobuf rejects names that differ only in underscores or case."""
     made = shutil.copytree(assets.ASSETS / "husky_panda", tmp_path / "named")
     for file in ("robot.toml", "robot.urdf"):
         text = (made / file).read_text("utf-8").replace('name = "husky_panda"', 'name = "named"', 1)
@@ -236,7 +234,7 @@ def test_joints_with_any_names_are_logged(tmp_path: Path, monkeypatch: pytest.Mo
         assert read_trace(tmp_path / f"log.{ending}").meta.joints == NAMES
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing(
+def test_full_disk_is_one_line_and_leaves_no_file(
     robot: RobotModel, trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
@@ -248,7 +246,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_layout_for_foxglove_shows_what_a_file_has(read: Read) -> None:
+def test_foxglove_layout_shows_topics_of_the_file(read: Read) -> None:
     layout = json.loads((PROJECT / "examples" / "foxglove_layout.json").read_text("utf-8"))
     panels = layout["configById"]
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]

@@ -1,4 +1,4 @@
-"""One record of a run: its columns have the right units, its figures are those of the raw file."""
+"""The record of a run: units of its columns, and figures recomputed from the raw file."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ Columns = dict[str, np.ndarray]
 
 
 @pytest.fixture(scope="module")
-def taken(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]]:
-    """A pull into the buffer, with a few contacts put in by hand; the person lets go at the end."""
+def recorded(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]]:
+    """A pull into the buffer with a few inserted contacts; the person lets go before the end."""
     scenario = LINES["guiding-lateral"].changed(duration=2.0)
     q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(scenario.start)
     session = Session(robot, border_data, Config(), physics="kinematic")
@@ -51,12 +51,12 @@ def taken(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]
 
 
 @pytest.fixture(scope="module")
-def raw(taken, tmp_path_factory) -> Columns:
-    """The columns of its CSV, as the csv module reads them; those with a number in every row."""
+def raw(recorded, tmp_path_factory) -> Columns:
+    """The columns of the CSV that have a number in every row, read by the csv module."""
     path = tmp_path_factory.mktemp("trace") / "run.csv"
-    write_trace(path, taken[0])
+    write_trace(path, recorded[0])
     with path.open(encoding="utf-8", newline="") as file:
-        next(file)  # about the run
+        next(file)  # the header of the run
         rows = list(csv.DictReader(file))
     words = {"true": 1.0, "false": 0.0}
     whole = [name for name in rows[0] if all(row[name] for row in rows)]
@@ -66,8 +66,8 @@ def raw(taken, tmp_path_factory) -> Columns:
 
 
 @pytest.mark.slow
-def test_csv_and_parquet_hold_the_same_numbers_and_those_of_the_steps(taken, raw, tmp_path):
-    trace, steps = taken
+def test_csv_and_parquet_contain_the_numbers_of_the_steps(recorded, raw, tmp_path):
+    trace, steps = recorded
     write_trace(tmp_path / "run.parquet", trace)
     table = pq.read_table(tmp_path / "run.parquet")
     for name, values in raw.items():
@@ -80,8 +80,8 @@ def test_csv_and_parquet_hold_the_same_numbers_and_those_of_the_steps(taken, raw
             assert raw[f"u_panda_joint{i + 1}_nm"][k] == step.control.u_cmd[i]
         pose = [raw[name][k] for name in ("base_x_m", "base_y_m", "base_yaw_rad")]
         assert pose == step.truth.base_pose.tolist()
-        asked = [raw["base_a_mps2"][k], raw["base_aw_radps2"][k]]
-        assert asked == step.control.a_base_cmd.tolist()
+        commanded = [raw["base_a_mps2"][k], raw["base_aw_radps2"][k]]
+        assert commanded == step.control.a_base_cmd.tolist()
         w = step.control
         for pair, d, beta in zip(w.pairs, step.distances, w.beta, strict=True):
             assert raw[f"d_{pair.name}_m"][k] == d
@@ -98,7 +98,7 @@ def turns(values: np.ndarray, band: float) -> int:
 
 
 def recomputed(r: Columns) -> dict[str, Any]:
-    """All figures of merit from the file's columns alone, in plain loops."""
+    """All figures of merit from the columns of the file alone, in plain loops."""
     x, y, yaw = (r[f"base_{name}"].tolist() for name in ("x_m", "y_m", "yaw_rad"))
     steps = [
         math.hypot(b - a, d - c) for (a, b), (c, d) in zip(pairwise(x), pairwise(y), strict=True)
@@ -158,8 +158,8 @@ def recomputed(r: Columns) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_every_figure_of_merit_is_that_of_the_raw_file(robot: RobotModel, taken, raw):
-    figures, again = metrics(taken[0]), recomputed(raw)
+def test_every_figure_of_merit_equals_that_of_the_raw_file(robot: RobotModel, recorded, raw):
+    figures, again = metrics(recorded[0]), recomputed(raw)
     speeds = [
         float(np.abs(raw[f"qd_panda_joint{i + 1}_radps"]).max()) / most
         for i, most in enumerate(robot.qd_max)
@@ -175,22 +175,22 @@ def test_every_figure_of_merit_is_that_of_the_raw_file(robot: RobotModel, taken,
 
 
 def changed(trace: Trace, quantity: str, values: Any) -> Trace:
-    """The trace with another quantity in its table."""
+    """The trace with other values of a quantity."""
     again = trace.rows(slice(None))
     again.table = trace.table.copy()
     again.of(quantity)[:] = values
     return again
 
 
-def test_without_a_release_or_with_another_grasp_at_the_end_there_is_no_path_after_it(taken):
-    people = np.ones(len(taken[0]))
+def test_without_a_final_release_there_is_no_path_after_release(recorded):
+    people = np.ones(len(recorded[0]))
     for held in (people, 0 * people, people * (np.arange(len(people)) // 900 != 1)):
-        assert metrics(changed(taken[0], "people", held))["base_path_after_release_m"] is None
+        assert metrics(changed(recorded[0], "people", held))["base_path_after_release_m"] is None
 
 
 @pytest.mark.parametrize("near", [0, 350, 1204])
-def test_a_persons_force_counts_until_two_bodies_are_near(taken, near: int):
-    trace, steps = taken
+def test_the_clear_hand_force_counts_until_two_bodies_are_near(recorded, near: int):
+    trace, steps = recorded
     forces = [float(np.linalg.norm(s.hand_force)) for s in steps]
     pairs = np.full(trace.of("pairs").shape, 0.3)
     pairs[near:, 3] = NEAR - 1e-6
@@ -199,14 +199,14 @@ def test_a_persons_force_counts_until_two_bodies_are_near(taken, near: int):
     assert figures["hand_force_max_n"] == pytest.approx(max(forces))
 
 
-def test_what_is_not_a_number_is_noticed_wherever_it_is(taken):
-    torques = taken[0].of("u_a").copy()
-    assert taken[0].finite
+def test_a_single_nan_makes_a_trace_not_finite(recorded):
+    torques = recorded[0].of("u_a").copy()
+    assert recorded[0].finite
     torques[1234, 3] = np.nan
-    assert not changed(taken[0], "u_a", torques).finite
+    assert not changed(recorded[0], "u_a", torques).finite
 
 
-def test_changes_of_sign_are_counted_beyond_a_dead_band():
+def test_sign_changes_are_counted_beyond_a_dead_band():
     steps = np.arange(1000)
     for tooth, count in ((0.0, 0), (0.002, 0), (0.1, 998)):
         rates = np.column_stack([0.001 + tooth * (-1.0) ** steps[:-1], np.full(999, -0.01)])

@@ -1,6 +1,6 @@
-"""Links that are built into one another, as a shoulder into a torso: their touching is no contact.
+"""Links that are built into one another, like a shoulder into a torso, are no contact pair.
 
-As of Baxter, whose shoulder stands in its torso in 87 % of all poses, the ready one among them.
+An example is Baxter, whose shoulder overlaps its torso in 87 % of all poses and in the ready pose.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from tests.robots import needs_pybullet
 
 pytestmark = pytest.mark.slow
 
-GROUPS = [[1, 2], [3, 4], [5], [6, 7]]  # column and shoulder, upper and fore, cuff, wrist and hand
-UPPER = 3  # the unit that stands in the torso
+GROUPS = [[1, 2], [3, 4], [5], [6, 7]]  # (column, shoulder), (upper, fore), cuff, (wrist, hand)
+UPPER = 3  # the unit that overlaps the torso
 
 
 class Toy(NamedTuple):
@@ -41,7 +41,7 @@ class Toy(NamedTuple):
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Toy:
-    """A torso around the arm's root, out of which upper and fore arm come."""
+    """A torso around the root of the arm; upper arm and forearm protrude from it."""
     folder = tmp_path_factory.mktemp("torso")
     torso = [
         link("torso", solid('<box size="0.2 0.2 0.34"/>')),
@@ -64,18 +64,18 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Toy:
     return Toy(compiled(content, path), bare, meetings)
 
 
-def test_links_are_nested_that_touch_where_their_units_do(toy: Toy) -> None:
-    """The torso, and not all that moves with it; nor links of units that merely can collide."""
+def test_only_links_that_touch_when_their_units_touch_are_nested(toy: Toy) -> None:
+    """Neither other links that move with the torso nor links that only can collide are nested."""
     assert nested_links(toy.bare, toy.meetings, 0, UPPER) == [("torso", "upper")]
     assert nested_links(toy.bare, toy.meetings, 0, 2) == [("torso", "shoulder")]  # neighbours
     for far in (4, 5, 6, 7):
         assert (toy.meetings.random.distances[:, column(toy, far)] <= 0.0).any()
         assert nested_links(toy.bare, toy.meetings, 0, far) == []
-    watched = replace(toy.meetings, close=frozenset())  # a buffer lets go of it in free poses
+    watched = replace(toy.meetings, close=frozenset())  # the pair leaves the buffer in free poses
     assert nested_links(toy.bare, watched, 0, UPPER) == []
 
 
-def test_nested_links_are_written_and_are_no_contact_pair(toy: Toy) -> None:
+def test_nested_links_are_stored_and_are_no_contact_pair(toy: Toy) -> None:
     assert {body.name: body.nested for body in toy.model.description.bodies if body.nested} == {
         "l2": {"upper": ("torso",)}
     }
@@ -88,10 +88,10 @@ def test_nested_links_are_written_and_are_no_contact_pair(toy: Toy) -> None:
 @pytest.mark.parametrize(
     ("links", "outcome"), [(("torso",), "passed"), (("torso", "left_wheel"), "warned")]
 )
-def test_links_that_are_said_to_be_nested_have_to_touch(
+def test_check_warns_of_nested_links_that_never_touch(
     toy: Toy, links: tuple[str, ...], outcome: str
 ) -> None:
-    """Contacts that plants ignore would else never be missed, for example of a wrong name."""
+    """Plants ignore contacts of nested links, so that a wrong name would hide contacts."""
     bodies = [body.model_dump() for body in toy.model.description.bodies]
     bodies[2]["nested"] = {"upper": links}
     said = RobotDescription.model_validate(toy.model.description.model_dump() | {"bodies": bodies})
@@ -101,14 +101,14 @@ def test_links_that_are_said_to_be_nested_have_to_touch(
     assert "torso" not in row.text
 
 
-def test_a_robot_without_nested_links_is_not_asked_for_them(toy: Toy) -> None:
+def test_check_has_no_row_for_a_robot_without_nested_links(toy: Toy) -> None:
     rows = islice(check_robot(toy.bare.description), 6)
     assert "nested links" not in [row.name for row in rows]
 
 
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])
-def test_a_plant_counts_what_the_fit_holds_to_be_a_collision(toy: Toy, engine: str) -> None:
-    """In poses in which an upper arm stands in the torso, and others beside it hit it or not."""
+def test_a_plant_reports_the_collisions_that_the_fit_finds(toy: Toy, engine: str) -> None:
+    """The upper arm always overlaps the torso; only the other units decide about a contact."""
     others = toy.meetings.random.distances[:, [column(toy, k) for k in (4, 5, 6, 7)]].min(axis=1)
     built = toy.meetings.random.distances[:, column(toy, UPPER)]
     assert (built < -0.01).all()
@@ -126,5 +126,5 @@ def test_a_plant_counts_what_the_fit_holds_to_be_a_collision(toy: Toy, engine: s
 
 
 def column(toy: Toy, unit: int) -> int:
-    """Of the base and a unit, among the distances."""
+    """Column of the distance between the base and a unit."""
     return toy.meetings.pairs.index((0, unit))

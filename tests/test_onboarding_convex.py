@@ -1,4 +1,4 @@
-"""Bodies enclose all their points, with little additional volume."""
+"""Bodies enclose all their points with little additional volume."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FITS = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
 
 
 def cloud(seed: int, stretch: tuple[float, float, float] = (0.3, 0.1, 0.05)) -> np.ndarray:
-    """Points in a turned ellipsoid away from the origin."""
+    """Points in a rotated ellipsoid away from the origin."""
     rng = np.random.default_rng(seed)
     turn = pin.Quaternion(*(q / np.linalg.norm(q) for q in [rng.normal(size=4)])).matrix()
     points = rng.normal(size=(300, 3))
@@ -41,7 +41,7 @@ def cloud(seed: int, stretch: tuple[float, float, float] = (0.3, 0.1, 0.05)) -> 
 
 
 def distance(shape, points: np.ndarray) -> np.ndarray:
-    """(N,) [m] signed distances, by the collision library."""
+    """(N,) [m] signed distances from the collision library."""
     import coal
 
     geometry, T = shape.coal_geometry(), shape.placement()
@@ -57,14 +57,14 @@ def distance(shape, points: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", FITS)
 @pytest.mark.parametrize("seed", range(3))
-def test_no_point_sticks_out_of_its_body(kind: str, seed: int) -> None:
+def test_body_encloses_all_its_points(kind: str, seed: int) -> None:
     points = cloud(seed)
     assert distance(FITS[kind](points), points).max() < 2e-4  # [m]
 
 
 @pytest.mark.parametrize("kind", FITS)
-def test_volume_and_support_are_those_of_the_drawn_mesh(kind: str) -> None:
-    """Against trimesh, whose spheres are polyhedra: up to one per cent."""
+def test_volume_and_support_match_the_drawn_mesh(kind: str) -> None:
+    """Compared with trimesh, whose polyhedral spheres deviate by up to 1 %."""
     shape = FITS[kind](cloud(3))
     mesh = shape_mesh(shape).copy().apply_transform(shape.placement().homogeneous)
     assert volume_of(shape) == pytest.approx(mesh.volume, rel=0.015)
@@ -73,8 +73,7 @@ def test_volume_and_support_are_those_of_the_drawn_mesh(kind: str) -> None:
     np.testing.assert_allclose(support(shape, D), (D @ mesh.vertices.T).max(axis=1), atol=2e-3)
 
 
-def test_a_capsule_is_found_again_from_its_points() -> None:
-    """Points of a capsule of known size: the fit has its volume within 3 per cent."""
+def test_capsule_fit_recovers_a_known_capsule() -> None:
     rng = np.random.default_rng(0)
     D = rng.normal(size=(2000, 3))
     D /= np.linalg.norm(D, axis=1)[:, None]
@@ -86,13 +85,13 @@ def test_a_capsule_is_found_again_from_its_points() -> None:
     assert fit.radius_m == pytest.approx(r, rel=0.03)
 
 
-def test_a_turned_box_is_found_again_from_its_corners() -> None:
+def test_box_fit_recovers_a_rotated_box() -> None:
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * [0.2, 0.1, 0.05]
     turned = corners @ pin.rpy.rpyToMatrix(0.0, 0.0, 0.6).T + [0.3, 0.0, 0.1]
     assert volume_of(fit_box(turned)) == pytest.approx(0.4 * 0.2 * 0.1, rel=0.02)
 
 
-def test_the_least_weighted_volume_wins_and_is_reported_against_the_hull() -> None:
+def test_least_weighted_volume_wins_and_is_compared_with_the_hull() -> None:
     points = cloud(5)
     fit = fit_best(points, {"capsule": 1.0, "box": 1.0, "hull": 1.0})
     assert fit.volume == min(volume_of(f(hull_corners(points))) for f in FITS.values())
@@ -102,10 +101,10 @@ def test_the_least_weighted_volume_wins_and_is_reported_against_the_hull() -> No
     assert heavy.shape.type == "capsule"
 
 
-def test_something_round_keeps_few_corners_that_hold_it_and_little_else() -> None:
-    """A cloud passed through three joints had four million points, and a hull of it took seconds.
+def test_round_cloud_is_reduced_to_few_corners_that_enclose_it() -> None:
+    """A cloud swept over three joints can have four million points; their hull takes seconds.
 
-    Of few corners none is changed.
+    A cloud with few corners is not changed.
     """
     D = np.random.default_rng(4).normal(size=(20_000, 3))
     D /= np.linalg.norm(D, axis=1)[:, None]
@@ -123,22 +122,22 @@ def test_something_round_keeps_few_corners_that_hold_it_and_little_else() -> Non
     np.testing.assert_array_equal(lean_corners(few), hull_corners(few))
 
 
-def test_what_was_seen_through_a_joint_is_not_looked_at_again(
+def test_sweep_through_a_joint_is_computed_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Groupings that share their outer links ask the same of them."""
+    """Groupings with the same outer links share the result."""
     rng, asked = np.random.default_rng(2), []
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}
     swept(husky_panda(), points)
     axis = bodies._axis
     monkeypatch.setattr(bodies, "_axis", lambda model, j: (asked.append(j), axis(model, j))[1])
     swept(husky_panda(), points | {5: points[6]})
-    assert asked.count(8) == 1  # from 8 outwards is known; from 5 and 6 on all is new
+    assert asked.count(8) == 1  # the sweep from 8 outwards is stored; from 5 and 6 it is new
     assert asked.count(7) == 1
 
 
-def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between() -> None:
-    """Hand and flange of the Panda, seen from link 6, joint 7 anywhere; and link 5 from there."""
+def test_sweep_encloses_the_links_in_all_positions_of_the_joints_between() -> None:
+    """Points on links 5, 6 and 7 of the Panda, seen from link 6, in random poses."""
     model = husky_panda()
     rng = np.random.default_rng(1)
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}  # joints 5, 6, 7
@@ -156,10 +155,10 @@ def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between()
             assert (seen @ planes[:, :3].T + planes[:, 3]).max() < 1e-6
 
 
-def test_parts_of_a_base_are_merged_where_this_adds_the_least_volume(
+def test_base_parts_are_merged_with_the_least_added_volume(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """No hull is computed twice: Centauro's 25 parts took more than a minute."""
+    """No hull is computed twice, which saves a minute for Centauro's 25 parts."""
     seen: list[bytes] = []
 
     def counted(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -178,7 +177,7 @@ def test_parts_of_a_base_are_merged_where_this_adds_the_least_volume(
     assert len(seen) == len(set(seen)) == 7 + 21 + 5 + 4 + 3 + 2 + 1
 
 
-def test_pieces_of_a_mesh_fill_little_more_than_the_mesh() -> None:
+def test_convex_pieces_have_little_more_volume_than_the_mesh() -> None:
     """A hull around three posts on a plate contains the space between the posts."""
     boxes = [trimesh.creation.box((0.3, 0.3, 0.1))]
     for x, y in ((-0.13, -0.13), (0.13, -0.13), (0.0, 0.13)):
@@ -194,10 +193,10 @@ def test_pieces_of_a_mesh_fill_little_more_than_the_mesh() -> None:
     assert len(convex_pieces(boxes[0])) == 1
 
 
-def test_a_hull_has_its_volume_inside_and_a_plate_needs_no_other_library(
+def test_hull_mesh_has_the_hulls_volume_and_supports_plates(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """By trimesh, triangles of no area have a winding only with networkx."""
+    """The winding of triangles without area needs networkx in trimesh."""
     monkeypatch.setitem(sys.modules, "networkx", None)
     points = np.random.default_rng(0).normal(size=(60, 3))
     assert hull_mesh(points).volume == pytest.approx(ConvexHull(points).volume)

@@ -1,4 +1,4 @@
-"""Errors of a URDF: one clear message each, before anything is written."""
+"""Parsing of a URDF; each error gives one clear message before a file is written."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def request(tmp_path: Path, text: str, **changes: object) -> Request:
 
 
 def refused(tmp_path: Path, text: str, **changes: object) -> str:
-    """The message with which a robot is refused; nothing may be left behind."""
+    """The one-line message of a refused robot; no file may remain."""
     with pytest.raises(DbbError) as caught:
         finish(request(tmp_path, text, **changes))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["toy.urdf"]
@@ -56,7 +56,7 @@ def refused(tmp_path: Path, text: str, **changes: object) -> str:
     return str(caught.value)
 
 
-def test_wheels_radius_track_and_the_point_on_the_floor_are_measured(tmp_path: Path) -> None:
+def test_wheel_radius_track_and_floor_point_are_read_from_the_urdf(tmp_path: Path) -> None:
     parsed = parse(request(tmp_path, TOY))
     wheels = parsed.wheels
     assert (wheels.left, wheels.right) == (("left_axle",), ("right_axle",))
@@ -66,8 +66,8 @@ def test_wheels_radius_track_and_the_point_on_the_floor_are_measured(tmp_path: P
     np.testing.assert_allclose(wheels.T_base_floor.rotation, np.eye(3), atol=1e-9)
 
 
-def test_a_base_whose_axle_lies_along_x_is_turned_so_that_it_faces_x(tmp_path: Path) -> None:
-    """The same robot with its base link turned by a quarter: the wheels say where ahead is."""
+def test_a_base_with_its_axle_along_x_gets_a_frame_that_faces_forward(tmp_path: Path) -> None:
+    """The same robot with its base link turned by 90°; the wheels define the forward direction."""
     turned = TOY.replace('xyz="0.05 0.2 -0.05"', 'xyz="-0.2 0.05 -0.05"')
     turned = turned.replace('xyz="0.05 -0.2 -0.05"', 'xyz="0.2 0.05 -0.05"')
     turned = turned.replace(
@@ -79,7 +79,7 @@ def test_a_base_whose_axle_lies_along_x_is_turned_so_that_it_faces_x(tmp_path: P
     assert wheels.left == ("left_axle",)
 
 
-def test_the_arm_is_what_moves_between_base_and_tip(tmp_path: Path) -> None:
+def test_the_arm_has_the_moving_joints_between_base_and_tip(tmp_path: Path) -> None:
     found = parse(request(tmp_path, TOY)).arm
     assert tuple(j.name for j in found.joints) == ARM_JOINTS
     assert found.mount == "column"
@@ -87,8 +87,8 @@ def test_the_arm_is_what_moves_between_base_and_tip(tmp_path: Path) -> None:
     assert set(found.base_links) == {"base", "left_wheel", "right_wheel"}
 
 
-def test_a_link_that_stands_on_the_floor_is_the_bases_and_not_the_arms(tmp_path: Path) -> None:
-    """Between --base, a bare point on the floor, and the arm's first joint is the base itself."""
+def test_links_between_the_base_frame_and_the_first_joint_are_the_base(tmp_path: Path) -> None:
+    """`--base` is a footprint without geometry, below the base itself."""
     footprint = [link("footprint"), joint("stands", "fixed", "footprint", "base", xyz="0 0 0.15")]
     first = 'name="pan" type="revolute"><parent link="column"/>'
     assert first in TOY
@@ -100,7 +100,7 @@ def test_a_link_that_stands_on_the_floor_is_the_bases_and_not_the_arms(tmp_path:
     assert not found.segments[0]
 
 
-def test_fingers_beside_the_chain_belong_to_the_link_that_carries_them(tmp_path: Path) -> None:
+def test_fingers_beside_the_chain_belong_to_their_parent_link(tmp_path: Path) -> None:
     finger = [
         link("finger", solid('<box size="0.01 0.01 0.05"/>', mass=0.05)),
         joint("grip", "prismatic", "wrist_link", "finger", xyz="0 0.02 0.1"),
@@ -111,7 +111,7 @@ def test_fingers_beside_the_chain_belong_to_the_link_that_carries_them(tmp_path:
 
 
 def suspended(*, travel: float) -> str:
-    """The toy, each wheel on a slide of so much travel."""
+    """The toy with each wheel on a slide of `travel` [m]."""
     limit = f'lower="{-travel / 2}" upper="{travel / 2}" effort="100" velocity="1"'
     parts = []
     for part in cart():
@@ -124,7 +124,7 @@ def suspended(*, travel: float) -> str:
     return robot([*parts, *arm()])
 
 
-def test_wheels_on_suspensions_are_the_same_drive(tmp_path: Path) -> None:
+def test_wheels_on_suspensions_are_found_like_rigid_wheels(tmp_path: Path) -> None:
     plain, slides = (parse(request(tmp_path, text)) for text in (TOY, suspended(travel=0.01)))
     assert slides.wheels[:4] == plain.wheels[:4]
     assert {"left_slide", "right_slide"} < set(slides.arm.rigid_links)
@@ -132,27 +132,27 @@ def test_wheels_on_suspensions_are_the_same_drive(tmp_path: Path) -> None:
     assert parse(given).wheels[:4] == plain.wheels[:4]
 
 
-def test_what_stands_still_is_warned_of_and_no_slide_that_the_base_itself_is_on(
+def test_joints_treated_as_rigid_are_reported_except_above_the_base(
     tmp_path: Path,
 ) -> None:
     slide = joint("slide", "prismatic", "world", "base", limit='lower="-1e6" upper="1e6"')
     floating = robot([*cart(), *arm(), link("world"), slide])
     legged = robot([*cart(), *arm(), link("leg"), joint("knee", "revolute", "base", "leg")])
     texts = (suspended(travel=0.01), floating, legged)
-    told = [list(held_still(parse(request(tmp_path, text)))) for text in texts]
-    assert told[0][0].endswith("0.01 m, count as rigid: left_spring, right_spring")
-    assert len(told[0]) == 1
-    assert told[1] == []
-    assert [each.rpartition(": ")[2] for each in told[2]] == ["knee"]
+    reported = [list(held_still(parse(request(tmp_path, text)))) for text in texts]
+    assert reported[0][0].endswith("0.01 m, count as rigid: left_spring, right_spring")
+    assert len(reported[0]) == 1
+    assert reported[1] == []
+    assert [each.rpartition(": ")[2] for each in reported[2]] == ["knee"]
 
 
 def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:
-    told = refused(tmp_path, suspended(travel=0.06))
-    assert "no pair of wheels" in told
-    assert "--kind holonomic" in told  # which helps where each wheel has a fork of its own
+    reported = refused(tmp_path, suspended(travel=0.06))
+    assert "no pair of wheels" in reported
+    assert "--kind holonomic" in reported  # for a base with one fork for each wheel
 
 
-def test_wheels_that_are_given_must_be_wheels(tmp_path: Path) -> None:
+def test_the_option_for_wheels_requires_wheels_of_the_base(tmp_path: Path) -> None:
     for given, why in (
         (("lift", "right_axle"), "not on the base"),
         (("nothing", "right_axle"), "no joint or link 'nothing'"),
@@ -161,23 +161,23 @@ def test_wheels_that_are_given_must_be_wheels(tmp_path: Path) -> None:
         assert why in refused(tmp_path, TOY, wheels=given)
 
 
-def test_a_wheel_that_is_not_round_is_none(tmp_path: Path) -> None:
+def test_a_wheel_that_is_not_round_is_refused(tmp_path: Path) -> None:
     square = robot([*cart(wheel='<box size="0.2 0.05 0.1"/>', wheel_rpy="0 0 0"), *arm()])
-    told = refused(tmp_path, square, wheels=("left_axle", "right_axle"))
-    assert "left_axle is no wheel" in told
-    assert "not round" in told
+    reported = refused(tmp_path, square, wheels=("left_axle", "right_axle"))
+    assert "left_axle is no wheel" in reported
+    assert "not round" in reported
     assert "--wheels LEFT RIGHT" in refused(tmp_path, square)
 
 
-def test_a_wheel_whose_axle_stands_upright_is_none(tmp_path: Path) -> None:
+def test_a_wheel_with_a_vertical_axle_is_refused(tmp_path: Path) -> None:
     upright = TOY.replace(
         '<axis xyz="0 1 0"/><limit effort="20"', '<axis xyz="0 0 1"/><limit effort="20"'
     )
     assert "not level" in refused(tmp_path, upright, wheels=("left_axle", "right_axle"))
 
 
-def test_wheels_of_two_sizes_are_not_guessed_between(tmp_path: Path) -> None:
-    """A second pair, smaller, on the same floor: which of them drives has to be said."""
+def test_wheel_pairs_of_two_sizes_require_the_option_for_wheels(tmp_path: Path) -> None:
+    """A second, smaller pair on the same floor; the option selects the driven pair."""
     second = []
     for name, y in (("fl", 0.2), ("fr", -0.2)):
         second.append(
@@ -200,21 +200,21 @@ def test_wheels_of_two_sizes_are_not_guessed_between(tmp_path: Path) -> None:
     assert wheels.left == ("left_axle",)
 
 
-def test_a_joint_named_twice_is_refused(tmp_path: Path) -> None:
+def test_a_duplicate_joint_name_is_refused(tmp_path: Path) -> None:
     twice = TOY.replace('<joint name="elbow"', '<joint name="lift"')
     assert "2 joints have the name 'lift'" in refused(tmp_path, twice)
 
 
 def test_a_closed_chain_is_refused(tmp_path: Path) -> None:
     rod = joint("rod", "revolute", "fore", "shoulder")
-    told = refused(tmp_path, robot([*cart(), *arm(), rod]))
-    assert "closed chain" in told
-    assert "'rod'" in told
+    reported = refused(tmp_path, robot([*cart(), *arm(), rod]))
+    assert "closed chain" in reported
+    assert "'rod'" in reported
     ring = robot([*cart(), *arm(), joint("ring", "fixed", "hand", "base")])
     assert "closed chain" in refused(tmp_path, ring)
 
 
-def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> None:
+def test_a_chain_of_20_000_links_is_read_in_linear_time() -> None:
     count = 20_000
     rows = [f'<link name="l{i}"/>' for i in reversed(range(count))]
     rows += [joint(f"j{i}", "fixed", f"l{i}", f"l{i + 1}") for i in range(count - 1)]
@@ -252,7 +252,7 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
         ('0.05 -0.2 -0.05"', '0.3 -0.2 -0.05"', "left_axle, right_axle: no two across from each"),
     ],
 )
-def test_what_others_leave_in_a_urdf_is_refused_with_what_helps(
+def test_common_faults_of_a_urdf_are_refused_with_a_remedy(
     tmp_path: Path, old: str, new: str, why: str
 ) -> None:
     assert old in TOY
@@ -260,7 +260,7 @@ def test_what_others_leave_in_a_urdf_is_refused_with_what_helps(
     assert why in refused(tmp_path, text.replace(old, new))
 
 
-def test_a_mesh_of_another_case_or_scale_is_told(tmp_path: Path) -> None:
+def test_a_mesh_name_is_suggested_and_a_mirrored_mesh_has_its_volume(tmp_path: Path) -> None:
     (tmp_path / "m.stl").write_bytes(cube())
     with pytest.raises(RobotFileError, match=re.escape("(did you mean 'm.stl'?)")):
         parse(request(tmp_path, with_mesh(TOY, "M.stl")))
@@ -270,15 +270,15 @@ def test_a_mesh_of_another_case_or_scale_is_told(tmp_path: Path) -> None:
     assert sizes[0] == pytest.approx(sizes[1]) == pytest.approx(0.08 * 0.12 * 0.08)
 
 
-def test_what_stands_beside_the_links_and_joints_does_not_count(tmp_path: Path) -> None:
-    """Gazebo's and ros2_control's parts may hold anything."""
+def test_elements_beside_links_and_joints_are_ignored(tmp_path: Path) -> None:
+    """The elements of Gazebo and ros2_control may contain anything."""
     beside = '<gazebo reference="hand"><visual><geometry><mesh/></geometry></visual></gazebo>'
     parsed = parse(request(tmp_path, TOY.replace("</robot>", f"{beside}</robot>")))
     assert tuple(j.name for j in parsed.arm.joints) == ARM_JOINTS
 
 
-def test_joints_may_have_the_names_of_libraries(tmp_path: Path) -> None:
-    """MuJoCo has a world, pinocchio a universe, and our own root a planar_x."""
+def test_joints_may_have_names_that_libraries_use(tmp_path: Path) -> None:
+    """MuJoCo uses `world`, pinocchio `universe`, and the project's root joint `planar_x`."""
     text = TOY
     for old, new in (("pan", "world"), ("lift", "universe"), ("elbow", "planar_x")):
         text = text.replace(f'joint name="{old}"', f'joint name="{new}"')
@@ -286,9 +286,9 @@ def test_joints_may_have_the_names_of_libraries(tmp_path: Path) -> None:
     assert arm.joints[:3] == ("world_joint", "universe_joint", "planar_x_joint")
 
 
-def test_the_tip_is_a_link_of_the_arms_own_file(tmp_path: Path) -> None:
+def test_the_tip_must_be_a_link_of_the_arms_file(tmp_path: Path) -> None:
     alone = robot([part for part in arm() if 'name="mount"' not in part])
-    asked = Request(
+    options = Request(
         urdf=str(write(tmp_path, robot(cart()))),
         base="base",
         tip="left_wheel",
@@ -296,10 +296,10 @@ def test_the_tip_is_a_link_of_the_arms_own_file(tmp_path: Path) -> None:
         arm_urdf=str(write(tmp_path, alone, "arm.urdf")),
     )
     with pytest.raises(RobotFileError, match="--tip: the URDF has no link 'left_wheel'"):
-        parse(asked)
+        parse(options)
 
 
-def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
+def test_a_missing_mesh_is_reported_with_its_address(tmp_path: Path) -> None:
     pytest.importorskip("pybullet_data")
     for file, why in (
         ("meshes/none.stl", "there is no file"),
@@ -307,12 +307,12 @@ def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
         ("package://pybullet_data/husky/none.stl", "no such file"),
     ):
         text = TOY.replace('<box size="0.08 0.12 0.08"/>', f'<mesh filename="{file}"/>')
-        told = refused(tmp_path, text)
-        assert file in told
-        assert why in told
+        reported = refused(tmp_path, text)
+        assert file in reported
+        assert why in reported
 
 
-def test_no_inertia_at_all_is_refused_unless_it_may_be_assumed(tmp_path: Path) -> None:
+def test_missing_inertia_is_refused_unless_it_may_be_assumed(tmp_path: Path) -> None:
     bare = re.sub(r"<inertial>.*?</inertial>", "", TOY)
     assert "--assume-inertia" in refused(tmp_path, bare)
     parsed = parse(request(tmp_path, bare, assume_inertia=True))
@@ -322,7 +322,7 @@ def test_no_inertia_at_all_is_refused_unless_it_may_be_assumed(tmp_path: Path) -
     np.testing.assert_allclose(hand.inertia.lever, [0.0, 0.0, 0.08], atol=1e-9)
 
 
-def test_millimetres_are_noticed(tmp_path: Path) -> None:
+def test_lengths_in_millimetres_are_refused(tmp_path: Path) -> None:
     far = TOY.replace('xyz="0.15 0 0.1"', 'xyz="150 0 100"')
     assert "millimetres" in refused(tmp_path, far)
     large = TOY.replace('size="0.08 0.12 0.08"', 'size="80 120 80"')
@@ -340,20 +340,20 @@ def test_millimetres_are_noticed(tmp_path: Path) -> None:
         ({"urdf": "none.urdf"}, "none.urdf: no such file"),
     ],
 )
-def test_links_that_are_not_there_are_named_with_their_option(
+def test_wrong_links_and_files_are_reported_with_their_option(
     tmp_path: Path, changes: dict[str, object], why: str
 ) -> None:
     assert why in refused(tmp_path, TOY, **changes)
 
 
-def test_what_is_no_urdf_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path) -> None:
     assert "not well-formed" in refused(tmp_path, TOY[:-20])
     assert "a URDF's is <robot>" in refused(tmp_path, "<sdf/>")
     unknown = TOY.replace('<child link="hand"/>', '<child link="hnd"/>')
     assert "its child is 'hnd', which is no link" in refused(tmp_path, unknown)
 
 
-def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
+def test_an_existing_folder_is_not_changed(tmp_path: Path) -> None:
     made = tmp_path / "made"
     made.mkdir()
     (made / "mine.txt").write_text("mine")
@@ -380,19 +380,19 @@ def test_a_xacro_is_expanded(tmp_path: Path, ending: str) -> None:
     ("radius", "helps"),
     [("$(arg r)", "give it by --xacro NAME=VALUE"), ("${r}", "mend it until xacro FILE takes it")],
 )
-def test_an_argument_is_asked_for_only_where_one_is_missing(
+def test_only_a_missing_xacro_argument_is_requested(
     radius: str, helps: str, tmp_path: Path
 ) -> None:
     pytest.importorskip("xacrodoc")
     text = TOY.replace('radius="0.1"', f'radius="{radius}"')
     text = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
     path = write(tmp_path, text, "toy.urdf.xacro")
-    asked = Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made")
+    options = Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made")
     with pytest.raises(RobotFileError, match=f"; {helps}$"):
-        parse(asked)
+        parse(options)
 
 
-def test_a_xacro_that_makes_far_more_than_a_robot_is_refused(tmp_path: Path) -> None:
+def test_a_xacro_that_expands_to_gigabytes_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("xacrodoc")
     text = TOY.replace('radius="0.1"', """radius="${len('x' * 2 * 10**9)}\"""")
     text = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
@@ -401,7 +401,7 @@ def test_a_xacro_that_makes_far_more_than_a_robot_is_refused(tmp_path: Path) -> 
         parse(Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made"))
 
 
-def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_place(
+def test_an_unknown_package_of_a_xacro_is_requested_with_its_folder(
     tmp_path: Path,
 ) -> None:
     pytest.importorskip("xacrodoc")
@@ -410,20 +410,18 @@ def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_pla
         '<xacro:include filename="$(find no_such_arm)/arm/arm.xacro"/></robot>'
     )
     path = write(tmp_path, text, "toy.urdf.xacro")
-    asked = Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made")
+    options = Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made")
     with pytest.raises(RobotFileError, match=r"give --package no_such_arm=FOLDER$"):
-        parse(asked)
+        parse(options)
     (tmp_path / "arm").mkdir()
     write(tmp_path / "arm", robot([*cart(), *arm()]), "arm.xacro")
     with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which contains"):
-        parse(asked)
-    assert parse(replace(asked, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
+        parse(options)
+    assert parse(replace(options, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
 
 
-def test_a_xacro_finds_a_package_of_python_as_meshes_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As `$(find pybullet_data)`: it was said not to be installed."""
+def test_a_xacro_finds_a_python_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For example `$(find pybullet_data)`, which was reported as not installed."""
     pytest.importorskip("xacrodoc")
     package = tmp_path / "site" / "toy_arm_data"
     package.mkdir(parents=True)
@@ -438,8 +436,8 @@ def test_a_xacro_finds_a_package_of_python_as_meshes_do(
     assert parse(Request(str(path), "base", "hand", tmp_path / "made")).arm.tip == "hand"
 
 
-def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
-    """The arm's root has the base's name too: it is renamed, and the tip found."""
+def test_an_arm_from_a_second_file_is_mounted_on_the_base(tmp_path: Path) -> None:
+    """The arm's root has the same name as the base and is renamed."""
     alone = [part for part in arm() if 'name="mount"' not in part]
     arm_file = write(tmp_path, robot(alone).replace('"column"', '"base"'), "arm.urdf")
     base_file = write(tmp_path, robot(cart()), "cart.urdf")
@@ -463,8 +461,8 @@ def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
         )
 
 
-def test_materials_of_one_name_keep_their_colours(tmp_path: Path) -> None:
-    """Two files have a material `grey` each, and their links refer to it by its name."""
+def test_materials_of_one_name_in_two_files_keep_their_colours(tmp_path: Path) -> None:
+    """Both files have a material `grey`, and their links refer to it by name."""
 
     def painted(parts: list[str], link: str, rgba: str) -> str:
         visual = f'<visual><geometry>{BOX}</geometry><material name="grey"/></visual>'
@@ -474,8 +472,8 @@ def test_materials_of_one_name_keep_their_colours(tmp_path: Path) -> None:
     alone = [part for part in arm() if 'name="mount"' not in part]
     base = write(tmp_path, painted(cart(), "base", "0.2 0.2 0.2 1"), "cart.urdf")
     arm_urdf = str(write(tmp_path, painted(alone, "hand", "0.7 0.7 0.7 1"), "arm.urdf"))
-    asked = Request(str(base), "base", "hand", tmp_path / "made", arm_urdf=arm_urdf)
-    written = ElementTree.fromstring(rebased_urdf(parse(asked), name="toy", header=""))
+    options = Request(str(base), "base", "hand", tmp_path / "made", arm_urdf=arm_urdf)
+    written = ElementTree.fromstring(rebased_urdf(parse(options), name="toy", header=""))
     assert written.find("material") is None
     colours = {
         link.get("name"): colour.get("rgba")
@@ -488,27 +486,27 @@ def test_materials_of_one_name_keep_their_colours(tmp_path: Path) -> None:
 
 
 def test_names_of_an_arm_are_distinct_from_all_others(tmp_path: Path) -> None:
-    """Also with a name that has the prefix already, and with a joint of our own joint's name."""
+    """Also if a name already has the prefix, or a joint the name of the mounting joint."""
     plate = [link("plate"), joint("arm_on_base", "fixed", "base", "plate")]
     alone = [part for part in arm() if 'name="mount"' not in part]
     alone += [link("arm_base"), joint("more", "fixed", "hand", "arm_base")]
     arm_file = write(tmp_path, robot(alone).replace('"column"', '"base"'), "arm.urdf")
     base_file = str(write(tmp_path, robot([*cart(), *plate]), "cart.urdf"))
-    asked = Request(base_file, "base", "hand", tmp_path / "made", arm_urdf=str(arm_file))
-    tree = parse(asked).tree
+    options = Request(base_file, "base", "hand", tmp_path / "made", arm_urdf=str(arm_file))
+    tree = parse(options).tree
     ends = {name: (tree.joints[name].parent, tree.joints[name].child) for name in tree.joints}
     assert ends["arm_on_base"] == ("base", "arm_base_")
     assert ends["arm_on_base_joint"] == ("base", "plate")
     assert ends["more"] == ("hand", "arm_base")
 
 
-def test_a_whole_robot_in_the_place_of_an_arm_shows_by_its_wheels(tmp_path: Path) -> None:
+def test_wheels_reveal_a_complete_robot_in_place_of_an_arm(tmp_path: Path) -> None:
     names = {}
     base = str(write(tmp_path, robot(cart()), "cart.urdf"))
     for name, below in (("whole", cart()), ("alone", [link("base")])):
         arm_urdf = str(write(tmp_path, robot([*below, *arm()]), f"{name}.urdf"))
-        asked = Request(base, "base", "hand", tmp_path / name, arm_urdf=arm_urdf)
-        names[name] = wheels_carried(parse(asked))
+        options = Request(base, "base", "hand", tmp_path / name, arm_urdf=arm_urdf)
+        names[name] = wheels_carried(parse(options))
     assert names == {"whole": ["arm_left_axle", "arm_right_axle"], "alone": []}
 
 
@@ -519,8 +517,8 @@ def test_an_impossible_inertia_is_refused(tmp_path: Path) -> None:
         parse(request(tmp_path, bad))
 
 
-def test_moments_of_inertia_that_miss_the_triangle_by_rounding_are_mended(tmp_path: Path) -> None:
-    """In pybullet, ixx + iyy < izz counts as zero, be it by the last digit."""
+def test_inertia_that_violates_the_triangle_by_rounding_is_repaired(tmp_path: Path) -> None:
+    """For pybullet an inertia with ixx + iyy < izz counts as zero, even for a rounding error."""
     flat = TOY.replace('<mass value="30"/><inertia ixx="0.3"', '<mass value="30"/><inertia ixx="1"')
     flat = flat.replace('iyy="0.3" iyz="0" izz="0.3"', 'iyy="2" iyz="0" izz="3.00001"')
     made = parse(request(tmp_path, flat)).inertias["base"].inertia.inertia
@@ -530,7 +528,7 @@ def test_moments_of_inertia_that_miss_the_triangle_by_rounding_are_mended(tmp_pa
 
 
 def test_a_joint_may_have_the_name_of_a_link(tmp_path: Path) -> None:
-    """As the Z1's and the SO-100's have; pinocchio cannot tell their frames apart."""
+    """Z1 and SO-100 have such names; pinocchio cannot distinguish their frames."""
     text = TOY.replace('<joint name="lift"', '<joint name="upper"')
     text = text.replace('<joint name="left_axle"', '<joint name="left_wheel"')
     follower = '<joint name="grip" type="revolute"><parent link="hand"/><child link="finger"/>'
@@ -544,7 +542,7 @@ def test_a_joint_may_have_the_name_of_a_link(tmp_path: Path) -> None:
     assert made.n_m == len(ARM_JOINTS)
 
 
-def test_a_finger_without_zero_in_its_limits_stands_at_the_nearest(tmp_path: Path) -> None:
+def test_a_finger_whose_limits_exclude_zero_is_at_the_nearest_limit(tmp_path: Path) -> None:
     limit = 'lower="0.015" upper="0.037" effort="5" velocity="1"'
     finger = joint("slide", "prismatic", "hand", "finger", axis="0 1 0", limit=limit)
     text = TOY.replace("</robot>", link("finger") + finger + "</robot>")
@@ -556,10 +554,10 @@ def test_a_finger_without_zero_in_its_limits_stands_at_the_nearest(tmp_path: Pat
 
 
 @pytest.mark.parametrize(("leader", "offset"), [("lift", 0.0), ("slide", 0.2)])
-def test_a_follower_keeps_its_relation_to_a_leader_without_zero_in_its_limits(
+def test_a_mimic_joint_preserves_its_relation_if_its_leader_is_shifted(
     tmp_path: Path, leader: str, offset: float
 ) -> None:
-    """A joint of the arm keeps its zero; another joint has a new zero at its nearest limit."""
+    """A joint of the arm keeps its zero; another joint gets a new zero at its nearest limit."""
     limit = 'lower="0.1" upper="1" effort="5" velocity="1"'
     text = re.sub(r'(name="lift".*?)<limit [^>]*>', rf"\1<limit {limit}/>", TOY)
     slide = joint("slide", "prismatic", "hand", "finger", axis="0 1 0", limit=limit)
@@ -577,20 +575,20 @@ LIFT = 'lower="-2.5" upper="2.5"'
 @pytest.mark.parametrize(
     ("limits", "mimics", "low", "high"),
     [
-        (LIFT, {"rides": ("lift", 0.1, 0.0)}, -0.25, 0.25),  # as a torso on half of a lift
+        (LIFT, {"rides": ("lift", 0.1, 0.0)}, -0.25, 0.25),  # like a torso that follows a lift
         ('lower="0.5" upper="1.5"', {"rides": ("lift", 0.2, 0.1)}, 0.2, 0.4),  # never at zero
         (LIFT, {"rides": ("idles", -0.5, 0.1), "idles": ("lift", 0.2, 0.0)}, -0.15, 0.35),
         (LIFT, {"rides": ("nothing", 0.1, 0.0)}, 0.0, 0.0),
     ],
 )
-def test_links_beside_the_arm_that_follow_it_cover_their_travel(
+def test_links_that_follow_the_arm_cover_their_travel(
     tmp_path: Path,
     limits: str,
     mimics: dict[str, tuple[str, float, float]],
     low: float,
     high: float,
 ) -> None:
-    """A check reads the robot again, from the new URDF, with the same result."""
+    """The written URDF, which a check reads, gives the same result."""
     text = re.sub(
         r'(name="lift".*?<limit )lower="-2.5" upper="2.5"', rf"\1{limits}", TOY, flags=re.S
     )
@@ -609,24 +607,24 @@ def test_links_beside_the_arm_that_follow_it_cover_their_travel(
     assert ("follow a joint of the arm (<mimic>)" in warned) is (low < high)
 
 
-def robot_model(folder: Path, asked: Request) -> RobotModel:
-    """Pinocchio's model of the joints alone."""
-    parsed = parse(asked)
+def robot_model(folder: Path, options: Request) -> RobotModel:
+    """The model of a robot that is parsed and written, without the fitted bodies."""
+    parsed = parse(options)
     urdf = rebased_urdf(parsed, name="toy", header="test")
-    content = new_robot.description(asked, parsed)
+    content = new_robot.description(options, parsed)
     return new_robot.compiled(content, write(folder, urdf, "robot.urdf"))
 
 
-def test_what_a_library_raises_becomes_one_line(
+def test_an_error_of_a_library_becomes_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ValueError("Several frames\nmatch the filter")
 
     monkeypatch.setattr(new_robot, "make_units", broken)
-    told = refused(tmp_path, TOY)
-    assert "random poses: a library cannot read this robot" in told
-    assert "ValueError: Several frames match the filter" in told
+    reported = refused(tmp_path, TOY)
+    assert "random poses: a library cannot read this robot" in reported
+    assert "ValueError: Several frames match the filter" in reported
 
 
 @pytest.mark.parametrize(
@@ -636,7 +634,7 @@ def test_what_a_library_raises_becomes_one_line(
         ((0.0, 0.0, 9.0, 0.0, 0.0, 0.0), "--ready: elbow at 9 is outside of its limits"),
     ],
 )
-def test_a_ready_pose_that_is_none_is_refused_before_any_work(
+def test_an_invalid_ready_pose_is_refused_before_sampling(
     tmp_path: Path, ready: tuple[float, ...], why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(new_robot, "sample_meetings", None)
@@ -648,14 +646,14 @@ MESH = "package://hand_support/meshes/hand.stl"
 
 @pytest.fixture
 def meshed(tmp_path: Path) -> Path:
-    """A URDF in a folder of its own that refers to a mesh of a package."""
+    """A URDF in a separate folder that refers to a mesh of a package."""
     folder = tmp_path / "robots" / "urdf"
     folder.mkdir(parents=True)
     return write(folder, with_mesh(TOY, MESH))
 
 
 def mesh_in(folder: Path) -> Path:
-    """The mesh, in a folder that is the package."""
+    """The mesh in the folder of the package."""
     mesh = folder / "meshes" / "hand.stl"
     mesh.parent.mkdir(parents=True)
     mesh.write_bytes(cube())
@@ -668,7 +666,7 @@ def meshes(path: Path, **changes: object) -> list[str]:
     return [str(mesh.get("filename")) for link in links for mesh in link.iter("mesh")]
 
 
-def test_a_package_is_found_upwards_by_ros_and_by_option_in_that_order(
+def test_a_package_folder_is_searched_by_option_parents_and_ros_paths(
     meshed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/none:{tmp_path / 'ament'}")
@@ -683,27 +681,25 @@ def test_a_package_is_found_upwards_by_ros_and_by_option_in_that_order(
     assert meshes(meshed, package=(f"hand_support={tmp_path / 'given'}",)) == [str(given)]
 
 
-def test_a_mesh_of_a_package_is_suggested_where_its_name_is_nearly_right(
-    meshed: Path, tmp_path: Path
-) -> None:
+def test_a_misspelt_mesh_of_a_package_gets_a_suggestion(meshed: Path, tmp_path: Path) -> None:
     mesh = mesh_in(tmp_path / "hand_support")
     mesh.rename(mesh.with_name("hands.stl"))
     with pytest.raises(RobotFileError, match=r"did you mean 'meshes/hands\.stl'"):
         meshes(meshed)
 
 
-def test_a_package_that_is_nowhere_names_what_would_help_and_no_wheel(meshed: Path) -> None:
+def test_the_error_of_a_missing_package_names_paths_and_options_only(meshed: Path) -> None:
     with pytest.raises(RobotFileError) as caught:
         meshes(meshed)
-    told = str(caught.value)
+    reported = str(caught.value)
     for words in (
         MESH,
         "ROS_PACKAGE_PATH",
         "AMENT_PREFIX_PATH",
         "--package hand_support=FOLDER",
     ):
-        assert words in told
-    assert "pip" not in told
+        assert words in reported
+    assert "pip" not in reported
     mesh_in(meshed.parent.parent)  # the package's own folder has another name
     with pytest.raises(RobotFileError, match=f"--package hand_support={meshed.parent.parent}"):
         meshes(meshed)
@@ -714,15 +710,15 @@ def test_a_package_without_a_folder_is_refused(tmp_path: Path, given: str) -> No
     assert "--package: " in refused(tmp_path, TOY, package=(given,))
 
 
-def test_the_groups_of_an_obj_are_hulls_of_their_own(tmp_path: Path) -> None:
-    """As in pybullet: between two fingers of one mesh there is room."""
+def test_each_group_of_an_obj_has_a_separate_hull(tmp_path: Path) -> None:
+    """Like in pybullet, the gap between two fingers of one mesh is free."""
     pytest.importorskip("pybullet")
     finger = trimesh.creation.box(extents=(0.02, 0.02, 0.1))
     lines = []
     for k, (y, begin) in enumerate(((-0.06, "o left"), (0.06, "g right"))):
         corners = np.round(np.add(finger.vertices, [0.0, y, 0.0]), 6)
         lines += [f"v {' '.join(map(str, each))}" for each in corners]
-        first = -8 if k else 1  # of the second group they are counted from its end
+        first = -8 if k else 1  # the second group has indices relative to its end
         lines += [begin, *(f"f {' '.join(str(i + first) for i in face)}" for face in finger.faces)]
     write(tmp_path, "\n".join(lines), "m.obj")
     model = robot_model(tmp_path, request(tmp_path, with_mesh(TOY, "m.obj")))

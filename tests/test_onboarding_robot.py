@@ -78,16 +78,16 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[str, list[float]]:
-    """The reported shares while the toy was made, by activity."""
+def reported() -> dict[str, list[float]]:
+    """Reported shares of progress while the toy robot was made, by activity."""
     return {}
 
 
 @pytest.fixture(scope="module")
 def finished(
-    tmp_path_factory: pytest.TempPathFactory, told: dict[str, list[float]]
+    tmp_path_factory: pytest.TempPathFactory, reported: dict[str, list[float]]
 ) -> tuple[NewRobot, BorderData]:
-    """The toy from a zip, made with few samples, in a folder of its own with a cache of its own."""
+    """The toy robot from a zip, made with few samples, with its own folder and cache."""
     folder = tmp_path_factory.mktemp("toy")
     text = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
     path = zipped(folder, {"toy/u/toy.urdf": text, "toy/meshes/m.stl": cube(), "toy/LICENSE": ""})
@@ -97,8 +97,8 @@ def finished(
             request,
             processes=1,
             sampling=sampling,
-            tell=lambda text: told.update({text: []}),
-            on_progress=lambda share: [*told.values()][-1].append(share),
+            tell=lambda text: reported.update({text: []}),
+            on_progress=lambda share: [*reported.values()][-1].append(share),
         )
 
 
@@ -108,14 +108,14 @@ def made(finished: tuple[NewRobot, BorderData]) -> NewRobot:
 
 
 def written(made: NewRobot, **changes: object) -> RobotModel:
-    """The model of the written robot, with some fields of its description changed."""
+    """The model of the written robot with changes in its description."""
     folder = made.request.out
     stated = load_description(folder / "robot.toml")
     content = stated.model_dump() | {"urdf": str(folder / "robot.urdf")} | changes
     return RobotModel(RobotDescription.model_validate(content))
 
 
-def test_a_whole_folder_is_written_and_nothing_beside_it(made: NewRobot) -> None:
+def test_new_robot_writes_a_complete_folder_and_no_other_file(made: NewRobot) -> None:
     folder = made.request.out
     files = {path.name for path in folder.iterdir()}
     assert files == {
@@ -133,13 +133,13 @@ def test_a_whole_folder_is_written_and_nothing_beside_it(made: NewRobot) -> None
     assert "traction_limit_n" in text
     assert "# assumed" in text
     assert not made.content["unwatched"]
-    assert "[unwatched]" not in text  # nor any other table without a word
+    assert "[unwatched]" not in text  # no table without entries is written
 
 
-def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(
+def test_robot_from_a_zip_contains_its_meshes_and_can_be_moved(
     made: NewRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once it is in the user's folder it is one of the robots."""
+    """A robot in the user's folder is listed."""
     monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
     assert "toy" not in robot_names()
     shutil.copytree(made.request.out, tmp_path / "toy")
@@ -160,7 +160,7 @@ def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(
         urdf.write_text(urdf.read_text().replace(name, str(mesh)))
 
 
-def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
+def test_own_mesh_is_named_relative_to_the_robot_even_on_the_import_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -174,24 +174,22 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
 
 
 @pytest.mark.parametrize("reference", ["src/m.stl", "package://src/m.stl"])
-def test_a_folder_of_the_current_directory_is_no_installed_package(
+def test_folder_of_the_current_directory_is_no_installed_package(
     reference: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`python -m app` searches the current directory too; elsewhere the address would be lost."""
+    """`python -m app` searches that folder too, but elsewhere the address would be invalid."""
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
     mesh = tmp_path / "src" / "m.stl"
     mesh.parent.mkdir()
     mesh.write_bytes(b"solid")
     assert mesh_address(reference, tmp_path) == str(mesh)
-    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])  # installed for development
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])  # an editable installation
     assert mesh_address(reference, tmp_path) == "package://src/m.stl"
 
 
 @pytest.mark.parametrize("folder", ["a & b", 'a"b', "toy", "link", "../toy-other/../toy"])
-def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
-    tmp_path: Path, folder: str
-) -> None:
+def test_own_meshes_are_named_relative_to_the_robots_folder(tmp_path: Path, folder: str) -> None:
     """For any name of the folder, and any path to it."""
     beside = tmp_path / "toy-other" / "m.stl"
     beside.parent.mkdir()
@@ -214,7 +212,7 @@ def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
     assert mesh_name(mesh_address("../toy-other/m.stl", real), home) == str(beside)
 
 
-def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
+def test_description_matches_the_urdf_placed_on_the_floor(made: NewRobot) -> None:
     model = written(made)
     assert model.description.arm.joints == ARM_JOINTS
     np.testing.assert_allclose(model.p_base(), [0.1, 0.0, 0.25], atol=1e-9)
@@ -223,17 +221,17 @@ def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
     assert (base.wheel_radius_m, base.half_track_m) == (pytest.approx(0.1), pytest.approx(0.2))
 
 
-def test_the_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
+def test_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
     model = written(made)
     engines = (dynamics_row(model, "pybullet"), dynamics_row(model, "mujoco"))
     for row in (*engines, limits_row(model), base_row(model)):
         without = row.name == "pybullet" and find_spec("pybullet") is None
         assert row.outcome == ("warned" if without else "passed"), row
-    row = arm_row(model)  # of few samples the bodies may miss a few of those drawn anew
+    row = arm_row(model)  # with few samples the bodies may miss a few of the new poses
     assert row.numbers["missed"] <= 0.01 * row.numbers["collisions"], row
 
 
-def test_a_base_that_is_too_small_for_its_meshes_fails(made: NewRobot) -> None:
+def test_base_body_smaller_than_its_meshes_fails(made: NewRobot) -> None:
     bodies = [body.model_dump() for body in written(made).description.bodies]
     size = bodies[0]["shapes"][0]["size_m"]
     bodies[0]["shapes"][0]["size_m"] = (size[0] - 0.1, size[1], size[2])
@@ -242,7 +240,7 @@ def test_a_base_that_is_too_small_for_its_meshes_fails(made: NewRobot) -> None:
     assert row.numbers["sticks_out_m"] == pytest.approx(0.05, abs=2e-3)
 
 
-def test_a_hand_that_its_body_does_not_hold_fails(
+def test_end_effector_body_smaller_than_its_link_fails(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 1500)
@@ -254,7 +252,7 @@ def test_a_hand_that_its_body_does_not_hold_fails(
     assert "do not enclose their colliding links" in row.text
 
 
-def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: NewRobot) -> None:
+def test_new_robot_and_check_robot_report_the_same_unseen_collisions(made: NewRobot) -> None:
     row = arm_row(written(made))
     assert row.numbers["colliding_poses"] > 100
     assert row.numbers["unseen_share"] == pytest.approx(made.unseen.share, abs=2e-3)
@@ -262,12 +260,13 @@ def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: Ne
     assert row.numbers["collisions"] == pytest.approx(made.unseen.watched, rel=5e-3)
 
 
-def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
+def test_collision_is_unseen_if_no_watched_pair_of_bodies_overlaps(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a pair that is not watched too, unless another one meets; without pairs all of them."""
+    """More unwatched pairs leave more collisions unseen; without any pair all are unseen."""
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 1000)
-    monkeypatch.setattr(grouping, "ENOUGH", 0)  # of more poses, in a few only the hulls would meet
+    # With more poses, only the hulls would overlap in a few of them.
+    monkeypatch.setattr(grouping, "ENOUGH", 0)
     pairs = [pair.name for pair in candidate_pairs(written(made))]
     rows = [
         arm_row(written(made, unwatched=dict.fromkeys(names, "test")))
@@ -280,8 +279,8 @@ def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
     assert rows[-1].numbers["missed"] == 0
 
 
-def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewRobot) -> None:
-    """Of 6,000 poses of a Stretch 114 had a collision: too few for the share of unseen ones."""
+def test_rare_collisions_are_sampled_with_more_poses(made: NewRobot) -> None:
+    """A Stretch has only 114 collisions in 6,000 poses: too few for the share of unseen ones."""
     units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
@@ -294,19 +293,19 @@ def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewR
     assert len(same.random.q_m) == 300
 
 
-def test_while_places_are_looked_for_progress_is_told_all_the_way(
-    finished: tuple[NewRobot, BorderData], told: dict[str, list[float]]
+def test_search_for_lines_reports_progress_continuously(
+    finished: tuple[NewRobot, BorderData], reported: dict[str, list[float]]
 ) -> None:
-    """Each side takes seconds: by whole sides it would stand still at 0, 50 and 100 %."""
-    shares = told["searching lines for guiding"]
+    """Each side takes seconds, so progress by whole sides would be too coarse."""
+    shares = reported["searching lines for guiding"]
     assert shares == sorted(shares)
     assert shares[0] < 0.01
     assert shares[-1] == 1.0
-    for begin in (0.0, 0.5):  # also within either side
+    for begin in (0.0, 0.5):  # within both sides
         assert len({share for share in shares if begin < share < begin + 0.5}) > 10
 
 
-def test_processes_of_their_own_find_what_one_finds(
+def test_worker_processes_give_the_same_results_as_one_process(
     finished: tuple[NewRobot, BorderData], caplog: pytest.LogCaptureFixture
 ) -> None:
     made, data = finished
@@ -323,11 +322,11 @@ def test_processes_of_their_own_find_what_one_finds(
     for ours, theirs in ((here.random, there.random), (here.rare, there.rare)):
         for a, b in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(a, b)
-    assert not caplog.records, "they did it themselves"
+    assert not caplog.records, "the workers must do the work"
 
 
-def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewRobot) -> None:
-    """The toy's shapes are their own hulls; of a base without its top and sides little is left."""
+def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: NewRobot) -> None:
+    """The toy's shapes equal their hulls; the hollow base is a tiny triangle."""
     model, geometry = written(made), made.parsed.geometry
     units = tuple(u for each in units_of_links(model, geometry).values() for u in each)
     base, hand = units[0], units[-1]
@@ -337,7 +336,7 @@ def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewR
     meshes = meshes_meet(model, base, hand, geometry, pose)
     assert hulls.sum() > 10
     assert not (meshes & ~hulls).any()
-    assert meshes.sum() > 0.7 * hulls.sum()  # the others are within the base
+    assert meshes.sum() > 0.7 * hulls.sum()  # otherwise inside the base
     flat = trimesh.Trimesh([[0, 0, -1], [1e-3, 0, -1], [0, 1e-3, -1]], [[0, 1, 2]])
     hollow = {
         link: each._replace(shapes=tuple(shape._replace(mesh=flat) for shape in each.shapes))
@@ -347,8 +346,8 @@ def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewR
     assert not meshes_meet(model, base, hand, hollow, pose).any()
 
 
-def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:
-    """Each joint held within a fraction of a degree of the ready pose, where nothing is near."""
+def test_arm_without_collisions_has_nothing_to_show(made: NewRobot) -> None:
+    """Each joint stays within 1e-3 rad of the ready pose, where no body is near."""
     arm = written(made).description.arm
     ready = np.array(arm.ready_position)
     held = {"position_lower": tuple(ready - 1e-3), "position_upper": tuple(ready + 1e-3)}
@@ -356,7 +355,7 @@ def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:
     assert row.outcome == "nothing to show"
 
 
-def test_bodies_that_do_not_hold_their_links_are_refused(
+def test_bodies_that_do_not_enclose_their_links_are_rejected(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     blind, found = made.unseen._replace(blind=("l1-lEE",)), Grouping(made.bodies, made.verdict)
@@ -374,14 +373,14 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
 @pytest.mark.parametrize(
     ("counts", "fits", "chosen"), [((0,), 1, 0), ((3, 0), 2, 0), ((3, 1, 2), 3, 1)]
 )
-def test_bodies_are_fitted_anew_where_fresh_poses_show_a_gap(
+def test_bodies_are_fitted_again_if_new_poses_show_a_gap(
     made: NewRobot,
     monkeypatch: pytest.MonkeyPatch,
     counts: tuple[int, ...],
     fits: int,
     chosen: int,
 ) -> None:
-    """TIAGo's missed one collision in 600, and nobody looked for others."""
+    """TIAGo's bodies missed one collision in 600."""
     path, left, seeds = made.request.out / "robot.urdf", list(counts), list[int]()
     found = Grouping(made.bodies, made.verdict)
     monkeypatch.setattr(
@@ -399,8 +398,7 @@ def test_bodies_are_fitted_anew_where_fresh_poses_show_a_gap(
     assert len({*seeds}) == fits
 
 
-def test_an_arm_that_can_meet_no_base_becomes_a_robot_without_lines(tmp_path: Path) -> None:
-    """Nor is it said that they are lacking."""
+def test_arm_that_cannot_reach_the_base_gets_no_lines_and_no_warning(tmp_path: Path) -> None:
     text = robot([*cart(), *arm()]).replace('xyz="0.15 0 0.1"', 'xyz="0.15 0 3.0"')
     request = Request(urdf=str(write(tmp_path, text)), base="base", tip="hand", out=tmp_path / "t")
     with few_samples(tmp_path) as sampling:
@@ -410,10 +408,10 @@ def test_an_arm_that_can_meet_no_base_becomes_a_robot_without_lines(tmp_path: Pa
     assert not any("line" in warning for warning in high.warnings)
 
 
-def test_a_pair_that_hardly_ever_meets_may_have_no_border(
+def test_pair_that_hardly_ever_meets_may_have_no_border(
     finished: tuple[NewRobot, BorderData],
 ) -> None:
-    """There the exact offset stands in; a Stretch whose tube may graze its base was failed."""
+    """The exact offset replaces the points, as for a Stretch whose tube hardly meets its base."""
     robot, data = finished
     model, (first, *others) = written(robot), data.clouds
 
@@ -431,7 +429,7 @@ def test_a_pair_that_hardly_ever_meets_may_have_no_border(
     assert without(first, *others) == "failed"
 
 
-def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: NewRobot) -> None:
+def test_rarely_colliding_pair_is_sampled_separately(made: NewRobot) -> None:
     model = written(made)
     few = sample_meetings(model, made.meetings.units, samples=60, seed=3, d_b=0.15)
     never = [
@@ -448,13 +446,13 @@ def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: Ne
 
 
 @pytest.mark.parametrize(("share", "outcome"), [(1.0, "passed"), (0.1, "nothing to show")])
-def test_a_line_that_stays_outside_of_the_buffer_shows_nothing(
+def test_line_outside_the_buffer_has_nothing_to_show(
     finished: tuple[NewRobot, BorderData],
     share: float,
     outcome: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of runs that are twice as fast."""
+    """With runs of half the duration."""
     monkeypatch.setattr(
         "app.simulation.scenarios.scenario_of",
         lambda *of: scenario_of(*of).changed(duration=4.0),
@@ -478,9 +476,9 @@ def test_a_line_that_stays_outside_of_the_buffer_shows_nothing(
         (1.0, 0.02, 0.1, "warned"),
         (1.0, 0.02, 0.02, "failed"),
     ],
-    ids=["holds", "in the inner half", "in the outer", "cannot hold", "cannot hold and comes near"],
+    ids=["compensates", "inner half", "outer half", "cannot compensate", "cannot, and near"],
 )
-def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along(
+def test_base_that_stands_still_fails_unless_it_would_drag_the_arm(
     finished: tuple[NewRobot, BorderData],
     monkeypatch: pytest.MonkeyPatch,
     lost: float,
@@ -488,7 +486,7 @@ def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along
     near: float,
     outcome: str,
 ) -> None:
-    """Figures of runs, not runs: clear of contact, but the base stood still."""
+    """The runs are replaced by figures without contact in which the base stands still."""
     from app.simulation import run
 
     monkeypatch.setattr(checks, "carried_hand", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
@@ -496,9 +494,9 @@ def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along
     def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
         counts = ("contacts", "arm_contacts", "floor_contacts", "solver_failures")
         least = bare if controller == "none" else near
-        told = dict.fromkeys(counts, 0)
+        reported = dict.fromkeys(counts, 0)
         return SimpleNamespace(
-            figures=told | {"min_clearance_m": least, "base_displacement_m": 0.01}
+            figures=reported | {"min_clearance_m": least, "base_displacement_m": 0.01}
         )
 
     monkeypatch.setattr(run, "run_scenario", figures)
@@ -507,7 +505,7 @@ def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along
     assert ("moves away by less than" in row.text) is (bare < 0.075 and near > 0.05)
 
 
-def test_what_a_library_raises_in_a_check_is_that_rows_failure(
+def test_exception_in_a_check_is_a_failure_of_its_row(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def limits_row(_: RobotModel) -> None:
@@ -515,26 +513,29 @@ def test_what_a_library_raises_in_a_check_is_that_rows_failure(
 
     monkeypatch.setattr(checks, "limits_row", limits_row)
     rows = checks.check_robot(written(made).description, runs=False)
-    told = next(row for row in rows if row.name == "limits")
-    assert (told.outcome, told.text) == ("failed", "RuntimeError: more joints than it can hold")
+    reported = next(row for row in rows if row.name == "limits")
+    assert (reported.outcome, reported.text) == (
+        "failed",
+        "RuntimeError: more joints than it can hold",
+    )
 
 
-def test_a_robot_made_for_another_buffer_is_checked_with_that_one(
+def test_robot_made_for_another_buffer_is_checked_with_that_buffer(
     finished: tuple[NewRobot, BorderData],
 ) -> None:
     made, data = finished
 
     def beyond(d_b: float) -> float:
-        asked = replace(made.request, d_b=d_b)
-        config = tomlkit.parse(description_text(description(asked, made.parsed), "a robot"))
+        request = replace(made.request, d_b=d_b)
+        config = tomlkit.parse(description_text(description(request, made.parsed), "a robot"))
         model = written(made, config=config.get("config", {}))
         return ready_row(model, data).numbers["beyond_buffer_m"]
 
     assert beyond(0.10) - beyond(0.15) == pytest.approx(0.05)
 
 
-def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:
-    assert made.ready.clearance > 0.05  # [m] beyond it
+def test_ready_pose_is_outside_the_buffer_and_within_the_limits(made: NewRobot) -> None:
+    assert made.ready.clearance > 0.05  # [m] beyond the buffer
     span = np.subtract(made.parsed.limits.upper, made.parsed.limits.lower)
     left = np.minimum(
         made.ready.q_m - made.parsed.limits.lower, made.parsed.limits.upper - made.ready.q_m
@@ -542,7 +543,7 @@ def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:
     assert (left >= 0.09 * span).all()
 
 
-def test_the_report_shows_bodies_pairs_and_warnings(
+def test_report_shows_bodies_pairs_and_warnings(
     finished: tuple[NewRobot, BorderData],
 ) -> None:
     made, data = finished
@@ -556,8 +557,8 @@ def test_the_report_shows_bodies_pairs_and_warnings(
         assert warning.split("'")[0][:40] in page
 
 
-def test_a_flat_link_seen_from_its_side_is_drawn(finished: tuple[NewRobot, BorderData]) -> None:
-    """A sheet with a printed mark: its outline is a line there."""
+def test_flat_link_is_drawn_from_its_side(finished: tuple[NewRobot, BorderData]) -> None:
+    """Seen from its side, the outline of a sheet is a line."""
     made, data = finished
     base, *others = made.meetings.units
     part = base.parts[0]
@@ -568,7 +569,7 @@ def test_a_flat_link_seen_from_its_side_is_drawn(finished: tuple[NewRobot, Borde
     assert page.count("data:image/png") >= 2
 
 
-def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:
+def test_each_line_starts_outside_the_buffer_and_ends_at_the_base(made: NewRobot) -> None:
     model = written(made)
     assert "guiding-front" in model.description.lines
     place = model.description.lines["guiding-front"]
@@ -577,7 +578,7 @@ def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:
     end = np.add(place.start_m, place.move_m)
     beside = end[0] - centre - edge  # [m]
     assert min(abs(beside - left) for left in (0.125, 0.075, 0.025)) < 2e-3
-    assert place.start_m[0] - centre - edge > 0.15  # outside of the buffer
+    assert place.start_m[0] - centre - edge > 0.15  # outside the buffer
     assert scenario_of(model.description, "guiding-front").start == place.start_m
     tracked, guided = (scenario_of(model.description, n) for n in ("tracking", "guiding-lateral"))
     assert (tracked.start, tracked.move) == (guided.start, guided.move)
@@ -589,7 +590,7 @@ def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:
 
 @pytest.fixture(scope="module")
 def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
-    """Husky with a Panda, with bodies fitted to its URDF alone."""
+    """Husky with a Panda; its bodies are fitted to the URDF alone."""
     out = tmp_path_factory.mktemp("fit") / "husky_fit"
     urdf = str(ASSETS / "husky_panda" / "robot.urdf")
     request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
@@ -601,14 +602,14 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     meetings = sample_meetings(bare, units, samples=4000, seed=1, d_b=0.15)
     shares: list[float] = []
     found = find_grouping(bare, meetings, d_b=0.15, on_progress=shares.append)
-    assert shares[0] == 0.0  # a fit of many parts took minutes without a word
+    assert shares[0] == 0.0  # progress is reported within the fit of many parts
     assert 0.0 < max(shares) < 1.0
     assert not found.verdict.unwatched
     return compiled(description(request, parsed, found.bodies), path)
 
 
-def test_from_its_urdf_alone_the_papers_robot_sees_its_collisions(husky: RobotModel) -> None:
-    """By the pairs of (1); l_2 and l_EE, whose bodies fit closely, can never meet."""
+def test_paper_robot_made_from_its_urdf_sees_its_collisions(husky: RobotModel) -> None:
+    """By the pairs of (1); the fitted bodies of l_2 and l_EE can never meet."""
     pairs = find_link_pairs(husky, samples=10_000, seed=2)
     assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
     assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3"}
@@ -617,8 +618,8 @@ def test_from_its_urdf_alone_the_papers_robot_sees_its_collisions(husky: RobotMo
     assert row.numbers["unseen_share"] <= 0.01, row
 
 
-def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path: Path) -> None:
-    """Husky with a UR10: its links 2 and 3 collide with all of the wrist, and none of it unseen."""
+def test_upper_arm_near_the_base_keeps_its_own_body(tmp_path: Path) -> None:
+    """Links 2 and 3 of a UR10 on a Husky collide with the whole wrist; the bodies see it."""
     if not package_roots("example-robot-data"):
         pytest.skip("pip install '.[robots]'")
     request = Request(
@@ -646,10 +647,10 @@ def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path
         compiled(description(request, parsed, found.bodies, unwatched={"lm-l9": "test"}), path)
 
 
-def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
+def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a low column it is always near the base, and would lie on it beyond a right angle."""
+    """On a low column the upper arm is always near the base, and would reach it beyond 90°."""
     low = robot([*cart(), *arm()]).replace('length="0.2"', 'length="0.06"')
     low = low.replace("0 0 0.24", "0 0 0.08").replace(
         'xyz="0 0 0.1"/><geometry', 'xyz="0 0 0.03"/><geometry'
@@ -669,7 +670,7 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
     assert -2.2 < limits.lower[k] < -1.4
     assert 1.4 < limits.upper[k] < 2.2
     assert "lift is limited before upper reaches base" in limits.source["position_upper"]
-    monkeypatch.setattr(stops, "MARGIN", 1.0)  # as of a UR's upper arm, 12 mm beside its foot
+    monkeypatch.setattr(stops, "MARGIN", 1.0)  # as for a UR's upper arm, 12 mm beside its foot
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
     assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]
     bodies = [
@@ -687,7 +688,7 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
     with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
         with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
     assert stops.watching_buffer(limits, meetings, 0.15) == (0.15, "")
-    monkeypatch.setattr(stops, "_LEAST", 1.0)  # no limit may take any of a joint's range
+    monkeypatch.setattr(stops, "_LEAST", 1.0)  # no limit may reduce a joint's range
     assert with_stops(parsed.limits, bare, parsed.arm, meetings) is parsed.limits
     smaller, why = stops.watching_buffer(parsed.limits, meetings, 0.15)
     assert "upper is nearer than 0.15 m to base" in why
@@ -696,8 +697,8 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
         assert (pair in _close_pairs(meetings.random.distances, meetings.pairs, d_b)) == close
 
 
-def test_what_a_fixed_part_meets_is_seen_where_bodies_of_a_watched_pair_meet() -> None:
-    """A mast in l_1 that no pair sees belongs to l_m, independent of other collisions there."""
+def test_collision_of_a_fixed_part_counts_where_its_watched_pair_overlaps() -> None:
+    """A mast in l_1 that no pair sees belongs to l_m, independent of other collisions."""
     model = husky_panda()
     pairs = tuple(combinations(range(5), 2))
     touching = np.where([pair == (1, 3) for pair in pairs], -0.01, 1.0)[None]
@@ -712,7 +713,7 @@ def test_what_a_fixed_part_meets_is_seen_where_bodies_of_a_watched_pair_meet() -
 
 
 def grouped(radii: tuple[float, ...], unwatched: tuple[str, ...]) -> grouping.Grouping:
-    """Bodies that are spheres of some radii [m]."""
+    """Bodies that are spheres with these radii [m]."""
     frames = ("base_link", "panda_link0", "panda_link2", "panda_hand")
     bodies = [
         FittedBody(name, frame, (), (), (Fit(sphere, 0.0, 1.0, 0.0),))
@@ -727,7 +728,7 @@ def grouped(radii: tuple[float, ...], unwatched: tuple[str, ...]) -> grouping.Gr
     return grouping.Grouping(bodies, verdict)
 
 
-def test_a_coarse_border_serves_at_once_and_is_refined(
+def test_coarse_border_is_used_at_once_and_then_refined(
     husky: RobotModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     coarse, asked = object(), Queue()
@@ -741,8 +742,8 @@ def test_a_coarse_border_serves_at_once_and_is_refined(
     assert asked.get(timeout=10) == (job.sample_border, "husky_fit")
 
 
-def test_from_its_urdf_alone_the_papers_robot_has_the_same_dynamics(husky: RobotModel) -> None:
-    """The rebased URDF against the one that ships: equal mass matrices in random poses."""
+def test_paper_robot_made_from_its_urdf_has_the_same_dynamics(husky: RobotModel) -> None:
+    """Equal mass matrices of the rebased and the shipped URDF in random poses."""
     import pinocchio as pin
 
     ours = husky_panda()
@@ -753,7 +754,7 @@ def test_from_its_urdf_alone_the_papers_robot_has_the_same_dynamics(husky: Robot
         np.testing.assert_allclose(M, N, atol=1e-5)
 
 
-def test_contacts_are_watched_for_every_body_with_a_reachability() -> None:
+def test_contacts_with_the_base_are_watched_for_bodies_with_a_reachability() -> None:
     pairs = body_contact_pairs(husky_panda().description)
     assert {pair for pair, group in pairs.items() if group == "arm_base"} == {
         ("lm", "l3"),
@@ -761,7 +762,7 @@ def test_contacts_are_watched_for_every_body_with_a_reachability() -> None:
     }
 
 
-def test_packages_of_a_wheels_share_are_found(
+def test_package_addresses_are_found_in_the_share_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mesh = tmp_path / "some-robot" / "meshes" / "a.stl"
@@ -774,24 +775,24 @@ def test_packages_of_a_wheels_share_are_found(
             resolve_package_uri(wrong)
 
 
-def test_a_robot_without_a_line_says_which_it_has() -> None:
+def test_missing_line_error_lists_the_robots_lines() -> None:
     racecar = load_description(ASSETS / "racecar_panda" / "robot.toml")
     with pytest.raises(
         UnreachableError, match=r"no line for guiding-front.*guiding-lateral, track"
     ):
         scenario_of(racecar, "guiding-front")
     start = (1.2, 0.1, 0.3)
-    given = scenario_of(racecar, "guiding-front", start=start)
-    assert (given.start, given.move) == (start, scenario_by_name("guiding-front").move)
+    scenario = scenario_of(racecar, "guiding-front", start=start)
+    assert (scenario.start, scenario.move) == (start, scenario_by_name("guiding-front").move)
     assert scenario_of(racecar, "guiding-above") == scenario_by_name("guiding-above")
     bare = racecar.model_copy(update={"lines": {}})
-    for name in ("guiding-lateral", "guiding-front", "tracking"):  # the paper's are no other's
+    for name in ("guiding-lateral", "guiding-front", "tracking"):  # only for the paper's robot
         with pytest.raises(UnreachableError, match=f"no line for {name}.*it has lines for: none"):
             scenario_of(bare, name)
-    assert scenario_of(bare, "guiding-front", start=start) == given
+    assert scenario_of(bare, "guiding-front", start=start) == scenario
 
 
-def test_each_side_without_a_line_has_its_reason_and_one_that_both_share_is_said_once(
+def test_each_missing_line_has_its_reason_and_a_shared_one_appears_once(
     made: NewRobot,
 ) -> None:
     lacking = {"guiding-lateral": "too short", "guiding-front": "it stands still"}
@@ -806,29 +807,29 @@ def test_each_side_without_a_line_has_its_reason_and_one_that_both_share_is_said
     assert found == {*lacking.items(), both}
 
 
-def test_an_arm_that_stands_in_the_floor_or_in_the_base_is_warned_of(made: NewRobot) -> None:
-    def told(made: NewRobot) -> list[str]:
+def test_warns_if_links_are_in_the_floor_or_in_the_base(made: NewRobot) -> None:
+    def reported(made: NewRobot) -> list[str]:
         places = ("below the floor", "completely inside of the base")
         return [each for each in warnings_of(made) if any(place in each for place in places)]
 
-    assert told(made) == []
-    down = np.array([0.0, 2.5, 0.5, 0.0, 0.0, 0.0])  # beside the base, past the floor
-    [hand] = told(replace(made, ready=made.ready._replace(q_m=down)))[-1:]
+    assert reported(made) == []
+    down = np.array([0.0, 2.5, 0.5, 0.0, 0.0, 0.0])  # beside the base, below the floor
+    [hand] = reported(replace(made, ready=made.ready._replace(q_m=down)))[-1:]
     assert re.match(r"links 0\.\d+ m below the floor in .*: hand; check --ready$", hand)
     arm = replace(made.request, arm_urdf="arm.urdf")
-    [hand] = told(replace(made, request=arm, ready=made.ready._replace(q_m=down)))[-1:]
+    [hand] = reported(replace(made, request=arm, ready=made.ready._replace(q_m=down)))[-1:]
     assert hand.endswith("check --mount-xyz, --mount-rpy and --ready")
     bodies = [body.model_dump() for body in made.model.description.bodies]
     size = bodies[0]["shapes"][0]["size_m"]
-    bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # up to above the column
-    column = told(replace(made, model=written(made, bodies=bodies)))
+    bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # as high as above the column
+    column = reported(replace(made, model=written(made, bodies=bodies)))
     assert [re.findall(r"\w+", each.partition(": ")[2])[0] for each in column] == [
         "column",
         "shoulder",
     ]
 
 
-def test_an_arm_with_meshes_of_another_scale_than_its_joints_is_warned_of(made: NewRobot) -> None:
+def test_warns_if_meshes_have_another_scale_than_the_joints(made: NewRobot) -> None:
     def scaled(factor: float) -> NewRobot:
         geometry = dict(made.parsed.geometry)
         for link, each in geometry.items():
@@ -837,5 +838,5 @@ def test_an_arm_with_meshes_of_another_scale_than_its_joints_is_warned_of(made: 
             geometry[link] = each._replace(shapes=tuple(shapes))
         return replace(made, parsed=replace(made.parsed, geometry=geometry))
 
-    assert not any("meshes are too large" in told for told in warnings_of(scaled(1.0)))
-    assert any("meshes are too large" in told for told in warnings_of(scaled(8.0)))
+    assert not any("meshes are too large" in reported for reported in warnings_of(scaled(1.0)))
+    assert any("meshes are too large" in reported for reported in warnings_of(scaled(8.0)))

@@ -1,4 +1,4 @@
-"""The control step agrees with a second, plain implementation, quantity by quantity."""
+"""Every quantity of the control step agrees with a second, plain implementation."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ Array = np.ndarray
 STEPS, DT = 200, 0.004  # [s]
 NOISE = 1e-5  # [rad] of the measured positions
 GAP = 120
-"""The step whose reading is not a number."""
+"""The step with a NaN reading."""
 RECONFIGURED = 40
-"""The step from which the buffer is wider: the buffer distance in force follows."""
+"""From this step on, the buffer is wider, and the effective buffer distance follows."""
 AGREES = 1e-6
-"""Of the largest entry that the quantity has along the path."""
+"""[-] tolerance relative to the largest entry of the quantity along the path."""
 STILL = 1e-3
-"""[m/s, m/s²] of the base that count as much as one that moves: at rest all is rounding."""
+"""[m/s, m/s²] smallest scale of the base's quantities, because at rest all is rounding."""
 
 NOT_COMPARED = {"q_pin", "v_pin"} | {q.name for q in QUANTITIES if q.name.startswith("qp_")}
 NOT_COMPARED |= {q.name for q in QUANTITIES if q.source in ("readings", "references")} - {"valid"}
@@ -50,13 +50,13 @@ PARTS = "of two parts"
 
 
 class Path(NamedTuple):
-    """Which controller goes which way."""
+    """A controller, a base and a path."""
 
     controller: str
     base: str
     way: str
-    """"beside": tracked, from the side into the buffer and out again; "folded": tracked, with the
-    end-effector towards the arm's first link; "pulled": guided from the side, by a person."""
+    """"beside": tracked from the side into the buffer and out again; "folded": tracked with the
+    end-effector towards the arm's first link; "pulled": guided from the side by a person."""
 
 
 PATHS = [
@@ -69,12 +69,12 @@ PATHS = [
 
 @cache
 def robot_of(base: str) -> RobotModel:
-    """The paper's arm on a base of that kind, or with a deck and a wall as l_m."""
+    """The paper's arm on a base of this kind, or with a deck and a wall as l_m."""
     return with_mobile_shapes((DECK, WALL)) if base == PARTS else robot_on(base)
 
 
 class Plant:
-    """A rigid robot whose base follows commands by its own drive, and a person who pulls."""
+    """A rigid robot whose base follows commands by its drive, and a person who pulls."""
 
     def __init__(self, robot: RobotModel, way: str) -> None:
         self._robot, self._base, self._data = robot, robot.description.base, robot.pin.createData()
@@ -124,11 +124,11 @@ class Plant:
         return Measurement(self.pose.copy(), self.v.copy(), q, qd, self.drive.copy())
 
     def acceleration(self) -> Array:
-        """(n_b,) that the drive has now."""
+        """(n_b,) [m/s², rad/s²] current acceleration of the drive."""
         return self._base.drive_acceleration(self.v, self.drive, self.v_cmd)
 
     def move(self, u: Array, v_cmd: Array, force: Array) -> None:
-        """One period with torques u and a force (3,) [N] on the end-effector."""
+        """Advance one period with torques u and a force (3,) [N] on the end-effector."""
         model, n_b = self._robot, self._robot.n_b
         q = model.configuration(self.pose, self.q)
         twist = self._base.T @ self.v
@@ -148,7 +148,7 @@ class Plant:
 
 
 def reference_at(t: float, start: pin.SE3, way: str) -> Reference | None:
-    """In and out along a direction within the path's time, or None on a guided path."""
+    """The reference in and out along a direction during the path; None for a guided path."""
     if way == "pulled":
         return None
     along = np.array([0.0, -0.12, 0.0] if way == "beside" else [-0.08, 0.0, -0.03])
@@ -164,7 +164,7 @@ def reference_at(t: float, start: pin.SE3, way: str) -> Reference | None:
 def along(
     path: Path, data: BorderData, steps: int = STEPS
 ) -> Iterator[tuple[ControlStep, dict[str, Array]]]:
-    """Both answers at each step of a path; the robot follows the commands of the controller."""
+    """Both results at each step of a path; the robot follows the commands of the controller."""
     robot, config = robot_of(path.base), Config()
     controller = Controller(robot, data, config, name=path.controller, dt=DT)
     oracle = Oracle(robot, data, config, path.controller, DT)
@@ -177,7 +177,7 @@ def along(
         m = plant.measure()
         if k == GAP:
             m = m._replace(q_m=m.q_m * np.nan)
-            controller.last.age[...] = 200  # periods without a reading: no prediction any more
+            controller.last.age[...] = 200  # periods without a reading, too many for a prediction
         given = m, reference_at(k * DT, start, path.way)
         a = plant.acceleration() if k % 50 < 25 else None
         step = controller.step(*given, base_acceleration=a)
@@ -187,7 +187,7 @@ def along(
 
 
 def comparable(name: str, step: ControlStep, plain: dict[str, Array]) -> tuple[Array, Array]:
-    """A quantity of both, if this step computes it."""
+    """The comparable entries of a quantity in both results."""
     ours, theirs = np.atleast_1d(getattr(step, name)), np.atleast_1d(plain[name])
     if name in LIMITS:
         ours = ours[: len(theirs)]
@@ -202,7 +202,7 @@ def comparable(name: str, step: ControlStep, plain: dict[str, Array]) -> tuple[A
 
 
 def differences(step: ControlStep, plain: dict[str, Array]) -> dict[str, tuple[float, float]]:
-    """Of each quantity the largest difference, infinite where only one is NaN, and its size."""
+    """For each quantity its largest difference, infinite if only one is NaN, and its size."""
     found = {}
     for name in (q.name for q in QUANTITIES if q.name not in NOT_COMPARED):
         if name in TRACKING_ONLY and not plain["tracking"]:
@@ -218,7 +218,7 @@ def differences(step: ControlStep, plain: dict[str, Array]) -> dict[str, tuple[f
 def first_disagreements(
     steps: list[dict[str, tuple[float, float]]],
 ) -> dict[str, tuple[int, float]]:
-    """The quantities that differ, with the first step and the largest share of the scale."""
+    """The quantities that differ, with the first such step and the largest relative difference."""
     found = {}
     for name in dict.fromkeys(name for step in steps for name in step):
         away, size = np.array([step.get(name, (0.0, 0.0)) for step in steps]).T
@@ -239,11 +239,11 @@ def test_every_quantity_agrees_along_a_path(path: Path, border_data: BorderData)
     changes = np.diff(np.array(rows).astype(int), axis=0)
     assert np.array(rows).any(), "no row is active"
     assert changes.any() or path.controller != "dbb", "no row enters or leaves"
-    assert failures == 1.0  # the reading that is not a number
+    assert failures == 1.0  # the NaN reading
 
 
-def test_the_paths_compare_each_quantity_of_the_table(border_data: BorderData) -> None:
-    """A quantity added to the table must be compared, and the oracle computes no others."""
+def test_every_quantity_of_the_table_is_compared(border_data: BorderData) -> None:
+    """A new quantity of the table must be compared, and the oracle computes no others."""
     path = Path("dbb", "differential", "beside")
     step, plain = next(along(path, border_data, steps=1))
     named = {q.name for q in QUANTITIES} - NOT_COMPARED
@@ -251,8 +251,8 @@ def test_the_paths_compare_each_quantity_of_the_table(border_data: BorderData) -
     assert set(differences(step, plain)) == named
 
 
-def test_a_step_reads_no_other_quantities_of_the_last_one(border_data: BorderData) -> None:
-    """Of the table, a step uses the memory and the quantities that its description lists, alone."""
+def test_a_step_reads_only_the_listed_quantities_of_the_last_step(border_data: BorderData) -> None:
+    """A step reads only the memory and the quantities `listed`."""
     memory = {q.name for q in QUANTITIES if q.meaning.startswith("memory")}
     listed = {"M", "h", "L_aa", "J_ee", "base_velocity", "a_base_meas"}
     others = [q.name for q in QUANTITIES if q.name not in memory | listed]

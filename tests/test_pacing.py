@@ -1,4 +1,4 @@
-"""Keeping to real time, on a clock that the test winds."""
+"""Pacing to real time, with a simulated clock."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PERIOD = 0.001  # [s]
 
 
 class Clock:
-    """A wall clock that moves when somebody works or sleeps."""
+    """A wall clock that advances by work and sleep only."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -33,7 +33,7 @@ def clock(monkeypatch) -> Clock:
 
 
 def steps(pacer: Pacer, clock: Clock, works: list[float]) -> None:
-    """Steps that work for these times [s]."""
+    """Make steps with these computing times [s]."""
     for work in works:
         clock.now += work
         pacer.worked(work)
@@ -48,42 +48,42 @@ def test_fast_steps_take_real_time(clock):
     assert pacer.overruns == 0
 
 
-def test_a_short_delay_is_made_good_by_hurrying(clock):
+def test_a_short_delay_is_compensated_by_faster_steps(clock):
     pacer, begin = Pacer(PERIOD), clock.now
     steps(pacer, clock, [0.1] + [0.0003] * 999)
     assert clock.now - begin == pytest.approx(1.0, abs=PERIOD)
     assert 100 < pacer.overruns < 200
 
 
-def test_a_long_delay_is_given_up_and_not_hurried_after(clock):
+def test_a_long_delay_is_not_compensated(clock):
     pacer, begin = Pacer(PERIOD), clock.now
     steps(pacer, clock, [5.0] + [0.0003] * 1000)
     assert clock.now - begin == pytest.approx(6.0, abs=2 * PERIOD)
     assert pacer.overruns == 1
 
 
-def test_steps_slower_than_real_time_show_in_the_factor_and_are_all_overruns(clock):
+def test_slow_steps_reduce_the_real_time_factor_and_are_overruns(clock):
     pacer = Pacer(PERIOD)
     steps(pacer, clock, [0.002] * 2000)
     assert pacer.realtime_factor == pytest.approx(0.5, rel=1e-2)
     assert pacer.overruns == 2000
 
 
-def test_a_stall_longer_than_the_window_is_not_called_real_time(clock):
+def test_a_stall_longer_than_the_window_reduces_the_real_time_factor(clock):
     pacer = Pacer(PERIOD)
     steps(pacer, clock, [0.0003] * 100)
     steps(pacer, clock, [3.0])
     assert pacer.realtime_factor < 0.01
 
 
-def test_the_factor_is_of_the_last_second(clock):
+def test_the_real_time_factor_covers_only_the_last_second(clock):
     pacer = Pacer(PERIOD)
     steps(pacer, clock, [0.004] * 1000)
     steps(pacer, clock, [0.0003] * 2500)
     assert pacer.realtime_factor == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_pause_is_no_delay(clock):
+def test_a_pause_does_not_count_as_a_delay(clock):
     pacer = Pacer(PERIOD)
     steps(pacer, clock, [0.0003] * 500)
     clock.now += 60.0
@@ -95,7 +95,7 @@ def test_a_pause_is_no_delay(clock):
     assert pacer.realtime_factor == pytest.approx(1.0, abs=0.01)
 
 
-def test_step_time_is_the_mean_of_the_controllers_work_not_of_the_period(clock):
+def test_step_time_is_the_mean_computing_time_of_the_controller(clock):
     pacer = Pacer(PERIOD)
     assert (pacer.step_time_us, pacer.realtime_factor) == (0.0, 1.0)
     steps(pacer, clock, [0.0002, 0.0004] * 10)
@@ -103,7 +103,7 @@ def test_step_time_is_the_mean_of_the_controllers_work_not_of_the_period(clock):
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 2.0])
-def test_at_another_speed_the_factor_is_simulated_over_real_time(clock, speed):
+def test_the_real_time_factor_is_simulated_time_over_real_time(clock, speed):
     pacer, begin = Pacer(PERIOD, speed), clock.now
     steps(pacer, clock, [0.0003] * 3000)
     assert clock.now - begin == pytest.approx(3.0 / speed, rel=1e-3)
@@ -111,11 +111,11 @@ def test_at_another_speed_the_factor_is_simulated_over_real_time(clock, speed):
     assert pacer.overruns == 0
 
 
-def test_a_speed_beyond_what_the_steps_allow_is_not_claimed(clock):
+def test_an_unreachable_speed_is_reported_as_the_reached_one(clock):
     pacer = Pacer(PERIOD)
     pacer.speed = 4.0
     pacer.restart()
-    assert pacer.realtime_factor == 4.0  # nothing to tell yet
+    assert pacer.realtime_factor == 4.0  # no measurement yet
     steps(pacer, clock, [0.0005] * 3000)
     assert pacer.realtime_factor == pytest.approx(2.0, rel=2e-3)
     assert pacer.overruns > 2900

@@ -1,4 +1,4 @@
-"""The wheel works by itself: outside a checkout, without the network, its border with it."""
+"""The wheel works outside a checkout, without network, and contains its border."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of a copy of the sources, with borders in its cache that must not be included."""
+    """A wheel of copied sources whose cache also has borders that the wheel must not contain."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     for name in ("app", "robot_assets", "dbb_cache"):
         shutil.copytree(PROJECT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -41,7 +41,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the wheel installed and nothing else; the libraries are this interpreter's."""
+    """A folder with the wheel alone; the libraries are those of this interpreter."""
     folder = tmp_path_factory.mktemp("installed")
     run(*PIP, "install", "--no-deps", "--no-index", "--target", str(folder), str(wheel), cwd=folder)
     return folder
@@ -54,7 +54,7 @@ def elsewhere(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_wheel_holds_descriptions_and_of_borders_the_shipped_one_alone(wheel: Path) -> None:
+def test_wheel_contains_descriptions_and_only_the_shipped_border(wheel: Path) -> None:
     with ZipFile(wheel) as archive:
         names = archive.namelist()
     robots = sorted(path.parent.name for path in (PROJECT / "robot_assets").glob("*/robot.toml"))
@@ -67,14 +67,12 @@ def test_the_wheel_holds_descriptions_and_of_borders_the_shipped_one_alone(wheel
     assert wheel.stat().st_size < 12e6  # [byte]
 
 
-def test_the_installed_command_finds_its_descriptions(installed: Path, elsewhere: Path) -> None:
+def test_installed_command_finds_its_descriptions(installed: Path, elsewhere: Path) -> None:
     robots = dbb(installed, elsewhere, "robots", "--json")["robots"]
     assert "husky_panda" in [robot["name"] for robot in robots]
 
 
-def test_the_installed_command_reads_the_border_that_ships(
-    installed: Path, elsewhere: Path
-) -> None:
+def test_installed_command_reads_the_shipped_border(installed: Path, elsewhere: Path) -> None:
     border = dbb(installed, elsewhere, "border", "--json")
     assert border["origin"] == "shipped"
     assert {pair: b["points"] >= 50_000 for pair, b in border["borders"].items()} == {
@@ -83,7 +81,7 @@ def test_the_installed_command_reads_the_border_that_ships(
     }
 
 
-def test_what_is_sampled_goes_to_the_users_cache_and_is_found_again(
+def test_sampled_border_is_cached_for_the_user_and_found_again(
     installed: Path, elsewhere: Path
 ) -> None:
     code = """
@@ -115,17 +113,17 @@ def dbb(installed: Path, cwd: Path, *arguments: str) -> dict:
 
 
 def environment(installed: Path, cwd: Path) -> dict[str, str]:
-    """Where Python finds the installed package first, and the user's cache is in `cwd`."""
+    """An environment in which the installed package comes first and `cwd` has the user's cache."""
     return {
         **os.environ,
         "PYTHONPATH": str(installed),
         "XDG_CACHE_HOME": str(cwd / "cache"),
-        "NUMBA_DISABLE_JIT": "1",  # compiling once more would take half a minute
+        "NUMBA_DISABLE_JIT": "1",  # compilation would take half a minute
     }
 
 
 def run(*command: str, cwd: Path, env: dict[str, str] | None = None) -> str:
-    """Standard output of a command that must succeed; its errors are shown if it does not."""
+    """Standard output of a command that must succeed; shows its errors if it fails."""
     done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=80)
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout

@@ -1,4 +1,4 @@
-"""The comparison with other libraries: one model and one evaluator, and rows for failures."""
+"""The comparison with other libraries: a common model, one evaluator, and rows for failures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def judge(common: CommonModel) -> Evaluator:
 
 
 def still(duration: float = 0.05) -> StartedLine:
-    """A short path whose posture is known, so that nothing is searched."""
+    """A short path with a known posture, which needs no search."""
     return StartedLine(
         "short",
         duration,
@@ -65,7 +65,7 @@ def still(duration: float = 0.05) -> StartedLine:
 # The common model ---------------------------------------------------------------------------------
 
 
-def test_the_common_model_has_our_kinematics_and_our_distances(
+def test_the_common_model_has_the_projects_kinematics_and_distances(
     robot: RobotModel, border_data: BorderData, judge: Evaluator
 ) -> None:
     rng, state = np.random.default_rng(0), RobotState(robot)
@@ -78,10 +78,10 @@ def test_the_common_model_has_our_kinematics_and_our_distances(
         assert judge.hand(q).isApprox(state.T_world_ee, 1e-9)
         reader.update(robot.configuration(m.base_pose, m.q_m))
         ours = [reader.distance(i) for i in range(len(reader.pairs))]
-        np.testing.assert_allclose(judge.distances(q), ours, atol=1e-5)  # where GJK began
+        np.testing.assert_allclose(judge.distances(q), ours, atol=1e-5)  # tolerance of GJK
 
 
-def test_its_base_that_turns_and_drives_ahead_is_the_one_on_the_floor(
+def test_the_unicycle_base_has_the_poses_of_the_planar_base(
     common: CommonModel, judge: Evaluator
 ) -> None:
     unicycle = Evaluator(common.unicycle, common.pairs, HAND)
@@ -94,7 +94,7 @@ def test_its_base_that_turns_and_drives_ahead_is_the_one_on_the_floor(
         assert judge.hand(floor).isApprox(other, 1e-12)
 
 
-def test_capsules_as_marked_cylinders_are_the_same_shapes(
+def test_capsules_as_marked_cylinders_have_the_same_distances(
     common: CommonModel, judge: Evaluator
 ) -> None:
     text = without_capsules(common.planar)
@@ -106,7 +106,7 @@ def test_capsules_as_marked_cylinders_are_the_same_shapes(
         np.testing.assert_allclose(old.distances(q), judge.distances(q), atol=1e-12)
 
 
-def test_its_limits_are_those_of_our_own_controller(robot: RobotModel, judge: Evaluator) -> None:
+def test_the_common_model_has_the_projects_limits(robot: RobotModel, judge: Evaluator) -> None:
     np.testing.assert_array_equal(judge.model.lowerPositionLimit[3:], robot.q_lower)
     np.testing.assert_array_equal(judge.model.upperPositionLimit[3:], robot.q_upper)
     np.testing.assert_array_equal(judge.model.velocityLimit[3:], robot.qd_max)
@@ -115,13 +115,13 @@ def test_its_limits_are_those_of_our_own_controller(robot: RobotModel, judge: Ev
 
 @pytest.mark.parametrize("kind", ["planar", "unicycle"])
 def test_no_link_has_the_name_of_a_joint(common: CommonModel, kind: str) -> None:
-    """A model where one has is refused by roboplan."""
+    """The library roboplan refuses equal names of a link and a joint."""
     tree = ElementTree.fromstring(getattr(common, kind))
     links, joints = ([e.get("name") for e in tree.iterfind(tag)] for tag in ("link", "joint"))
     assert len({*links, *joints}) == len(links) + len(joints)
 
 
-def test_a_body_of_two_shapes_is_refused_by_its_name(
+def test_a_body_of_two_shapes_is_refused_with_its_name(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     data = robot.description.model_dump(exclude_unset=True)
@@ -131,15 +131,15 @@ def test_a_body_of_two_shapes_is_refused_by_its_name(
         common_model(double, border_data.pairs.all, (0.5, 1.0))
 
 
-# The judge ----------------------------------------------------------------------------------------
+# The evaluator -----------------------------------------------------------------------------------
 
 
 def drive(x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """(N, 10) the base along these, the arm at rest."""
+    """(N, 10) configurations of the base along these poses, with the arm at rest."""
     return np.column_stack([x, y, yaw, np.tile(READY, (len(x), 1))])
 
 
-def test_a_base_that_drives_ahead_has_its_path_its_change_and_no_slip(judge: Evaluator) -> None:
+def test_a_base_that_drives_straight_has_a_path_and_no_slip(judge: Evaluator) -> None:
     s, dt = np.arange(21) * 0.001, 0.005
     q = drive(0.8 * s, 0.6 * s, np.full(21, np.arctan2(0.6, 0.8)))
     hands = [judge.hand(at) for at in q]
@@ -154,7 +154,7 @@ def test_a_base_that_drives_ahead_has_its_path_its_change_and_no_slip(judge: Eva
     assert found["clearance_m"] == pytest.approx(judge.distances(q[0]).min())
 
 
-def test_errors_are_the_hands_distance_from_its_target_and_its_turn(judge: Evaluator) -> None:
+def test_errors_are_distance_and_rotation_of_the_end_effector(judge: Evaluator) -> None:
     q = drive(np.zeros(3), np.zeros(3), np.zeros(3))
     at = judge.hand(q[0])
     p = at.translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.03, 0.04], [0.01, 0.0, 0.0]])
@@ -164,16 +164,16 @@ def test_errors_are_the_hands_distance_from_its_target_and_its_turn(judge: Evalu
     assert found["turn_error_final_rad"] == pytest.approx(0.2)
 
 
-def test_the_least_distance_is_that_of_any_pair_at_any_time(judge: Evaluator) -> None:
+def test_the_clearance_is_the_minimum_over_all_pairs_and_times(judge: Evaluator) -> None:
     q = drive(np.zeros(40), np.zeros(40), np.zeros(40))
-    q[:, 4] = np.linspace(READY[1], 1.7, 40)  # the shoulder brings the hand down
-    q[30:, 4] = READY[1]  # and it goes up again before the end
+    q[:, 4] = np.linspace(READY[1], 1.7, 40)  # the shoulder lowers the end-effector
+    q[30:, 4] = READY[1]  # and raises it again before the end
     least = min(judge.distances(at).min() for at in q)
     assert judge.figures(q, np.zeros((40, 3)), np.eye(3), DT)["clearance_m"] == least
     assert least < judge.distances(q[-1]).min()
 
 
-def test_only_what_no_heading_of_a_step_explains_is_slip() -> None:
+def test_slip_is_only_motion_that_no_heading_of_a_step_explains() -> None:
     yaw = np.linspace(0.0, 1.0, 101)
     arc = drive(np.sin(yaw), 1.0 - np.cos(yaw), yaw)
     np.testing.assert_array_equal(slips(arc), 0.0)
@@ -184,7 +184,7 @@ def test_only_what_no_heading_of_a_step_explains_is_slip() -> None:
     assert slips(aside).sum() == pytest.approx(0.1)
 
 
-def test_a_model_without_the_link_is_refused(common: CommonModel) -> None:
+def test_an_unknown_link_is_refused(common: CommonModel) -> None:
     with pytest.raises(ValueError, match="no shape nowhere_0"):
         Evaluator(common.planar, [("base_link", "nowhere")], HAND)
     with pytest.raises(ValueError, match="no link nowhere"):
@@ -195,7 +195,7 @@ def test_a_model_without_the_link_is_refused(common: CommonModel) -> None:
 
 
 @pytest.mark.parametrize("name", ["side", "front", axis_name(0.010)])
-def test_a_path_begins_at_the_hand_and_goes_from_rest_to_rest(
+def test_a_path_starts_at_the_end_effector_and_goes_from_rest_to_rest(
     robot: RobotModel, border_data: BorderData, judge: Evaluator, name: str
 ) -> None:
     line = hand_paths(robot, border_data, [name])[name]
@@ -212,7 +212,7 @@ def test_a_path_begins_at_the_hand_and_goes_from_rest_to_rest(
     assert judge.distances(np.concatenate([np.zeros(3), line.q_m])).min() > Config().border.d_b
 
 
-def test_a_path_on_the_wheel_axis_begins_with_its_closest_point_there(
+def test_a_path_on_the_wheel_axis_starts_with_its_closest_point_there(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     (line,) = hand_paths(robot, border_data, [axis_name(0.010)]).values()
@@ -223,7 +223,7 @@ def test_a_path_on_the_wheel_axis_begins_with_its_closest_point_there(
     np.testing.assert_allclose(line.move, [0.0, -0.2, 0.0])
 
 
-def test_the_paths_are_those_that_are_asked_for() -> None:
+def test_the_names_of_the_paths() -> None:
     assert PATHS == ("side", "front", "axis-0mm", "axis-1mm", "axis-10mm", "axis-50mm")
     assert AXIS_OFFSETS == (0.0, 0.001, 0.010, 0.050)
 
@@ -232,7 +232,7 @@ def test_the_paths_are_those_that_are_asked_for() -> None:
 
 
 class _Still:
-    """A library that does not move, and fails where its base is cheap."""
+    """A library that does not move and fails at a base cost below 1."""
 
     def __init__(self, plan: loop.Plan, q: np.ndarray, base_cost: float) -> None:
         self._q, self._fails = q, base_cost < 1.0
@@ -248,7 +248,7 @@ class _Still:
         return self._q
 
 
-def test_a_run_that_raises_leaves_its_reason_and_the_others_go_on(
+def test_a_failed_run_stores_its_reason_and_the_other_runs_continue(
     robot: RobotModel, border_data: BorderData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_plan(tmp_path, robot, border_data, {"short": still()}, (1.0, 300.0))
@@ -265,12 +265,12 @@ def test_a_run_that_raises_leaves_its_reason_and_the_others_go_on(
         assert found["step_s"].shape == (10,)
         assert (found["step_s"] > 0.0).all()
     assert json.loads((out / "about.json").read_text()) == {"numpy": np.__version__}
-    asked = [still().place((k + 1) * DT) for k in range(10)]
-    np.testing.assert_allclose(made[1].targets, asked)
+    expected = [still().place((k + 1) * DT) for k in range(10)]
+    np.testing.assert_allclose(made[1].targets, expected)
 
 
 @pytest.mark.slow
-def test_our_own_driver_writes_the_motion_and_every_control_steps_time(
+def test_the_projects_driver_writes_motion_and_step_times(
     robot: RobotModel, border_data: BorderData, judge: Evaluator, tmp_path: Path
 ) -> None:
     plan = tmp_path / "plan"
@@ -286,7 +286,7 @@ def test_our_own_driver_writes_the_motion_and_every_control_steps_time(
     assert np.abs(np.diff(motion.q[:, 3:], axis=0)).max() > 0.0
 
 
-def test_a_motion_that_cannot_be_judged_is_said_so(judge: Evaluator) -> None:
+def test_an_invalid_motion_is_reported_with_the_reason(judge: Evaluator) -> None:
     q = np.tile([0.0, 0.0, 0.0, *READY], (3, 1))
     d, times = judge.distances(q[0]), np.ones(2)
     assert flaw(Motion(q, times, d), 3, judge) == ""
@@ -294,7 +294,7 @@ def test_a_motion_that_cannot_be_judged_is_said_so(judge: Evaluator) -> None:
     assert "another model" in flaw(Motion(q, times, d * np.nan), 3, judge)
     assert "shape (3, 10), not (4, 10)" in flaw(Motion(q, times, d), 4, judge)
     assert "not finite" in flaw(Motion(np.full_like(q, np.nan), times, d), 3, judge)
-    assert flaw(Motion(q, times, d[:0]), 3, judge) == ""  # a library that tells no distances
+    assert flaw(Motion(q, times, d[:0]), 3, judge) == ""  # a library that reports no distances
 
 
 # The table ----------------------------------------------------------------------------------------
@@ -321,7 +321,7 @@ def good_row(name: str, path: str, weight: float) -> Row:
     }
 
 
-def test_a_peer_that_cannot_be_installed_is_a_row_that_says_why(
+def test_a_peer_that_cannot_be_installed_gives_a_row_with_the_reason(
     judge: Evaluator, tmp_path: Path
 ) -> None:
     blocked = tmp_path / "envs"
@@ -333,19 +333,19 @@ def test_a_peer_that_cannot_be_installed_is_a_row_that_says_why(
     assert str(blocked) in row["reason"]
 
 
-def test_a_driver_that_does_not_start_is_rows_that_say_why(
+def test_a_driver_that_does_not_start_gives_rows_with_the_reason(
     robot: RobotModel, border_data: BorderData, judge: Evaluator, tmp_path: Path
 ) -> None:
-    """Our interpreter has no placo, so its driver ends with an ImportError."""
+    """The test's interpreter has no placo, so the driver ends with an ImportError."""
     (tmp_path / "plan").mkdir()
     plan, _ = write_plan(tmp_path / "plan", robot, border_data, {"short": still()}, (1.0, 300.0))
-    here = Peer("without placo", "placo")  # no requirements: run by our own interpreter
+    here = Peer("without placo", "placo")  # no requirements: run by the test's interpreter
     rows = rows_of("placo", here, plan, tmp_path, tmp_path / "envs", judge)
     assert [row["status"] for row in rows] == ["failed", "failed"]
     assert "No module named 'placo'" in rows[0]["reason"]
 
 
-def test_the_table_keeps_the_rows_of_a_missing_peer(tmp_path: Path) -> None:
+def test_the_table_contains_the_rows_of_a_missing_peer(tmp_path: Path) -> None:
     run = {"path": "side", "base_weight": 300.0}
     rows = [
         good_row("dbb", "side", 300.0),
@@ -364,7 +364,7 @@ def test_the_table_keeps_the_rows_of_a_missing_peer(tmp_path: Path) -> None:
     assert "- pink missing (side at 300): no network" in text
 
 
-def test_each_line_of_the_table_has_as_many_cells_as_its_head() -> None:
+def test_each_line_of_the_table_has_the_same_number_of_cells() -> None:
     rows = [good_row(name, path, 300.0) for name in PEERS for path in PATHS]
     rows[0] |= {"status": "failed", "reason": "why"}
     lines = [line for line in markdown(rows).splitlines() if line.startswith("|")]
@@ -372,7 +372,7 @@ def test_each_line_of_the_table_has_as_many_cells_as_its_head() -> None:
     assert len({line.count("|") for line in lines}) == 1
 
 
-def test_the_picture_is_drawn_with_missing_rows_too() -> None:
+def test_the_picture_is_drawn_despite_missing_rows() -> None:
     run = {"path": "front", "base_weight": 1.0}
     rows = [good_row("dbb", "side", 300.0), good_row("dbb", "side", 1.0)]
     rows += [empty_row("pink", PEERS["pink"], run, "missing", "no network")]
@@ -382,7 +382,7 @@ def test_the_picture_is_drawn_with_missing_rows_too() -> None:
 # Options ------------------------------------------------------------------------------------------
 
 
-def test_only_peers_that_exist_can_be_asked_for(tmp_path: Path) -> None:
+def test_unknown_peers_and_physics_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"unknown peer 'pinc'.*did you mean 'pink'"):
         main(Peers(only=("pinc",), out=tmp_path))
     with pytest.raises(UnknownNameError, match="unknown physics 'moon'"):
@@ -391,7 +391,7 @@ def test_only_peers_that_exist_can_be_asked_for(tmp_path: Path) -> None:
     assert chosen(()) == PEERS
 
 
-def test_if_pink_cannot_be_installed_its_step_is_none_with_the_reason(
+def test_the_step_time_of_a_missing_pink_is_none_with_the_reason(
     robot: RobotModel, border_data: BorderData, tmp_path: Path
 ) -> None:
     (tmp_path / "envs").write_text("a file in place of the folder", encoding="utf-8")
@@ -402,7 +402,7 @@ def test_if_pink_cannot_be_installed_its_step_is_none_with_the_reason(
 
 
 @pytest.mark.slow
-def test_the_command_ends_well_without_a_peer_only_if_that_is_allowed(
+def test_a_missing_peer_fails_the_command_unless_it_is_allowed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "envs").write_text("a file where the folder should be", encoding="utf-8")

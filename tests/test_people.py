@@ -1,4 +1,4 @@
-"""Pulls anywhere on the arm, by several people: every plant feels them as mechanics says."""
+"""Pulls anywhere on the arm, by several people: every plant obeys mechanics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ READY = np.array(MODEL.description.arm.ready_position)
 FOREARM = Push("panda_joint5", np.array([0.02, 0.06, -0.12]), np.array([30.0, -45.0, 20.0]))
 
 ROUNDING = {"planar": 1e-9, "mujoco": 1e-9, "kinematic": 1e-9, "mujoco-contact": 1e-3}
-"""[rad, rad/s] growth of rounding errors in 0.1 s; wheels in contact enlarge it."""
+"""[rad, rad/s] growth of rounding errors in 0.1 s; wheels in contact amplify them."""
 
 
 @pytest.fixture(params=PLANTS)
@@ -34,14 +34,14 @@ def plant(request):
 
 
 def place(q_m: np.ndarray, push: Push) -> np.ndarray:
-    """(3,) [m] a point of the arm in the world, the base at the origin."""
+    """(3,) [m] position of the push's point in the world, with the base at the origin."""
     state = RobotState(MODEL)
     state.update(Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(7)))
     return state.data.oMi[MODEL.pin.getJointId(push.joint)].act(push.p)
 
 
-def test_a_push_on_a_link_is_what_the_equation_of_motion_says(plant):
-    """From rest, one step: M_aa q̈_a = Jᵀ f, J of the point by finite differences."""
+def test_push_on_a_link_satisfies_the_equation_of_motion(plant):
+    """One step from rest: M_aa q̈_a = Jᵀ f, with J of the point by finite differences."""
     J = np.array(
         [(place(READY + h, FOREARM) - place(READY - h, FOREARM)) / 2e-6 for h in 1e-6 * np.eye(7)]
     ).T
@@ -55,9 +55,9 @@ def test_a_push_on_a_link_is_what_the_equation_of_motion_says(plant):
     np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)  # joints farther out have no effect
 
 
-def test_the_power_of_a_push_becomes_kinetic_energy(plant):
+def test_work_of_a_push_becomes_kinetic_energy(plant):
     if plant.kind == "mujoco-contact":
-        pytest.skip("its wheels and joints rub")
+        pytest.skip("its wheels and joints have friction")
     state, work = RobotState(MODEL), 0.0
     joint = MODEL.pin.getJointId(FOREARM.joint)
     for _ in range(150):
@@ -74,7 +74,7 @@ def test_the_power_of_a_push_becomes_kinetic_energy(plant):
     assert energy == pytest.approx(work, rel=0.01)
 
 
-def test_two_equal_and_opposite_pushes_on_one_point_cancel(plant):
+def test_opposite_pushes_on_one_point_cancel(plant):
     state, traces = RobotState(MODEL), []
     for pushes in ([], [FOREARM, FOREARM._replace(force=-FOREARM.force)]):
         plant.reset(np.zeros(3), READY)
@@ -99,7 +99,7 @@ def test_pushes_on_one_point_add_up(plant):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("physics", PLANTS)
-def test_a_pull_at_the_end_effectors_own_frame_is_a_pull_of_the_end_effector(
+def test_pull_at_the_end_effector_frame_equals_a_pull_of_the_end_effector(
     robot: RobotModel, border_data: BorderData, physics: str
 ):
     arm = robot.description.arm
@@ -121,7 +121,7 @@ def test_a_pull_at_the_end_effectors_own_frame_is_a_pull_of_the_end_effector(
 
 
 @pytest.mark.slow
-def test_a_pull_at_the_elbow_brings_the_elbow_to_where_it_is_pulled(
+def test_pull_at_the_elbow_moves_the_elbow_to_its_target(
     robot: RobotModel, border_data: BorderData
 ):
     session = Session(robot, border_data, Config(), physics="planar")
@@ -132,13 +132,13 @@ def test_a_pull_at_the_elbow_brings_the_elbow_to_where_it_is_pulled(
     session.close()
     at = steps[-1].pulls[0]
     assert np.linalg.norm(at.point - target) < 0.5 * 0.12
-    np.testing.assert_array_equal(steps[-1].hand_force, 0.0)  # nobody is at the end-effector
+    np.testing.assert_array_equal(steps[-1].hand_force, 0.0)  # no pull at the end-effector
     assert steps[-1].hand_target is None
     forces = [np.linalg.norm(s.pulls[0].force) for s in steps]
     assert max(forces) <= PersonConfig().f_max + 1e-9
 
 
-def test_people_do_not_disturb_one_another(robot: RobotModel):
+def test_pulls_of_several_people_are_independent(robot: RobotModel):
     state = RobotState(robot)
     there, high = np.array([0.6, 0.2, 0.6]), np.array([0.2, -0.1, 1.1])
     both, one, other = (People(robot, PersonConfig(), DT) for _ in range(3))
@@ -150,11 +150,11 @@ def test_people_do_not_disturb_one_another(robot: RobotModel):
             np.testing.assert_array_equal(reading.force, same.force)
     np.testing.assert_array_equal(forces.hand, together[0].force)
     assert [push.joint for push in forces.pushes] == ["panda_joint4"]
-    (left,), _ = both.pull(state, [b])  # who lets go has no part in it
+    (left,), _ = both.pull(state, [b])  # a released pull has no effect
     np.testing.assert_allclose(left.force, other.pull(state, [b])[0][0].force)
 
 
-def test_whoever_takes_another_point_takes_hold_without_a_jerk(robot: RobotModel):
+def test_new_grip_starts_without_force(robot: RobotModel):
     state, people = RobotState(robot), People(robot, PersonConfig(), DT)
     for _ in range(500):
         (before,), _ = people.pull(state, [Hold(0, np.array([0.2, 0.3, 0.9]))])
@@ -163,7 +163,7 @@ def test_whoever_takes_another_point_takes_hold_without_a_jerk(robot: RobotModel
     assert np.linalg.norm(after.force) < 0.1
 
 
-def test_links_are_those_of_the_arm_that_move_against_the_base(robot: RobotModel):
+def test_held_links_are_the_links_that_move_relative_to_the_base(robot: RobotModel):
     links = held_links(robot)
     assert {*robot.description.arm.joints, "panda_hand", "end_effector"} <= set(links)
     assert not {"base_link", "panda_link0", "root_joint", "universe"} & set(links)
@@ -179,10 +179,10 @@ def test_links_are_those_of_the_arm_that_move_against_the_base(robot: RobotModel
 
 @pytest.mark.parametrize("mass", [0.0, 0.2, 5.0])
 @pytest.mark.parametrize("plant", ["planar", "kinematic"])
-def test_the_stiffest_hand_leads_the_arm_without_shaking_it(
+def test_stiffest_hand_guides_the_arm_without_oscillation(
     robot: RobotModel, border_data: BorderData, plant: str, mass: float
 ):
-    """0.1 m away from the base in 0.3 s, then held: the force has no steps and the hand rests."""
+    """0.1 m away from the base in 0.3 s, then at rest: the force has no steps."""
     config = Config().replace("hand.stiffness", 3000.0).replace("hand.mass", mass)
     session = Session(robot, border_data, config, physics=plant)
     session.reset(READY)
@@ -195,5 +195,5 @@ def test_the_stiffest_hand_leads_the_arm_without_shaking_it(
     session.close()
     assert 0.2 < max(speeds) < 0.8
     assert np.abs(np.diff(forces, axis=0)).max() < 1.0  # [N] a step
-    assert speeds[-1] < 0.1  # a heavy hand on a stiff spring swings on
+    assert speeds[-1] < 0.1  # a heavy hand on a stiff spring still oscillates
     assert step.ee_error < 0.01

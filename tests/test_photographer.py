@@ -1,4 +1,4 @@
-"""Pictures of the robot: something is there, it moves with the base, and overlays hit it."""
+"""Pictures of the robot: content, motion with base and arm, and projection of points."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def red(picture: Picture) -> np.ndarray:
     return (r - g > 60) & (r - b > 60)
 
 
-def test_the_robot_is_in_the_picture_and_nothing_around_it(photographer, ready):
+def test_the_picture_has_the_robot_on_a_white_floor(photographer, ready):
     picture = photographer.take(ORIGIN, ready, CAMERA)
     assert picture.rgb.shape == (180, 200, 3)
     share = np.mean(~picture.floor)
@@ -47,8 +47,8 @@ def test_the_robot_is_in_the_picture_and_nothing_around_it(photographer, ready):
     assert np.median(picture.rgb[picture.floor]) == 255
 
 
-def test_the_picture_moves_with_the_base_as_the_projection_says(photographer, ready):
-    """By the way in pixels that the projection gives for the same motion in metres."""
+def test_the_robot_moves_in_the_picture_by_the_projected_base_motion(photographer, ready):
+
     pictures = [photographer.take((x, 0.0, 0.0), ready, CAMERA) for x in (-0.2, 0.2)]
     moved = middle(~pictures[1].floor) - middle(~pictures[0].floor)
     ends = pictures[0].pixels(np.array([[-0.2, 0.0, 0.4], [0.2, 0.0, 0.4]]))
@@ -56,7 +56,7 @@ def test_the_picture_moves_with_the_base_as_the_projection_says(photographer, re
     assert np.linalg.norm(moved) > 10.0
 
 
-def test_the_arm_moves_too(photographer, ready):
+def test_the_arm_moves_in_the_picture(photographer, ready):
     turned = ready.copy()
     turned[0] += 1.0
     pictures = [photographer.take(ORIGIN, q_m, CAMERA).rgb.astype(int) for q_m in (ready, turned)]
@@ -64,24 +64,24 @@ def test_the_arm_moves_too(photographer, ready):
 
 
 @pytest.mark.parametrize("place", [(0.9, 0.5, 0.3), (0.6, -0.7, 0.8), (1.0, 0.9, 0.1)])
-def test_a_point_is_projected_to_where_the_renderer_draws_it(photographer, ready, place):
+def test_a_point_is_projected_to_its_drawn_pixel(photographer, ready, place):
     ball = trimesh.creation.icosphere(3, 0.05).apply_translation(place)
     picture = photographer.take(ORIGIN, ready, CAMERA, [Solid(ball, RED)], robot=False)
     np.testing.assert_allclose(picture.pixels(np.array(place))[0], middle(red(picture)), atol=1.0)
 
 
-def test_solids_are_gone_from_the_next_picture(photographer, ready):
+def test_solids_do_not_stay_for_the_next_picture(photographer, ready):
     box = trimesh.creation.box((0.4, 0.4, 0.4)).apply_translation([0.9, 0.4, 0.2])
     with_box = photographer.take(ORIGIN, ready, CAMERA, [Solid(box, RED)])
     assert red(with_box).sum() > 100
     assert red(photographer.take(ORIGIN, ready, CAMERA)).sum() == 0
 
 
-def test_without_the_robot_only_floor_is_left(photographer, ready):
+def test_without_the_robot_the_picture_has_only_floor(photographer, ready):
     assert photographer.take(ORIGIN, ready, CAMERA, robot=False).floor.all()
 
 
-def test_the_floor_is_hidden_under_the_base_and_free_beside_it(photographer, ready):
+def test_the_floor_is_hidden_under_the_base_and_visible_beside_it(photographer, ready):
     picture = photographer.take(ORIGIN, ready, CAMERA)
     points = np.array([[0.0, 0.0, 0.0], [0.9, 0.9, 0.0], [100.0, 0.0, 0.0]])
     assert picture.unhidden(points).tolist() == [False, True, False]
@@ -104,7 +104,7 @@ def test_the_same_pose_gives_the_same_picture(photographer, ready):
     np.testing.assert_array_equal(first, second)
 
 
-def test_closing_twice_is_fine(robot: RobotModel):
+def test_a_second_close_raises_no_error(robot: RobotModel):
     photographer = Photographer(robot)
     photographer.close()
     photographer.close()

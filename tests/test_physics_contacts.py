@@ -1,4 +1,4 @@
-"""Contacts are reported and have an effect, and only these: arm against base, itself and floor."""
+"""Contacts of the arm with base, itself and floor: they are reported and have an effect."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MODEL = husky_panda()
 DESCRIPTION = MODEL.description
 READY = np.array(DESCRIPTION.arm.ready_position)
 DAMPING = np.array(DESCRIPTION.arm.joint_damping)
-IN_BASE = (0.45, 0.0, 0.15)  # [m] inside the base, under the front of its top
+IN_BASE = (0.45, 0.0, 0.15)  # [m] inside the base, below the front of its top
 FREE = (0.65, 0.1, 0.5)
 COLUMN = (0.30, 0.0, 0.6)  # inside the arm's own shoulder
 UNDERGROUND = (0.9, 0.2, -0.2)
@@ -26,7 +26,7 @@ ENGINES = [kind for kind in PLANTS if kind != "kinematic"]
 
 
 def pull(plant, goal, seconds: float = 3.0, most: float = 40.0):
-    """Pull the compensated, damped arm by its hand; gives contacts seen and measurements."""
+    """Pull the compensated, damped arm by its end-effector; returns contacts and measurements."""
     plant.reset(np.zeros(3), READY)
     state, seen, trace = RobotState(MODEL), Contacts(), []
     for _ in range(round(seconds / plant.dt)):
@@ -42,7 +42,7 @@ def pull(plant, goal, seconds: float = 3.0, most: float = 40.0):
 
 @cache
 def pulled(kind: str, goal):
-    """The same with a plant of its own, done once however many tests look at it."""
+    """The result of `pull` for a new plant, computed once for all tests."""
     plant = make_physics(kind, MODEL)
     result = pull(plant, goal)
     plant.close()
@@ -50,7 +50,7 @@ def pulled(kind: str, goal):
 
 
 def hand_of(m) -> np.ndarray:
-    """(3,) [m] the end-effector in the world."""
+    """(3,) [m] position of the end-effector in the world."""
     state = RobotState(MODEL)
     state.update(m)
     return state.T_world_ee.translation.copy()
@@ -63,21 +63,21 @@ def hand_of(m) -> np.ndarray:
     [(IN_BASE, "arm_base"), (COLUMN, "arm_arm"), (UNDERGROUND, "arm_floor"), (FREE, None)],
     ids=["base", "column", "floor", "free"],
 )
-def test_a_contact_is_reported_where_the_arm_is_driven_and_not_otherwise(kind, goal, field):
+def test_contact_is_reported_only_where_the_arm_is_pulled(kind, goal, field):
     seen, _ = pulled(kind, goal)
     if field is None:
         assert not any(seen)
     else:
         assert getattr(seen, field)
-    if field == "arm_floor" and kind != "kinematic":  # whose arm swings through the base
+    if field == "arm_floor" and kind != "kinematic":  # the kinematic arm passes through the base
         assert not seen.arm_base
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ENGINES)
 @pytest.mark.parametrize("goal", [IN_BASE, COLUMN, UNDERGROUND], ids=["base", "column", "floor"])
-def test_the_arm_cannot_pass_through_what_it_touches(kind, goal):
-    """The hulls of the links, measured by another library, never enter each other."""
+def test_arm_cannot_penetrate_the_body_that_it_touches(kind, goal):
+    """The hulls of the links, measured by another library, never overlap by more than 3 mm."""
     hulls, data = hull_pairs(MODEL), MODEL.pin.createData()
     _, trace = pulled(kind, goal)
     at_home = np.zeros(3)
@@ -86,12 +86,12 @@ def test_the_arm_cannot_pass_through_what_it_touches(kind, goal):
     hands = np.array([hand_of(m) for m in trace])
     assert hands[:, 2].min() > -0.01
     assert np.linalg.norm(hands[-1] - goal) > 0.05
-    assert np.ptp(hands[-500:], axis=0).max() < 0.02  # it lies there, it is not thrown off
+    assert np.ptp(hands[-500:], axis=0).max() < 0.02  # at rest, without bouncing
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ENGINES)
-def test_letting_go_ends_the_contact(kind):
+def test_lifting_the_arm_ends_the_contact(kind):
     plant = make_physics(kind, MODEL)
     pull(plant, IN_BASE)
     assert plant.contacts().arm_base
@@ -107,8 +107,8 @@ def test_letting_go_ends_the_contact(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ENGINES)
-def test_neighbours_in_the_arm_never_push_each_other(kind):
-    """Anywhere within the limits the only forces on a lone arm are gravity and the motors'."""
+def test_neighbouring_links_never_push_each_other(kind):
+    """Within the limits only gravity and motor torques act on an arm without contact."""
     plant, rng = make_physics(kind, MODEL), np.random.default_rng(3)
     state, tried = RobotState(MODEL), 0
     while tried < 40:
@@ -119,14 +119,14 @@ def test_neighbours_in_the_arm_never_push_each_other(kind):
         if any(plant.contacts()):
             continue
         tried += 1
-        limit = 5e-3 if kind == "mujoco-contact" else 1e-9  # [rad/s]; its wheels give a little
+        limit = 5e-3 if kind == "mujoco-contact" else 1e-9  # [rad/s]; its wheels are compliant
         assert np.abs(plant.measure().qd_m).max() < limit, q
     plant.close()
 
 
 @pytest.mark.slow
-def test_reports_of_the_stand_in_agree_with_the_bodies_distances():
-    """Where a hull touches in pybullet, the fatter bodies overlap in the stand-in."""
+def test_kinematic_plant_reports_every_contact_of_the_planar_plant():
+    """A contact of hulls in pybullet is an overlap of the larger bodies in the kinematic plant."""
     planar, kinematic = make_physics("planar", MODEL), make_physics("kinematic", MODEL)
     rng, found = np.random.default_rng(0), np.zeros(len(Contacts._fields), dtype=int)
     state, on_floor = RobotState(MODEL), pulled("planar", UNDERGROUND)[1][-1].q_m
@@ -147,7 +147,7 @@ def test_reports_of_the_stand_in_agree_with_the_bodies_distances():
     kinematic.close()
 
 
-def test_pairs_of_links_are_those_of_their_bodies():
+def test_contact_pairs_of_links_follow_from_their_bodies():
     bodies, links = body_contact_pairs(DESCRIPTION), link_contact_pairs(DESCRIPTION)
     assert bodies == {
         **dict.fromkeys([("lm", "l3"), ("lm", "lEE")], "arm_base"),
@@ -161,7 +161,7 @@ def test_pairs_of_links_are_those_of_their_bodies():
     assert not any("panda_link2" in pair for pair in near_base)
 
 
-def test_links_that_are_built_into_one_another_are_no_pair_and_all_others_stay_one():
+def test_nested_links_are_no_contact_pair_and_other_pairs_stay():
     nested = DESCRIPTION.bodies[-1].model_copy(update={"nested": {"panda_hand": ("panda_link0",)}})
     built = DESCRIPTION.model_copy(update={"bodies": (*DESCRIPTION.bodies[:-1], nested)})
     links = link_contact_pairs(DESCRIPTION)

@@ -1,4 +1,4 @@
-"""pybullet's chatter stays out of the program's output, and its files out of the way."""
+"""pybullet writes nothing to the program's output and leaves no temporary files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ print("after")
 
 
 def output(program: str) -> subprocess.CompletedProcess[str]:
-    """The output of a program into pipes, where C's output is buffered."""
+    """The output of a program in pipes, so that the output of C is buffered."""
     return subprocess.run(
         [sys.executable, "-c", program],
         cwd=PROJECT,
@@ -74,7 +74,7 @@ def test_warnings_of_the_loader_do_not_reach_standard_output():
     assert output(LOUD.format(quietly=True)).stdout == "before\nafter\n"
 
 
-def test_what_c_code_prints_is_silenced_though_it_is_buffered():
+def test_buffered_output_of_c_code_is_silenced():
     program = """
 import ctypes
 from app.simulation.plants.bullet_world import silence
@@ -94,13 +94,13 @@ def test_no_temporary_file_is_left(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_urdf_that_pybullet_cannot_load_is_a_clear_error():
+def test_a_urdf_that_pybullet_cannot_load_gives_a_clear_error():
     with pytest.raises(AssetError, match="pybullet cannot load the robot"):
         BulletWorld("this is no URDF", 0.001)
 
 
-def test_clients_are_released():
-    """There is a limited number of them in pybullet."""
+def test_closed_clients_of_pybullet_are_released():
+    """The number of clients is limited in pybullet."""
     for _ in range(40):
         plant = BulletWorld('<robot name="r"><link name="a"/></robot>', 0.001)
         plant.close()

@@ -1,4 +1,4 @@
-"""Laws that every plant keeps."""
+"""Properties of every plant."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOBODY = np.zeros(3)
 
 @pytest.fixture(scope="module", params=PLANTS)
 def plant(request):
-    """Each test begins with a reset, which leaves nothing of the last one (and a test says so)."""
+    """One plant for all tests: each test starts with a reset, which removes all previous state."""
     plant = make_physics(request.param, MODEL)
     plant.kind = request.param
     yield plant
@@ -34,13 +34,13 @@ def planar():
 
 
 def hold(state: RobotState) -> np.ndarray:
-    """Torques that keep the arm's posture during any motion of the base."""
+    """Torques that hold the arm's posture during any base motion."""
     m, M_aa = state.measurement, state.M[2:, 2:]
     return state.h[2:] + M_aa @ (400.0 * (READY - m.q_m) - 40.0 * m.qd_m)
 
 
 def run(plant, seconds: float, command, torques=hold, force=NOBODY) -> list:
-    """Measurements of a run, before each step."""
+    """Measurements of a run, each before its step."""
     state, trace = RobotState(MODEL), []
     for k in range(round(seconds / plant.dt)):
         trace.append(plant.measure())
@@ -57,7 +57,7 @@ def wave(t: float) -> tuple[float, float]:
     return 0.4 * np.sin(1.5 * t), 0.6 * np.cos(2.0 * t)
 
 
-def test_it_starts_at_rest_where_it_is_put(plant):
+def test_reset_puts_the_plant_at_rest_in_the_given_state(plant):
     for pose, q in (((0.0, 0.0, 0.0), READY), ((1.0, -2.0, 2.5), READY + 0.1)):
         plant.reset(np.array(pose), q)
         m = plant.measure()
@@ -73,7 +73,7 @@ def test_gravity_compensation_holds_the_arm(plant):
     plant.reset(np.zeros(3), READY)
     damping = DAMPING if plant.kind == "mujoco-contact" else 0.0
     trace = run(plant, 5.0, (0.0, 0.0), torques=lambda s: s.g[2:] - damping * s.qd[2:])
-    # Tyres let the base stand 1 mrad nose down, which the compensation does not include.
+    # The base on tyres tilts by 1 mrad, which the compensation does not include.
     limit = {"mujoco-contact": 0.1}.get(plant.kind, 1e-9)
     assert np.abs(trace[-1].q_m - READY).max() < limit
     assert np.abs(trace[-1].base_pose).max() < (3e-3 if plant.kind == "mujoco-contact" else 1e-9)
@@ -81,7 +81,7 @@ def test_gravity_compensation_holds_the_arm(plant):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [(0.5, 0.0), (0.0, 0.8), (0.4, -0.6), (-0.3, 0.5)])
-def test_a_commanded_velocity_is_followed(plant, command):
+def test_commanded_velocity_is_followed(plant, command):
     plant.reset(np.array([0.5, -0.5, 1.0]), READY)
     trace = run(plant, 2.0, command)
     error = np.array([m.base_velocity for m in trace[1000:]]) - command
@@ -95,9 +95,9 @@ def test_a_commanded_velocity_is_followed(plant, command):
     assert np.abs(error[:, 1]).max() < w_limit
 
 
-def test_the_path_is_the_circle_of_the_commanded_velocities(plant):
+def test_path_is_the_circle_of_the_commanded_velocities(plant):
     if plant.kind == "mujoco-contact":
-        pytest.skip("four wheels skid: the law for two is in test_mujoco_wheels.py")
+        pytest.skip("four wheels skid; test_mujoco_wheels.py has the test for two")
     plant.reset(np.zeros(3), READY)
     v, w = 0.4, 0.8
     run(plant, 1.0, (v, w))
@@ -110,7 +110,7 @@ def test_the_path_is_the_circle_of_the_commanded_velocities(plant):
     assert end[2] == pytest.approx(start[2] + 2.0 * w, abs=1e-4)
 
 
-def test_it_does_not_creep_when_the_arm_moves(plant):
+def test_base_at_rest_does_not_creep_when_the_arm_moves(plant):
     """The drive holds the base against the arm, up to its traction."""
     plant.reset(np.zeros(3), READY)
     swing = np.array([0.3, 0.2, 0.3, 0.2, 0.3, 0.2, 0.3])
@@ -129,8 +129,8 @@ def test_it_does_not_creep_when_the_arm_moves(plant):
     assert moved.max() < (3e-3 if plant.kind == "mujoco-contact" else 1e-5)
 
 
-def test_a_force_on_the_hand_is_what_the_equation_of_motion_says(plant):
-    """From rest, one step: M_aa q̈_a = Jᵀ f with the base held."""
+def test_force_on_the_end_effector_satisfies_the_equation_of_motion(plant):
+    """One step from rest with the base fixed: M_aa q̈_a = Jᵀ f."""
     plant.reset(np.zeros(3), READY)
     state = RobotState(MODEL)
     state.update(plant.measure())
@@ -145,10 +145,10 @@ def test_a_force_on_the_hand_is_what_the_equation_of_motion_says(plant):
 @pytest.mark.slow
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_torque_into_a_joint_limit_stays_stable(plant, joint, sign):
-    """Half a joint's torque for a second: the limit holds, and the arm stays at it."""
+def test_torque_into_a_joint_limit_stays_stable(plant, joint, sign):
+    """With half of the torque limit for 1 s the joint stays at its limit."""
     limits = MODEL.q_lower if sign < 0 else MODEL.q_upper
-    q = np.array([0.0, -0.3, 0.0, -0.8, 0.0, 1.6, 0.8])  # every joint reaches its limits freely
+    q = np.array([0.0, -0.3, 0.0, -0.8, 0.0, 1.6, 0.8])  # all limits can be reached from here
     q[joint] = limits[joint] - sign * 0.15
     plant.reset(np.zeros(3), q)
     push = np.zeros(7)
@@ -163,13 +163,13 @@ def test_a_torque_into_a_joint_limit_stays_stable(plant, joint, sign):
     beyond = [max((m.q_m - MODEL.q_upper).max(), (MODEL.q_lower - m.q_m).max()) for m in trace]
     assert np.max(beyond) < 0.02  # [rad]
     end = np.array([m.q_m for m in trace[-300:]])
-    assert np.abs(end[:, joint] - limits[joint]).max() < 0.005  # [rad] it may rattle, no more
+    assert np.abs(end[:, joint] - limits[joint]).max() < 0.005  # [rad] small rattling is acceptable
     assert np.ptp(end, axis=0).max() < 0.01
 
 
 @pytest.mark.slow
 def test_equal_inputs_give_bitwise_equal_states(plant):
-    """Afresh, after a reset from amid contacts, and beside another client."""
+    """After a first start, after a reset during contact, and with another plant running."""
 
     def trace(p, beside=None):
         p.reset(np.array([0.1, 0.2, 0.3]), READY)
@@ -193,7 +193,7 @@ def test_equal_inputs_give_bitwise_equal_states(plant):
     np.testing.assert_array_equal(trace(plant), first)
 
 
-def test_looking_at_it_changes_nothing(plant):
+def test_measuring_does_not_change_the_simulation(plant):
     ends = []
     for every in (10, 1):
         plant.reset(np.array([0.3, -0.2, 0.7]), READY)
@@ -205,8 +205,8 @@ def test_looking_at_it_changes_nothing(plant):
     np.testing.assert_array_equal(*ends)
 
 
-def test_the_kinematic_and_the_planar_plant_agree_on_the_same_torques(planar):
-    """Over 1 s, to 0.1 mm, 0.1 mrad of the base and 2 mrad of the arm: two integrators, one law."""
+def test_kinematic_and_planar_plants_agree_on_the_same_torques(planar):
+    """Within 0.1 mm and 0.1 mrad of the base and 2 mrad of the arm over 1 s."""
     kinematic = make_physics("kinematic", MODEL)
     state, worst_base, worst_arm = RobotState(MODEL), 0.0, 0.0
     for k in range(1000):
@@ -224,8 +224,8 @@ def test_the_kinematic_and_the_planar_plant_agree_on_the_same_torques(planar):
     kinematic.close()
 
 
-def test_a_step_of_the_planar_plant_with_the_base_held_is_exact(planar):
-    """The base's motors leave no trace in the arm: q̈_a to 1e-6 rad/s², as the stand-in has it."""
+def test_step_of_the_planar_plant_with_a_fixed_base_is_exact(planar):
+    """The base's motors do not disturb q̈_a by more than 1e-6 rad/s²."""
     kinematic = make_physics("kinematic", MODEL)
     torques = 5.0 * np.sin(np.arange(7.0))
     for plant in (planar, kinematic):
@@ -235,7 +235,7 @@ def test_a_step_of_the_planar_plant_with_the_base_held_is_exact(planar):
     kinematic.close()
 
 
-def test_the_base_slips_when_it_is_pushed_beyond_its_traction(planar):
+def test_base_slips_when_pushed_beyond_its_traction(planar):
     limit = MODEL.description.base.traction_limit_n
     mass = pin.computeTotalMass(MODEL.pin)
     slid = {}
@@ -246,17 +246,17 @@ def test_the_base_slips_when_it_is_pushed_beyond_its_traction(planar):
         )
         slid[share] = trace[-1].base_pose[0]
     assert abs(slid[0.9]) < 1e-4
-    # the tenth that exceeds the traction accelerates the whole robot
+    # the 10 % beyond the traction accelerate the whole robot
     assert slid[1.1] == pytest.approx(0.5 * 0.1 * limit / mass * 0.5**2, rel=0.1)
 
 
 def stiff(state: RobotState) -> np.ndarray:
-    """Torques of an arm like a statue, against a strong push."""
+    """Torques of a very stiff arm, against a strong push."""
     m = state.measurement
     return state.h[2:] + state.M[2:, 2:] @ (9e4 * (READY - m.q_m) - 600.0 * m.qd_m)
 
 
-def test_an_unknown_plant_lists_those_that_exist():
+def test_unknown_plant_error_lists_the_available_plants():
     with pytest.raises(
         UnknownNameError, match="choose from: kinematic, mujoco, mujoco-contact, planar"
     ):

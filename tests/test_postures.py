@@ -1,4 +1,4 @@
-"""Lines of guiding for a new robot: which one of many is taken."""
+"""The choice of a guiding line for a new robot among many candidates."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ INNER = 0.4 * D_B  # [m]
 
 @cache
 def with_buffer(d_b: float) -> RobotModel:
-    """The paper's robot with another d_b [m] of its own."""
+    """The paper's robot with another d_b [m] in its description."""
     config = Config().replace("border.d_b", d_b)
     return RobotModel(husky_panda().description.model_copy(update={"config": config}))
 
 
 @cache
 def pairs_of(model: RobotModel) -> LinkPairs:
-    """Of few samples."""
+    """Link pairs from few samples."""
     return find_link_pairs(model, samples=2000)
 
 
 def places(nearest: list[float], apart: float = 0.2) -> list[Place]:
-    """Lines by how near [m] each of them leads the arm to the base, each from another place."""
+    """Lines with these nearest distances [m] to the base and starts `apart` [m] from each other."""
     return [Place((0.0, 0.0, apart * k), (1.0, 0.0, 0.0), d, "") for k, d in enumerate(nearest)]
 
 
 @pytest.mark.parametrize(
-    ("nearest", "taken"),
+    ("nearest", "expected"),
     [
         ([], "cannot start outside of its buffers of"),
         ([0.3, INNER], "comes no nearer to the base than"),  # none into the inner part
@@ -54,15 +54,15 @@ def places(nearest: list[float], apart: float = 0.2) -> list[Place]:
         ([-0.02, 0.0], 0),
     ],
 )
-def test_the_first_line_into_the_inner_part_of_the_buffer_is_taken(
-    nearest: list[float], taken: int | str
+def test_the_first_line_into_the_inner_part_of_the_buffer_is_chosen(
+    nearest: list[float], expected: int | str
 ) -> None:
     lines = places(nearest)
     found = chosen(lines, D_B)
-    assert (taken in found) if isinstance(found, str) else (found is lines[taken])
+    assert (expected in found) if isinstance(found, str) else (found is lines[expected])
 
 
-def test_nothing_is_searched_after_the_line_that_is_taken() -> None:
+def test_the_search_stops_after_the_chosen_line() -> None:
     lines = places([0.3, -0.001])
 
     def searched() -> Iterator[Place]:
@@ -72,14 +72,14 @@ def test_nothing_is_searched_after_the_line_that_is_taken() -> None:
     assert chosen(searched(), D_B) == lines[1]
 
 
-def test_the_first_line_is_taken_on_which_the_base_gives_way() -> None:
+def test_the_first_line_with_a_yielding_base_is_chosen() -> None:
     lines = places([0.3, -0.01, -0.03, -0.02])
     assert chosen(lines, D_B, shows=lambda line: line is lines[3]) == lines[3]
     assert "the base moves away by less than" in chosen(lines, D_B, shows=lambda _: False)
     assert chosen(lines, D_B, shows=lambda _: False, anyway=True) == lines[1]
 
 
-def test_only_a_few_lines_are_tried_by_a_run() -> None:
+def test_only_a_few_lines_are_simulated() -> None:
     tried: list[Place] = []
     for nearest in (-0.01, 0.5 * INNER):
         tried.clear()
@@ -87,17 +87,16 @@ def test_only_a_few_lines_are_tried_by_a_run() -> None:
         assert 1 < len(tried) < 6
 
 
-def looked_at(
+def tried_lines(
     monkeypatch: pytest.MonkeyPatch,
     sides: Sequence[str] = SIDES,
     *,
     carried: Callable[[Any], float] = lambda _: 0.0,
     d_b: float = D_B,
 ) -> dict[str, list[Place]]:
-    """Lines of the paper's robot that are tried if none satisfies the test, by their scenario.
+    """Lines of the paper's robot that are tried, by scenario, if none satisfies the test.
 
-    `carried` returns, for a line's start (x, y, its distance to the base [m]), the uncompensated
-    share.
+    `carried` returns the uncompensated share for a line's start (x, y, distance to the base) [m].
     """
     tried: dict[str, list[Place]] = {name: [] for name in sides}
     look = postures._Guide._look
@@ -118,13 +117,13 @@ def looked_at(
 @pytest.fixture(scope="module")
 def lines_of_papers() -> dict[str, list[Place]]:
     with pytest.MonkeyPatch.context() as patch:
-        return looked_at(patch)
+        return tried_lines(patch)
 
 
-def test_a_line_that_ends_beside_one_that_shows_nothing_is_not_run(
+def test_no_line_is_run_that_ends_near_an_unsuccessful_one(
     lines_of_papers: dict[str, list[Place]],
 ) -> None:
-    """From farther out it may be the same line."""
+    """Such a line may be the same one with a farther start."""
     for lines in lines_of_papers.values():
         assert len(lines) > 1
         ends = [np.add(line.start, line.move) for line in lines]
@@ -132,16 +131,16 @@ def test_a_line_that_ends_beside_one_that_shows_nothing_is_not_run(
             assert np.linalg.norm(a - b) >= 0.1
 
 
-def test_a_short_arm_starts_just_outside_of_the_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Earlier, lines started at least 0.25 m beside the base, with any buffer."""
+def test_a_short_arm_starts_just_outside_the_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Formerly, lines started at least 0.25 m beside the base for any buffer."""
     monkeypatch.setattr(postures, "_FARTHEST", 0.22)
-    lines = looked_at(monkeypatch, ["guiding-lateral"], d_b=0.06)["guiding-lateral"]
+    lines = tried_lines(monkeypatch, ["guiding-lateral"], d_b=0.06)["guiding-lateral"]
     assert lines
     assert all(0.0 < np.abs(line.move).max() < 0.22 for line in lines)
 
 
-def test_an_arm_that_moves_in_a_plane_has_a_line_ahead_of_its_mount() -> None:
-    """As a gantry's: all lines from the front began beside it."""
+def test_an_arm_that_moves_in_a_plane_has_a_line_in_front_of_its_mount() -> None:
+    """For example a gantry; formerly all lines from the front started beside its plane."""
     model = husky_panda()
     mount = model.p_base()
     ways = list(postures._front(MobileBody(model), mount, (0.3,)))
@@ -149,18 +148,18 @@ def test_an_arm_that_moves_in_a_plane_has_a_line_ahead_of_its_mount() -> None:
     assert all((inwards == (-1.0, 0.0, 0.0)).all() for _, inwards in ways)
 
 
-def test_lines_go_first_on_which_the_arm_holds_its_hand(
+def test_lines_with_a_compensating_arm_come_first(
     lines_of_papers: dict[str, list[Place]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A Kinova's slow joints do not at most heights, and the first three lines showed nothing."""
+    """A Kinova's slow joints cannot compensate the base at most heights."""
     sides = ["guiding-lateral"]
-    left = looked_at(monkeypatch, sides, carried=lambda at: float(at[1] > 0.0))
+    left = tried_lines(monkeypatch, sides, carried=lambda at: float(at[1] > 0.0))
     [first, *_], [other, *_] = lines_of_papers[sides[0]], left[sides[0]]
     assert first.start[1] > 0.0 > other.start[1]
 
 
-def test_lines_that_lead_as_near_to_a_millimetre_stay_as_they_come() -> None:
-    """Left before right of a robot that is the same on both; a deeper one goes before either."""
+def test_lines_with_equal_nearest_distance_keep_their_order() -> None:
+    """Distances count as equal to a millimetre: left stays before right for a symmetric robot."""
 
     def line(nearest: float) -> postures._Candidate:
         return postures._Candidate(
@@ -168,15 +167,15 @@ def test_lines_that_lead_as_near_to_a_millimetre_stay_as_they_come() -> None:
         )
 
     left, right, deeper, met, further = map(line, (0.0302, 0.0298, 0.028, 0.0, -0.02))
-    came = [left, right, deeper, met, further]
-    came.sort(key=lambda each: each.rank)
-    assert [each.nearest for each in came] == [0.0, -0.02, 0.028, 0.0302, 0.0298]
+    ranked = [left, right, deeper, met, further]
+    ranked.sort(key=lambda each: each.rank)
+    assert [each.nearest for each in ranked] == [0.0, -0.02, 0.028, 0.0302, 0.0298]
 
 
-def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
+def test_a_line_that_ends_farther_inside_replaces_a_shallow_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The paper's robot, from 0.35 m beside its base: to 0.2 m its arm does not come near."""
+    """A line from 0.35 m to 0.2 m beside the base leads the paper's arm not near enough."""
     monkeypatch.setattr(postures, "_FARTHEST", 0.35)
     monkeypatch.setattr(postures, "_OUTSIDE", 0.2)
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
@@ -193,7 +192,7 @@ _figures: dict[tuple[Place, float], dict[str, Any]] = {}
 
 
 def figures_of_run(data: BorderData, place: Place, d_b: float) -> dict[str, Any]:
-    """Those of the paper's robot guided along a line, run once for all tests."""
+    """Figures of the paper's robot guided along a line, simulated once for all tests."""
     if (place, d_b) not in _figures:
         line = FAST_LINES["guiding-lateral"].changed(start=place.start, move=place.move)
         config = Config().replace("border.d_b", d_b)
@@ -212,10 +211,10 @@ def figures_of_run(data: BorderData, place: Place, d_b: float) -> dict[str, Any]
         (-0.1, 0.03, 0.06),
     ],
 )
-def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
+def test_a_base_gives_way_if_it_moves_and_the_clearance_suffices(
     move: float, least: float, d_b: float, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The paper's line, one that ends outside of a buffer, and more distance than is kept."""
+    """The paper's line, a line that ends outside the buffer, and a too large clearance."""
     monkeypatch.setattr(postures, "CLEARANCE", least)
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
     place = Place((0.3, 0.72, 0.3), (0.0, move, 0.0), 0.0, "")
@@ -225,10 +224,10 @@ def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
     assert good == (move < -0.02 and least == 0.03 and d_b == D_B)
 
 
-def test_a_base_that_comes_back_while_the_hand_is_held_has_not_given_way(
+def test_a_base_that_returns_before_the_end_has_not_given_way(
     border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A Stretch's had moved by 0.051 m when its hand came to rest, and by 0.012 m at the end."""
+    """A Stretch had moved by 0.051 m at rest of its end-effector and by 0.012 m at the end."""
     place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
 
     def back(*args: Any) -> Iterator[Any]:
@@ -239,32 +238,34 @@ def test_a_base_that_comes_back_while_the_hand_is_held_has_not_given_way(
             yield session, step
 
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
-    monkeypatch.setattr(postures, "steps_of", back)  # without this, the base gives way: see above
+    monkeypatch.setattr(postures, "steps_of", back)  # without this patch, the base gives way
     assert not gives_way(with_buffer(D_B), border_data, "guiding-lateral", place)
 
 
-def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(
+def test_a_line_just_above_the_base_is_tried_if_no_other_height_works(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As of an arm whose hand cannot start as low as its small base."""
+    """For example for an arm that cannot start as low as its small base."""
     monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
     found = find_place(husky_panda(), pairs_of(husky_panda()), "guiding-lateral")
     top = float(MobileBody(husky_panda()).upper[2])
     assert found.start[2] == pytest.approx(top + 0.025, abs=1e-3)
 
 
-def test_a_line_leads_to_what_there_is_of_the_base_at_its_height() -> None:
-    """A base on a wide plate: beside the plate its trunk is out of the arm's reach."""
+def test_a_line_leads_to_the_part_of_the_base_at_its_height() -> None:
+    """A base on a wide plate; beside the plate, the trunk is out of the arm's reach."""
     trunk = husky_panda().description.mobile_body.shapes[0]
     plate = Box(type="box", xyz_m=(0.0, 0.0, -0.1), size_m=(1.6, 1.2, 0.04))
     model = with_mobile_shapes((trunk, plate))
     place = find_place(model, pairs_of(model), "guiding-lateral")
     assert place.nearest < INNER
-    assert abs(place.start[1]) < 0.6 + 0.25  # [m] nearer than a line to the plate could begin
+    assert abs(place.start[1]) < 0.6 + 0.25  # [m] nearer than any start of a line to the plate
 
 
-def test_a_line_leads_as_near_as_a_run_without_avoidance(border_data: BorderData) -> None:
-    """The paper's robot, pulled slowly from the side and the front."""
+def test_the_nearest_distance_equals_a_run_without_avoidance(
+    border_data: BorderData,
+) -> None:
+    """The paper's robot is pulled slowly from the side and the front."""
     model, config = husky_panda(), Config()
     for name in SIDES:
         place = find_place(model, border_data.pairs, name)

@@ -1,4 +1,4 @@
-"""The loop in a process of its own is, from outside, the loop in a thread."""
+"""A loop in a separate process has the interface of the loop in a thread."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ PATIENCE = 20.0  # [s]
 def wait_for(condition) -> None:
     deadline = time.monotonic() + PATIENCE
     while not condition():
-        assert time.monotonic() < deadline, "did not come true in time"
+        assert time.monotonic() < deadline, "condition not met in time"
         time.sleep(0.01)
 
 
 class Fragile(Session):
-    """A session that breaks on the step after it is pulled."""
+    """A session that fails in the step after a pull."""
 
     def step(self, *lead, **options):
         step = super().step(*lead, **options)
@@ -66,7 +66,7 @@ def make_loop(robot, border_data):
         loop.stop()
 
 
-def test_commands_go_out_and_snapshots_and_refusals_come_back(make_loop):
+def test_commands_reach_the_child_and_snapshots_and_refusals_return(make_loop):
     loop = make_loop()
     wait_for(lambda: loop.latest().t > 0.1)
     times = [snapshot.t for snapshot in loop.history(0.05)]
@@ -94,10 +94,10 @@ def test_commands_go_out_and_snapshots_and_refusals_come_back(make_loop):
     assert loop.error is None
     loop._child.end(at_once=True)
     wait_for(lambda: loop.error is not None)
-    assert "status -9" in str(loop.error), "a killed child is an error that says so"
+    assert "status -9" in str(loop.error), "a killed child must be an error with its status"
 
 
-def test_a_child_that_waits_simulates_what_it_is_given_until_it_is_stopped(robot, border_data):
+def test_waiting_child_simulates_its_task_until_it_is_stopped(robot, border_data):
     make_session = partial(Session, robot, border_data, Config(), physics="kinematic")
     with loop_child() as child:
         loop = ProcessLoop(make_session, np.array(robot.description.arm.ready_position), child)
@@ -106,24 +106,24 @@ def test_a_child_that_waits_simulates_what_it_is_given_until_it_is_stopped(robot
         loop.stop()
         assert child.ended(PATIENCE) == 0
         assert loop.error is None
-        loop.send(Pause(True))  # it does no harm
+        loop.send(Pause(True))  # has no effect
 
 
-def test_a_child_that_is_never_told_what_to_simulate_is_ended():
+def test_child_without_a_task_is_ended():
     with loop_child() as child:
         begin = time.monotonic()
     assert child.ended() is not None
-    assert time.monotonic() - begin < 5.0, "no patience is due to it"
+    assert time.monotonic() - begin < 5.0, "the child must end without delay"
 
 
-def test_a_task_that_cannot_be_pickled_is_an_error(robot):
+def test_task_that_cannot_be_pickled_is_an_error(robot):
     loop = ProcessLoop(lambda: None, np.array(robot.description.arm.ready_position))
     with pytest.raises(LoopError, match=r"could not start: .*lambda"):
         loop.start()
     loop.stop()
 
 
-def test_an_error_in_the_child_arrives_with_its_traceback(make_loop):
+def test_error_in_the_child_arrives_with_its_traceback(make_loop):
     loop = make_loop(Fragile)
     loop.send(Pull(tuple(loop.latest().p_ee)))
     wait_for(lambda: loop.error is not None)
@@ -132,14 +132,14 @@ def test_an_error_in_the_child_arrives_with_its_traceback(make_loop):
     assert "in step" in str(loop.error.__cause__)
 
 
-def test_an_error_that_cannot_be_pickled_arrives_as_its_text(robot):
+def test_error_that_cannot_be_pickled_arrives_as_text(robot):
     loop = ProcessLoop(fail_to_make, np.array(robot.description.arm.ready_position))
     with pytest.raises(LoopError, match="StubbornError: this and that"):
         loop.start()
     loop.stop()
 
 
-def test_history_is_in_order_and_begins_anew_when_time_goes_back(robot):
+def test_history_is_ordered_and_restarts_when_time_goes_back(robot):
     snapshot = ScriptedLoop(robot).latest()
     history = History()
     for t in (0.0, 0.02, 0.04, 0.04, 0.06):

@@ -1,4 +1,4 @@
-"""`dbb reach`: its output, its files and its refusals."""
+"""`dbb reach`: its output, its files and its errors."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def quick(monkeypatch):
 
 
 def fine(robot: RobotModel, body: str) -> ReachMap:
-    """As the command makes it."""
+    """The map of the command."""
     return sample_reach_map(robot, body, samples=FEW, spacing=FINE_SPACING)
 
 
 @pytest.fixture
 def dbb(capfd, monkeypatch):
-    """Runs the command line in this process; gives status, standard output and error."""
+    """Run the command line in this process; return status, standard output and standard error."""
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # pytest owns the logging here
 
     def run(*args: str) -> tuple[int, str, str]:
@@ -45,7 +45,7 @@ def dbb(capfd, monkeypatch):
     return run
 
 
-def test_json_holds_the_fit_beside_the_papers_and_the_descriptions(dbb, robot: RobotModel):
+def test_json_contains_the_fit_and_the_values_of_paper_and_description(dbb, robot: RobotModel):
     status, out, _ = dbb("reach", "--json")
     assert status == 0
     result = json.loads(out)
@@ -64,7 +64,7 @@ def test_json_holds_the_fit_beside_the_papers_and_the_descriptions(dbb, robot: R
         assert 0.5 < figures["r_squared"] <= 1.0
 
 
-def test_people_are_told_the_same_of_the_body_they_ask_for(dbb):
+def test_the_text_output_reports_only_the_requested_body(dbb):
     status, out, _ = dbb("reach", "--body", "lEE")
     assert status == 0
     assert "525.9" in out
@@ -99,7 +99,7 @@ def test_out_writes_the_map_and_its_shells(dbb, tmp_path, robot):
         (["--out", "/dev/null/x"], ["--out"]),
     ],
 )
-def test_what_cannot_be_done_is_one_clear_line(dbb, args, words):
+def test_each_wrong_option_gives_one_clear_line(dbb, args, words):
     status, out, err = dbb("reach", *args, "--json")
     assert (status, out) == (2, "")
     assert len(err.splitlines()) == 1

@@ -1,4 +1,4 @@
-"""(9) fitted to a map: known coefficients come back."""
+"""(9) fitted to a map recovers known coefficients."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from app.border.score import fit_parabola, radial_profile
 
 KNOWN = (525.9, 0.575, 100.0)  # [1/m², m, -] paper, §2.3.2
-EDGES = (0.151, 0.999)  # [m] where (9) with them is 5 or more
+EDGES = (0.151, 0.999)  # [m] where (9) with KNOWN is at least 5
 
 
 def ball(count: int, radius: float = 1.4, seed: int = 0) -> np.ndarray:
@@ -17,12 +17,12 @@ def ball(count: int, radius: float = 1.4, seed: int = 0) -> np.ndarray:
 
 
 def parabola(rho: np.ndarray, A: float, B: float, C: float) -> np.ndarray:
-    """(9), zero beyond its roots as a map is."""
+    """(9), zero beyond its roots as in a map."""
     return np.maximum(C - A * (rho - B) ** 2, 0.0)
 
 
 @pytest.mark.parametrize("known", [KNOWN, (380.0, 0.64, 88.0), (1000.0, 0.4, 60.0)])
-def test_known_coefficients_come_back_exactly_where_all_is_above_zero(known):
+def test_fit_of_positive_values_recovers_the_coefficients_exactly(known):
     A, B, C = known
     half = np.sqrt(0.9 * C / A)
     rho = np.linspace(B - half, B + half, 500)
@@ -33,7 +33,7 @@ def test_known_coefficients_come_back_exactly_where_all_is_above_zero(known):
     np.testing.assert_allclose(fit.at(rho), parabola(rho, *known), rtol=1e-8)
 
 
-def test_the_zeros_beyond_the_reach_do_not_count():
+def test_zeros_beyond_the_reach_are_ignored():
     rho = ball(200_000)
     fit = fit_parabola(rho, parabola(rho, *KNOWN))
     np.testing.assert_allclose(fit[:3], KNOWN, rtol=0.02)
@@ -41,15 +41,15 @@ def test_the_zeros_beyond_the_reach_do_not_count():
     assert fit.points < len(rho) / 2
 
 
-def test_a_map_that_only_falls_has_no_best_distance():
-    """As of a short arm on a lift, which is far from its mount nearly always."""
+def test_monotonic_map_has_no_best_distance():
+    """As for a short arm on a lift, which is nearly always far from its mount."""
     rho = np.linspace(0.1, 0.6, 500)
     with pytest.raises(ValueError, match="both sides of a best distance"):
         fit_parabola(rho, parabola(rho, 100.0, -0.5, 200.0))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_noise_of_counting_leaves_the_coefficients_and_lowers_the_share_of_single_positions(seed):
+def test_counting_noise_keeps_the_coefficients_and_lowers_pointwise_fit(seed):
     """Each value is a mean of few counts, as in a map."""
     rho = ball(50_000, seed=seed)
     rng = np.random.default_rng(seed)
@@ -60,7 +60,7 @@ def test_noise_of_counting_leaves_the_coefficients_and_lowers_the_share_of_singl
     assert fit.r_squared_positions < 0.6
 
 
-def test_stray_values_apart_from_the_reach_do_not_count():
+def test_stray_values_beyond_the_reach_are_ignored():
     rho = ball(100_000)
     values = parabola(rho, *KNOWN)
     plain = fit_parabola(rho, values)
@@ -68,7 +68,7 @@ def test_stray_values_apart_from_the_reach_do_not_count():
     assert fit_parabola(rho, values) == plain
 
 
-def test_a_scale_of_the_map_is_the_scale_of_A_and_C_alone():
+def test_scaling_the_map_scales_only_A_and_C():
     rho = ball(50_000)
     values = parabola(rho, *KNOWN) + 3 * np.random.default_rng(0).random(len(rho))
     one, seven = fit_parabola(rho, values), fit_parabola(rho, 7 * values)
@@ -79,7 +79,7 @@ def test_a_scale_of_the_map_is_the_scale_of_A_and_C_alone():
     assert seven.rms == pytest.approx(7 * one.rms)
 
 
-def test_the_fit_is_the_best_of_all_parabolas_over_its_range():
+def test_fit_has_the_least_squared_error_over_its_range():
     rho = ball(20_000)
     values = parabola(rho, *KNOWN) ** 1.3
     fit = fit_parabola(rho, values)
@@ -104,12 +104,12 @@ def test_the_fit_is_the_best_of_all_parabolas_over_its_range():
         (np.linspace(0.3, 0.9, 60), np.linspace(0.3, 0.9, 60) ** 2 + 1, "does not decrease"),
     ],
 )
-def test_what_no_concave_parabola_describes_is_refused(rho, reach, words):
+def test_data_without_concave_parabola_are_rejected(rho, reach, words):
     with pytest.raises(ValueError, match=words):
         fit_parabola(np.array(rho), np.array(reach))
 
 
-def test_a_profile_is_the_mean_and_spread_of_each_shell():
+def test_profile_is_mean_and_spread_of_each_shell():
     rho = ball(2000)
     values = np.random.default_rng(1).random(2000)
     profile = radial_profile(rho, values, 0.1)

@@ -1,4 +1,4 @@
-"""History of the page: paths, results of scenarios, and the time line."""
+"""History of the page: paths, results of scenarios, and the timeline."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def snapshot():
 
 
 class Past:
-    """Snapshots of a loop, and the stored ones."""
+    """The history of a loop with one recorder of its snapshots."""
 
-    def __init__(self, snapshot, keeper):
+    def __init__(self, snapshot, recorder):
         self._snapshots = [snapshot]
         self._data = SceneData(self, husky_panda(), {}, parts=object())
-        self._data.keepers = [keeper]
+        self._data.keepers = [recorder]
 
     def extend(self, snapshots):
         self._snapshots = snapshots
@@ -65,10 +65,8 @@ def test_a_path_has_points_at_least_a_spacing_apart_in_bounded_memory(snapshot, 
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.0, 0.0), (0.0, 0.02), (0.3, 0.5)])
-def test_a_run_that_is_as_old_as_the_one_before_when_it_is_seen_begins_anew(
-    snapshot, before, after
-):
-    """As a scenario with a door that is followed, while it is prepared, by one without."""
+def test_a_new_run_is_detected_even_if_its_time_is_not_smaller(snapshot, before, after):
+    """For example a scenario with a door that another one without a door replaces."""
     strip = Strip(husky_panda().body_names)
     past = Past(snapshot, strip)
     door = snapshot.pairs[0]._replace(name="lm-door")
@@ -78,7 +76,7 @@ def test_a_run_that_is_as_old_as_the_one_before_when_it_is_seen_begins_anew(
     assert past.last == after
 
 
-def test_what_begins_anew_while_it_is_read_is_taken_by_the_next_look(snapshot):
+def test_a_run_that_starts_during_a_read_is_recorded_by_the_next_read(snapshot):
     strip = Strip(husky_panda().body_names)
     past = Past(snapshot, strip)
     old, new = replace(snapshot, t=1.0, run=1), replace(snapshot, t=1.5, run=2)
@@ -90,7 +88,7 @@ def test_what_begins_anew_while_it_is_read_is_taken_by_the_next_look(snapshot):
     assert (strip.runs, past.last) == (2, 1.5)
 
 
-def test_snapshots_told_twice_are_taken_once_and_a_restart_begins_anew(snapshot, track):
+def test_repeated_snapshots_count_once_and_a_restart_clears_the_path(snapshot, track):
     past = Past(snapshot, track)
     assert track.until(1.0).shape == (0, 3)
     past.extend(run(snapshot, 0.0, 5.0))
@@ -101,7 +99,7 @@ def test_snapshots_told_twice_are_taken_once_and_a_restart_begins_anew(snapshot,
     assert track.until(10.0)[-1, 0] == pytest.approx(0.2, abs=SPACING)
 
 
-def led(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
+def at_time(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
     first, *others = snapshot.pairs
     return replace(
         snapshot,
@@ -115,17 +113,20 @@ def led(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
 
 
 @pytest.mark.parametrize(("d", "result"), [(0.03, "no contact"), (-0.004, "overlap")])
-def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
+def test_a_scenario_shows_its_progress_and_then_its_figures(snapshot, d, result):
     course = Course()
     past = Past(snapshot, course)
     assert course_html(course, "") == ""
-    run = [led(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0), led(snapshot, 4.0, "way-out")]
-    past.extend([led(snapshot, 0.0, "way-out"), *run])
+    run = [
+        at_time(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0),
+        at_time(snapshot, 4.0, "way-out"),
+    ]
+    past.extend([at_time(snapshot, 0.0, "way-out"), *run])
     text = course_html(course, "")
     assert "The robot starts inside a buffer" in text
     assert "width:50%" in text
     assert "4.0 of 8 s" in text
-    past.extend([led(snapshot, 7.98, "way-out"), led(snapshot, 8.0, "", d=-1.0, x=9.0)])
+    past.extend([at_time(snapshot, 7.98, "way-out"), at_time(snapshot, 8.0, "", d=-1.0, x=9.0)])
     text = course_html(course, "")
     for part in (
         f"way-out ended: {result}<",
@@ -145,53 +146,53 @@ def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
         ((0.3, -0.01, 0.3), "overlap"),
     ],
 )
-def test_who_begins_in_contact_and_leaves_it_has_not_met_anything(snapshot, distances, result):
+def test_leaving_an_initial_contact_is_not_an_overlap(snapshot, distances, result):
     course = Course()
-    shown = [led(snapshot, float(t), "way-out", d=d) for t, d in enumerate(distances)]
-    Past(snapshot, course).extend([*shown, led(snapshot, 8.0, "")])
+    shown = [at_time(snapshot, float(t), "way-out", d=d) for t, d in enumerate(distances)]
+    Past(snapshot, course).extend([*shown, at_time(snapshot, 8.0, "")])
     assert f": {result}<" in course_html(course, "")
 
 
-def test_contact_is_what_the_plant_reports(snapshot):
+def test_contact_is_reported_by_the_plant(snapshot):
     course = Course()
-    touching = replace(led(snapshot, 1.0, "way-out"), floor_contact=True)
-    Past(snapshot, course).extend([led(snapshot, 0.0, "way-out"), touching])
+    touching = replace(at_time(snapshot, 1.0, "way-out"), floor_contact=True)
+    Past(snapshot, course).extend([at_time(snapshot, 0.0, "way-out"), touching])
     assert course.outcome == "contact"
 
 
-def test_a_scenario_that_is_in_no_list_has_no_description(snapshot):
+def test_an_unlisted_scenario_has_no_description(snapshot):
     course = Course()
-    Past(snapshot, course).extend([led(snapshot, 1.0, "of-a-case")])
+    Past(snapshot, course).extend([at_time(snapshot, 1.0, "of-a-case")])
     assert ">.<" not in course_html(course, "")
 
 
 @pytest.mark.parametrize("missing", [0.02, 0.3])
 def test_a_scenario_whose_last_snapshots_are_missing_has_ended(snapshot, missing):
-    """A busy machine skips snapshots: only an earlier free one says that it was stopped."""
+    """A busy machine skips snapshots; only an earlier one without a scenario means a stop."""
     course = Course()
     past = Past(snapshot, course)
-    past.extend([led(snapshot, 8.0 - missing, "guiding-front"), led(snapshot, 8.0, "")])
+    past.extend([at_time(snapshot, 8.0 - missing, "guiding-front"), at_time(snapshot, 8.0, "")])
     assert "guiding-front ended: no contact" in course_html(course, "")
 
 
-def test_who_takes_the_hand_ends_a_scenario_early_and_a_beginning_forgets_it(snapshot):
+def test_an_early_end_is_reported_as_a_stop_and_cleared_by_a_reset(snapshot):
     course = Course()
     past = Past(snapshot, course)
-    past.extend([led(snapshot, 3.0, "guiding-front"), led(snapshot, 3.02, "")])
+    past.extend([at_time(snapshot, 3.0, "guiding-front"), at_time(snapshot, 3.02, "")])
     assert "guiding-front stopped at 3.0 s" in course_html(course, "")
     assert "Preparing refrigerator" in course_html(course, "preparing refrigerator")
-    past.extend([led(snapshot, 0.0, "")])
+    past.extend([at_time(snapshot, 0.0, "")])
     assert course_html(course, "") == course.name == ""
 
 
 def near(snapshot, t, d, **more):
-    """The first pair at a distance, in force below 0.15 m."""
+    """A snapshot with the first pair at distance d [m]; its buffer is 0.15 m."""
     first, *others = snapshot.pairs
     pair = first._replace(d=d, beta=max(0.0, 1.0 - d / 0.15))
     return replace(snapshot, t=t, pairs=(pair, *others), beta_m=pair.beta, **more)
 
 
-def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
+def test_the_timeline_stores_extremes_and_each_event_once(snapshot):
     strip = Strip(husky_panda().body_names)
     past = Past(snapshot, strip)
     tuned = snapshot.config.replace("force.f_max", 200.0)
@@ -199,7 +200,7 @@ def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
     run = [
         near(snapshot, 0.0, 0.2),
         near(snapshot, 0.02, 0.1, pulls=(pull,)),
-        near(snapshot, 0.04, 0.2),  # out, and in again at once: the same event goes on
+        near(snapshot, 0.04, 0.2),  # out and in again at once is still the same event
         near(snapshot, 0.06, -0.01),
         near(snapshot, 0.08, 0.2, config=tuned),
         near(snapshot, 3.0, 0.1, scenario="way-out"),
@@ -209,8 +210,8 @@ def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
     assert strip.nearest is run[3]
     assert strip.hardest is run[1]
     assert list(strip.past) == [run[3]]
-    told = [(event.t, event.kind, event.text) for event in strip.events.values()]
-    assert told == [
+    events = [(event.t, event.kind, event.text) for event in strip.events.values()]
+    assert events == [
         (0.02, "person", "a person pulls the robot"),
         (0.02, "buffer", "hand – base inside the buffer"),
         (0.04, "person", "a person releases the robot"),
@@ -224,7 +225,7 @@ def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
     assert (len(strip.rows), len(strip.events), strip.runs) == (0, 0, 1)
 
 
-def test_the_strip_is_bounded_in_memory(snapshot):
+def test_the_timeline_is_bounded_in_memory(snapshot):
     strip = Strip(husky_panda().body_names)
     past = Past(snapshot, strip)
     for k in range(8000):

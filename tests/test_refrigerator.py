@@ -1,4 +1,4 @@
-"""The refrigerator: its options, the door as a body of the arm, the door in physics, whole runs."""
+"""The refrigerator: options, the door as a body of the arm, the door in physics, whole runs."""
 
 from __future__ import annotations
 
@@ -70,18 +70,18 @@ def make():
 
 @pytest.fixture(scope="module")
 def setting(robot: RobotModel, border_data: BorderData) -> Setting:
-    """Where the default scenario begins."""
+    """The initial state of the default scenario."""
     return RefrigeratorScenario().setting(robot, border_data, Config(), 0)
 
 
 def hold(state: RobotState, q_m: Array) -> Array:
-    """Torques that keep a posture of the arm."""
+    """Torques that hold a posture of the arm."""
     m, M_aa = state.measurement, state.M[2:, 2:]
     return state.h[2:] + M_aa @ (400.0 * (q_m - m.q_m) - 40.0 * m.qd_m)
 
 
 def run(plant, seconds: float, torques: Callable[[RobotState], Array]) -> Contacts:
-    """Go on for a while; gives the contacts seen."""
+    """Simulate for `seconds`; returns the contacts during that time."""
     state, seen = RobotState(MODEL), Contacts()
     for _ in range(round(seconds / DT)):
         state.update(plant.measure())
@@ -93,7 +93,7 @@ def run(plant, seconds: float, torques: Callable[[RobotState], Array]) -> Contac
 def session_of(
     setting: Setting, robot: RobotModel, controller: str = "dbb", physics: str = "planar"
 ) -> Session:
-    """At the beginning."""
+    """A session in the initial state of the setting."""
     session = Session(
         setting.model,
         setting.data,
@@ -108,12 +108,12 @@ def session_of(
 
 
 def transform(T: pin.SE3) -> coal.Transform3s:
-    """A pose as coal has it."""
+    """A pose in coal's type."""
     return coal.Transform3s(T.rotation, T.translation)
 
 
 def off_the_door(state: RobotState, door: Door, angle: float) -> Array:
-    """(6,) [m] and [rad] from the door that the controller knows to the true one."""
+    """(6,) [m] and [rad] deviation of the controller's door from the true one."""
     body = state.model.description.bodies[-1]
     frame = state.model.pin.frames[state.model.pin.getFrameId(body.frame)]
     known = state.data.oMi[frame.parentJoint] * frame.placement * body.shapes[0].placement()
@@ -125,7 +125,7 @@ def off_the_door(state: RobotState, door: Door, angle: float) -> Array:
 
 
 @pytest.mark.parametrize("name", _RANGES)
-def test_an_option_out_of_range_is_refused_with_its_name_and_the_range(name: str):
+def test_option_out_of_range_is_rejected_with_name_and_range(name: str):
     low, high, unit = _RANGES[name]
     scenario, span = RefrigeratorScenario(), high - low
     for value in (low, high, (low + high) / 2):
@@ -137,12 +137,12 @@ def test_an_option_out_of_range_is_refused_with_its_name_and_the_range(name: str
         assert f"not within {low:g} to {high:g} {unit}" in str(caught.value)
 
 
-def test_a_hinge_that_is_neither_left_nor_right_is_refused():
+def test_invalid_hinge_side_is_rejected():
     with pytest.raises(ConfigError, match="--hinge: 'top' is not one of left, right"):
         RefrigeratorScenario().changed(hinge="top")
 
 
-def test_the_plant_without_doors_says_which_have_them():
+def test_plant_without_door_error_lists_plants_with_doors():
     with pytest.raises(
         ConfigError, match="kinematic has no door; choose planar, mujoco or mujoco-contact"
     ):
@@ -150,7 +150,7 @@ def test_the_plant_without_doors_says_which_have_them():
 
 
 @pytest.mark.slow
-def test_a_handle_out_of_reach_is_refused_with_both_places(
+def test_handle_out_of_reach_is_rejected_with_both_positions(
     robot: RobotModel, border_data: BorderData
 ):
     far = RefrigeratorScenario().changed(base=(-2.0, 0.0, 0.0))
@@ -164,7 +164,7 @@ def test_a_handle_out_of_reach_is_refused_with_both_places(
 
 
 @pytest.mark.parametrize("width", [0.45, 0.6, 0.75])
-def test_a_mirrored_door_mirrors_base_and_handle(width: float):
+def test_mirrored_door_mirrors_base_and_handle(width: float):
     left = RefrigeratorScenario().changed(door_width=width)
     right = left.changed(hinge="right")
     np.testing.assert_allclose(right.base_pose, left.base_pose * [1, -1, -1], atol=1e-12)
@@ -190,7 +190,7 @@ def test_base_and_handle_turn_and_move_with_the_door(hinge: str):
 
 
 @pytest.mark.parametrize("hinge", ["left", "right"])
-def test_the_handle_goes_round_the_hinge_towards_who_opens_it(hinge: str):
+def test_handle_moves_on_a_circle_about_the_hinge_towards_the_robot(hinge: str):
     door = a_door(hinge=hinge, yaw=0.8)
     places = np.array([door.handle(angle).translation for angle in np.linspace(0, 1.4, 15)])
     away = places[:, :2] - door.hinge_position
@@ -203,7 +203,7 @@ def test_the_handle_goes_round_the_hinge_towards_who_opens_it(hinge: str):
         np.testing.assert_allclose(door.radial(place), to_hinge / door.handle_radius, atol=1e-12)
 
 
-def test_holding_a_door_adds_one_pair_and_leaves_the_rest(
+def test_door_adds_one_pair_and_leaves_the_others_unchanged(
     robot: RobotModel, border_data: BorderData
 ):
     door = a_door()
@@ -221,10 +221,10 @@ def test_holding_a_door_adds_one_pair_and_leaves_the_rest(
 
 
 @pytest.mark.slow
-def test_the_hand_starts_at_the_handle_with_every_pair_outside_its_buffer(
+def test_end_effector_starts_at_the_handle_with_all_pairs_outside_buffers(
     robot: RobotModel, setting: Setting
 ):
-    """And of the robot with the door the controller's is where the plant's is."""
+    """The controller's door coincides with the plant's."""
     assert setting.door is not None
     door = setting.door.door
     state = RobotState(setting.model)
@@ -238,7 +238,7 @@ def test_the_hand_starts_at_the_handle_with_every_pair_outside_its_buffer(
     session.close()
     distances = {pair.b: d for pair, d in zip(step.control.pairs, step.distances, strict=True)}
     assert min(distances.values()) > Config().border.d_b
-    # The base's front from the door's face, which the hyper-ellipsoid bulges a little.
+    # From the base's front to the door's face; the hyper-ellipsoid bulges a little.
     gap = door.hinge_position[0] - door.thickness / 2 - setting.base_pose[0] - 0.495
     assert gap - 0.03 < distances[BODY] < gap + 0.01
     np.testing.assert_allclose(off_the_door(state, door, 0.0), 0.0, atol=1e-3)
@@ -249,11 +249,11 @@ def test_the_hand_starts_at_the_handle_with_every_pair_outside_its_buffer(
 
 @pytest.mark.parametrize("kind", PLANTS_WITH_DOORS)
 @pytest.mark.parametrize("hinge", ["left", "right"])
-def test_a_reset_puts_the_door_where_it_starts(make, kind: str, hinge: str):
+def test_reset_restores_the_initial_door_angle(make, kind: str, hinge: str):
     for angle in (0.0, 0.6):
         plant = make(kind, a_door(hinge=hinge, friction=0.0), angle)
         assert plant.door.angle() == pytest.approx(angle, abs=1e-9)
-        run(plant, 0.3, lambda state: hold(state, READY + 0.2))  # it swings, and so does the door
+        run(plant, 0.3, lambda state: hold(state, READY + 0.2))  # moves arm and door
         assert abs(plant.door.angle() - angle) > 1e-3
         plant.reset(HOME, READY)
         assert plant.door.angle() == pytest.approx(angle, abs=1e-9)
@@ -262,8 +262,8 @@ def test_a_reset_puts_the_door_where_it_starts(make, kind: str, hinge: str):
 
 
 @pytest.mark.parametrize("hinge_position", [(1.0, 0.1), (0.1, 0.2)])
-def test_a_base_with_a_door_stands_as_level_as_without(make, hinge_position):
-    """It settles before the refrigerator is there, wherever that will stand."""
+def test_base_with_a_door_stands_level(make, hinge_position):
+    """The base settles before the refrigerator is placed."""
     at = np.array([hinge_position[0] - 1.0, hinge_position[1] - 0.1, 0.5])
     plant = make("mujoco-contact", a_door(hinge_position=hinge_position), 0.3, base=at)
     for _ in range(2):
@@ -283,7 +283,7 @@ def test_friction_holds_the_door_at_rest(make, kind: str):
 
 @pytest.fixture(params=["planar", "mujoco"])
 def at_handle(make, setting: Setting, request):
-    """Makes a planar plant with the hand at the handle of a door with some friction [N m]."""
+    """Makes a plant with the end-effector at the handle of a door with this friction [N m]."""
 
     def at_handle(friction: float):
         assert setting.door is not None
@@ -295,7 +295,9 @@ def at_handle(make, setting: Setting, request):
 
 
 def pushing(force, torque=(0.0, 0.0, 0.0)) -> Callable[[RobotState], Array]:
-    """Torques of a compensated, damped arm that exerts this at its hand, in the world."""
+    """Torques of a compensated, damped arm whose end-effector exerts this wrench, in the world
+    frame.
+    """
     w = np.array([*force, *torque], dtype=float)
     return lambda state: state.g[2:] - 8.0 * state.qd[2:] + state.J_ee[:, 2:].T @ w
 
@@ -311,8 +313,8 @@ def pushing(force, torque=(0.0, 0.0, 0.0)) -> Callable[[RobotState], Array]:
         ((0.0, 0.0, 0.0), (1.0, -1.5, 0.0)),
     ],
 )
-def test_the_wrench_is_what_the_arms_torques_exert_on_a_door_that_stays(at_handle, force, torque):
-    """J^T of it equals the joints' torques beyond gravity, including the sign."""
+def test_wrench_of_a_blocked_door_matches_the_arms_torques(at_handle, force, torque):
+    """Jᵀ of the wrench equals the joint torques beyond gravity, including the sign."""
     plant = at_handle(50.0)
     run(plant, 1.5, pushing(force, torque))
     wrench = plant.door.wrench()
@@ -322,8 +324,8 @@ def test_the_wrench_is_what_the_arms_torques_exert_on_a_door_that_stays(at_handl
 
 
 @pytest.mark.slow
-def test_the_door_opens_as_soon_as_the_pull_overcomes_the_hinges_friction(at_handle):
-    """At a moment of 2 N m; the board's handle is 0.54 m across the pull from the hinge."""
+def test_door_opens_only_if_the_pull_exceeds_the_hinges_friction(at_handle):
+    """With a friction of 2 N m; the lever of the pull about the hinge is 0.54 m."""
     for share, opens in ((0.7, False), (1.6, True)):
         plant = at_handle(2.0)
         run(plant, 3.0, pushing((-share * 2.0 / 0.54, 0.0, 0.0)))
@@ -332,8 +334,8 @@ def test_the_door_opens_as_soon_as_the_pull_overcomes_the_hinges_friction(at_han
 
 
 @pytest.mark.parametrize("kind", PLANTS_WITH_DOORS)
-def test_the_door_passes_through_the_arm_without_a_contact(make, kind: str):
-    """Only the base can be hit: the board stands across the arm, and nothing happens."""
+def test_door_passes_through_the_arm_without_contact(make, kind: str):
+    """The door is placed across the arm; only the base can touch it."""
     door = a_door(hinge_position=(0.6, 0.3))
     plant = make(kind, door)
     hulls, pose = collision_shapes(MODEL), door.pose(0.0) * pin.SE3(np.eye(3), door.centre)
@@ -362,7 +364,7 @@ def test_the_door_passes_through_the_arm_without_a_contact(make, kind: str):
 
 @pytest.mark.parametrize("kind", PLANTS_WITH_DOORS)
 @pytest.mark.parametrize("hinge", ["left", "right"])
-def test_a_door_that_meets_the_base_is_a_contact_of_door_and_base(make, kind: str, hinge: str):
+def test_door_on_the_base_is_a_contact_of_door_and_base(make, kind: str, hinge: str):
     side = 1.0 if hinge == "left" else -1.0
     door = a_door(hinge=hinge, hinge_position=(1.0, 0.1 * side))
     assert door.pose(math.radians(85)).act(np.array([0, -side * door.width, 0]))[0] < 0.495
@@ -375,15 +377,15 @@ def test_a_door_that_meets_the_base_is_a_contact_of_door_and_base(make, kind: st
 
 
 def refrigerator_x(plant) -> float:
-    """[m] of its body's middle, as the engine has it."""
+    """[m] x coordinate of the refrigerator's centre, from the engine."""
     if isinstance(plant.door, MujocoDoor):
         return float(plant.world.data.joint("refrigerator").qpos[0])
     return plant.world.client.getBasePositionAndOrientation(plant.door.body)[0][0]
 
 
 @pytest.mark.parametrize("kind", ["planar", "mujoco"])
-def test_a_base_that_drives_on_pushes_door_and_refrigerator_along(make, kind: str):
-    """The contact acts: of a door whose hinge holds fast, the edge stays before the base."""
+def test_driving_base_pushes_door_and_refrigerator(make, kind: str):
+    """With a blocked hinge the door's edge stays in front of the base."""
     plant = make(kind, a_door(hinge_position=(1.1, 0.1), friction=5000.0), math.radians(60))
     state, seen, bases, bodies = RobotState(MODEL), [], [], []
     for _ in range(2000):
@@ -403,10 +405,8 @@ def test_a_base_that_drives_on_pushes_door_and_refrigerator_along(make, kind: st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "mujoco"])
-def test_the_hand_holds_the_door_firmly_while_it_opens(
-    robot: RobotModel, setting: Setting, kind: str
-):
-    """The controller's body and the plant's door stay together; a fast opening."""
+def test_grasp_stays_firm_while_the_door_opens(robot: RobotModel, setting: Setting, kind: str):
+    """The controller's door and the plant's door coincide, even in a fast opening."""
     scenario = RefrigeratorScenario().changed(opening_rate=6.0)
     session = session_of(setting, robot, physics=kind)
     driver, state = scenario.driver(session), RobotState(setting.model)
@@ -428,7 +428,7 @@ def test_the_hand_holds_the_door_firmly_while_it_opens(
 def whole_run(
     robot: RobotModel, setting: Setting, controller: str, ends: Callable[[Step], bool]
 ) -> tuple[dict[str, Any], list[Step]]:
-    """Figures and every hundredth step, at twice the paper's rate; at the latest at 21 s."""
+    """Figures and every hundredth step, at twice the paper's rate, for at most 21 s."""
     session = session_of(setting, robot, controller)
     scenario = RefrigeratorScenario()
     faster = scenario.changed(opening_rate=2 * scenario.opening_rate)
@@ -450,7 +450,7 @@ def opening(step: Step) -> float:
 
 
 def overlaps(step: Step) -> bool:
-    """Whether door and base have met."""
+    """Whether door and base have overlapped by more than 1 mm."""
     pairs = zip(step.control.pairs, step.distances, strict=True)
     return next(d for pair, d in pairs if pair.b == BODY) < -1e-3
 
@@ -459,7 +459,7 @@ def overlaps(step: Step) -> bool:
 def test_with_avoidance_the_door_opens_and_the_base_backs_off_clockwise(
     robot: RobotModel, setting: Setting
 ):
-    """§4.2.3: no contact, open by 80° at half of 40 s, the base leaves from half of 20 s on."""
+    """§4.2.3 at half the time: open by 80° within 40/2 s, the base moves from about 20/2 s on."""
     figures, trace = whole_run(
         robot, setting, "dbb", lambda step: opening(step) > math.radians(80.5)
     )
@@ -478,9 +478,9 @@ def test_with_avoidance_the_door_opens_and_the_base_backs_off_clockwise(
         w = step.control
         i = [pair.b for pair in w.pairs[: w.n_mob]].index(BODY)
         apart = np.linalg.norm(w.p_b[i] - w.p_a[i])
-        assert np.isnan(w.p_act[i, 0]) or abs(apart - w.d[i]) < 0.005  # [m] of a flat face
+        assert np.isnan(w.p_act[i, 0]) or abs(apart - w.d[i]) < 0.005  # [m] for a flat face
     back = [step.measurement.base_pose[0] for step in trace]
-    assert np.diff(back).max() < 1e-3  # [m] it never turns round
+    assert np.diff(back).max() < 1e-3  # [m] the base never reverses
     moved = trace[-1].measurement.base_pose - setting.base_pose
     assert moved[0] < -0.1  # [m] back, along the closed door's x axis
     assert moved[2] < math.radians(-1)
@@ -489,8 +489,8 @@ def test_with_avoidance_the_door_opens_and_the_base_backs_off_clockwise(
 
 
 @pytest.mark.slow
-def test_without_avoidance_the_door_meets_the_base(robot: RobotModel, setting: Setting):
-    """§4.2.3: at half of about 30 s; the base has not moved."""
+def test_without_avoidance_the_door_hits_the_base(robot: RobotModel, setting: Setting):
+    """§4.2.3 at half the time: after about 30/2 s, with the base at rest."""
     figures, trace = whole_run(robot, setting, "none", overlaps)
     assert 12.5 < figures["door_met_base_s"] < 17.5
     assert figures["door_opened_80deg_at_s"] is None

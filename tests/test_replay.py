@@ -1,4 +1,4 @@
-"""A replay is one file that plays in a browser without any network."""
+"""A replay is one file that plays in a browser without a network."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PLACE = "() => dbbPage.viewer().nodePoseData['/robot']?.position ?? null"
 
 @pytest.fixture(scope="module")
 def replay(tmp_path_factory) -> Path:
-    """The page of a second and a half in which the base backs off, by the commands."""
+    """The page of 1.5 s in which the base moves backwards, made by the commands."""
     folder = tmp_path_factory.mktemp("replay")
     run = ["run", "guiding-front", "--duration", "1.5", "--physics", "kinematic"]
     main([*run, "--log", str(folder / "run.parquet"), "--json"])
@@ -30,7 +30,7 @@ def replay(tmp_path_factory) -> Path:
     return folder / "run.html"
 
 
-def test_dbb_replay_of_no_log_is_one_clear_line(tmp_path, capsys):
+def test_dbb_replay_reports_a_missing_or_damaged_log_on_one_line(tmp_path, capsys):
     (tmp_path / "log.csv").write_text("t_s\n0\n")
     for name, out, words in (
         ("none.csv", "a.html", "no such file"),
@@ -46,7 +46,7 @@ def test_dbb_replay_of_no_log_is_one_clear_line(tmp_path, capsys):
 
 
 @pytest.mark.browser
-def test_it_plays_from_a_file_with_the_network_off(browser, replay):
+def test_a_replay_plays_from_a_file_without_a_network(browser, replay):
     requests, errors = [], []
     context = new_context(browser, (640, 480))
     context.set_offline(True)
@@ -63,8 +63,8 @@ def test_it_plays_from_a_file_with_the_network_off(browser, replay):
         if np.ptp([p[0] for p in places if p]) > 0.05:
             break
     x = [p[0] for p in places if p]
-    assert np.ptp(x) > 0.05, "the base moves"  # [m]
-    assert min(x) < -0.05, "backwards"
+    assert np.ptp(x) > 0.05, "the base does not move"  # [m]
+    assert min(x) < -0.05, "the base does not move backwards"
     for node in ("/robot/border_lm-lEE", "/trails/hand", "/distances", "/acting", "/person"):
         assert page.evaluate("name => dbbPage.has(name)", node), node
     context.close()
@@ -72,8 +72,8 @@ def test_it_plays_from_a_file_with_the_network_off(browser, replay):
     assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
 
 
-def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
-    """The same run seven times over, each time from its beginning."""
+def test_a_replay_of_ten_seconds_is_smaller_than_ten_megabytes(tmp_path, replay, capsys):
+    """The log repeats the same run seven times."""
     log = read_trace(replay.with_suffix(".parquet"))
     rows = [replace(s, t=s.t + 1.5 * k) for k in range(7) for s in log.snapshots]
     again = Trace.of_snapshots(husky_panda(), rows, scenario=log.meta.scenario)
@@ -82,9 +82,9 @@ def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
     capsys.readouterr()
     look = ("--light", "--layer", "reachability")
     main(["replay", str(tmp_path / "long.csv"), "--out", str(page), *look, "--json"])
-    told = json.loads(capsys.readouterr().out)
-    assert told["duration_s"] == pytest.approx(10.48)
-    assert told["size_bytes"] == page.stat().st_size
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["duration_s"] == pytest.approx(10.48)
+    assert printed["size_bytes"] == page.stat().st_size
     assert 0.5e6 < page.stat().st_size < 10e6
     text = page.read_text(encoding="utf-8")
     assert "<title>husky_panda: guiding-front, " in text

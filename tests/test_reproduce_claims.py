@@ -1,4 +1,4 @@
-"""Claims hold with good figures and do not with bad ones; each has its threshold and its runs."""
+"""Claims hold with good figures and fail with bad ones; each has its threshold and its runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from app.studies.paper.experiments import (
 from app.studies.paper.report import FIGURES
 from tests.reproduction import sources_of, with_figures
 
-MEASURED_APART = {"density"}  # figures whose claims are measured by real runs, not read off them
+MEASURED_APART = {"density"}  # claims about these figures need their own measurements
 SMOOTH = {
     "avoidance_acceleration_jump_max": {"linear_mps2": 0.01, "angular_radps2": 0.01},
     "avoidance_acceleration_sign_changes": {"linear": 0, "angular": 1},
@@ -49,7 +49,7 @@ GOOD: dict[str, Any] = {
 
 
 class Log(dict[str, np.ndarray]):
-    """Some columns of a trace, the base's pose among them."""
+    """Some columns of a trace, including the base's pose."""
 
     def of(self, quantity: str) -> np.ndarray:
         assert quantity == "base_pose"
@@ -59,7 +59,7 @@ class Log(dict[str, np.ndarray]):
 def run(
     back: float = 0.3, turn: float = -0.2, beta_step: float = 0.001, **figures: Any
 ) -> RunResult:
-    """A run whose base goes straight back and turns, with these figures."""
+    """A run whose base moves straight back and turns, with these figures."""
     n = 200
     share = np.linspace(0.0, 1.0, n)
     beta = np.minimum(np.arange(n) * beta_step, 1.0)
@@ -75,7 +75,7 @@ def run(
 
 
 def good_runs() -> dict[Experiment, RunResult]:
-    """Runs by which the paper would be right in everything."""
+    """Runs with which every claim of the paper holds."""
     runs = {e: run() for claim in CLAIMS for e in claim.needs}
     runs[TRACKING_REPULSIVE] = run(ee_error_final_m=0.1)
     runs[TRACKING_NONE] = run(min_clearance_m=0.0)
@@ -89,7 +89,7 @@ JUDGED = [claim for claim in CLAIMS if claim.figure not in MEASURED_APART]
 
 
 @pytest.mark.parametrize("claim", JUDGED, ids=lambda claim: claim.paper[:40])
-def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
+def test_every_claim_holds_with_good_figures(claim: Claim, robot, border_data):
     row = claim.judge(sources_of(robot, border_data, good_runs()))
     assert row["holds"], row["measured"]
     assert row["limits"]
@@ -142,7 +142,7 @@ def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
         (DOOR, {"hand_force_max_n": 51.0}, claims.incomplete_knowledge),
     ],
 )
-def test_with_a_bad_figure_the_claim_does_not_hold(experiment, bad, fails, robot, border_data):
+def test_claim_does_not_hold_with_a_bad_figure(experiment, bad, fails, robot, border_data):
     runs = {**good_runs(), experiment: run(**bad)}
     assert not fails.judge(sources_of(robot, border_data, runs))["holds"]
 
@@ -158,7 +158,9 @@ def test_with_a_bad_figure_the_claim_does_not_hold(experiment, bad, fails, robot
     ],
 )
 @pytest.mark.parametrize("direction", ["lateral", "front"])
-def test_smooth_means_few_sign_changes_and_small_ones(method, bad, direction, robot, border_data):
+def test_smooth_requires_few_sign_changes_and_small_jumps(
+    method, bad, direction, robot, border_data
+):
     runs = {**good_runs(), GUIDING[method][direction]: run(**bad)}
     sources = sources_of(robot, border_data, runs)
     judged = {"dbb": claims.smooth_on_the_surface, "points": claims.smooth_on_points}
@@ -170,27 +172,27 @@ def test_smooth_means_few_sign_changes_and_small_ones(method, bad, direction, ro
     ("experiment", "claim"),
     [(LATERAL, claims.guided_laterally), (FRONT, claims.guided_from_the_front)],
 )
-def test_guiding_needs_clearance_and_a_base_that_moves(experiment, claim, robot, border_data):
+def test_guiding_claim_requires_clearance_and_base_motion(experiment, claim, robot, border_data):
     for bad in ({"min_clearance_m": 0.04}, {"base_displacement_m": 0.01}):
         runs = {**good_runs(), experiment: run(**bad)}
         assert not claim.judge(sources_of(robot, border_data, runs))["holds"]
 
 
 @pytest.mark.parametrize(("p99", "holds"), [(999.0, True), (1001.0, False)])
-def test_the_control_rate_is_judged_by_the_slow_steps_not_by_the_median(p99, holds, monkeypatch):
+def test_control_rate_is_judged_by_the_99th_percentile(p99, holds, monkeypatch):
     figures = {"step_p50_us": 100.0, "step_p99_us": p99}
     monkeypatch.setattr(claims.density, "run_at_50_000", lambda _: figures)
     assert claims.fast_enough.judge(None)["holds"] is holds
 
 
-def test_what_is_missing_or_no_number_does_not_hold():
+def test_missing_or_infinite_value_does_not_hold():
     for value in (None, float("nan"), float("inf")):
         for bound in ({"low": claims.CLEAR}, {"high": claims.CLEAR}):
             finding = claims.compare("x", "x_m", value, **bound)
             assert (finding.holds, finding.values) == (False, {"x_m": None})
 
 
-def test_a_claim_of_several_parts_holds_only_with_all_of_them():
+def test_claim_with_several_parts_holds_only_with_all_of_them():
     yes = claims.compare("x", "x_m", 0.06, low=claims.CLEAR)
     no = claims.compare("y", "y_m", 0.04, low=claims.CLEAR)
     assert (yes.holds, no.holds) == (True, False)
@@ -201,13 +203,13 @@ def test_a_claim_of_several_parts_holds_only_with_all_of_them():
 
 
 @pytest.mark.parametrize(("value", "holds"), [(24.9, False), (25.0, True), (35.1, False)])
-def test_a_number_between_two_bounds_holds_within_them(value, holds):
+def test_value_with_two_bounds_holds_only_between_them(value, holds):
     finding = claims.compare("x", "x_s", value, low=claims.MET_FROM, high=claims.MET_TO)
     assert finding.holds is holds
     assert finding.measured.endswith("(required: 25 to 35 s)")
 
 
-def test_the_way_forward_is_along_the_first_heading():
+def test_forward_motion_is_measured_along_the_initial_heading():
     log = {
         "base_x_m": np.array([1.0, 1.0]),
         "base_y_m": np.array([0.0, 0.4]),
@@ -216,27 +218,27 @@ def test_the_way_forward_is_along_the_first_heading():
     assert claims.forward_motion(RunResult({}, Log(log))) == pytest.approx(0.4)
 
 
-def test_a_jump_of_an_activation_is_seen_wherever_it_is():
+def test_jump_of_any_activation_is_detected():
     smooth = run(beta_step=0.002)
     assert claims.beta_step(smooth) == pytest.approx(0.002)
     smooth.trace["beta_lm-l3"][70:] = 0.3
     assert claims.beta_step(smooth) == pytest.approx(0.3)
 
 
-def test_claims_belong_to_figures_that_exist_and_come_with_them():
+def test_claims_are_selected_with_their_figures():
     assert {claim.figure for claim in CLAIMS} <= set(FIGURES)
     assert claims_of(FIGURES) == CLAIMS
     assert claims_of(["fig10"]) == []
     assert {claim.figure for claim in claims_of(["fig12"])} == {"fig12"}
 
 
-def test_thresholds_say_where_they_come_from():
+def test_thresholds_state_their_source():
     found = [x for x in vars(claims).values() if isinstance(x, claims.Threshold)]
     assert len(found) > 15
     assert all(len(threshold.source) > 15 for threshold in found)
 
 
-def test_figures_of_a_real_run_have_what_the_claims_read(
+def test_figures_of_a_real_run_contain_all_that_claims_read(
     robot: RobotModel, border_data: BorderData
 ):
     from tests.reproduction import short_run

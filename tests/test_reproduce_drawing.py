@@ -20,8 +20,8 @@ def luminance(colour: str) -> float:
     return 0.2126 * r + 0.7152 * g + 0.0722 * b
 
 
-def seen_without_red_cones(colour: str) -> np.ndarray:
-    """Deuteranopia by Viénot, Brettel and Mollon 1999: the remainder of linear red and green."""
+def deuteranopia(colour: str) -> np.ndarray:
+    """Simulated deuteranopia by Viénot, Brettel and Mollon 1999, in linear colours."""
     r, g, b = ((int(colour[i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5))
     return np.array([0.29275 * r + 0.70725 * g, 0.29275 * r + 0.70725 * g, b])
 
@@ -31,7 +31,7 @@ def read(path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_table_comes_back_from_its_csv_to_the_last_digit(tmp_path):
+def test_reading_a_csv_returns_the_exact_table(tmp_path):
     rng = np.random.default_rng(1)
     table = {"t_s": rng.normal(size=50), "n": np.arange(50), "name": np.array(["a"] * 50)}
     write_table(tmp_path / "t.csv", table)
@@ -41,7 +41,7 @@ def test_a_table_comes_back_from_its_csv_to_the_last_digit(tmp_path):
     assert {row["name"] for row in rows} == {"a"}
 
 
-def test_what_is_not_a_number_is_an_empty_cell(tmp_path):
+def test_nan_is_an_empty_cell(tmp_path):
     write_table(tmp_path / "t.csv", {"n": np.arange(2), "d_m": np.array([1.5, np.nan])})
     assert [row["d_m"] for row in read(tmp_path / "t.csv")] == ["1.5", ""]
 
@@ -51,13 +51,13 @@ def test_columns_of_unequal_length_are_refused(tmp_path):
         write_table(tmp_path / "t.csv", {"a": np.arange(3), "b": np.arange(2)})
 
 
-def test_stacking_keeps_every_value_under_its_name():
+def test_stacking_preserves_every_value_with_its_case():
     table = stacked({"x": {"v": np.array([1.0, 2.0])}, "y": {"v": np.array([3.0])}}, "case")
     assert table["case"].tolist() == ["x", "x", "y"]
     assert table["v"].tolist() == [1.0, 2.0, 3.0]
 
 
-def test_a_figure_becomes_a_picture_for_a_slide_and_its_tables(tmp_path):
+def test_a_figure_is_written_as_a_picture_with_its_tables(tmp_path):
     with style.styled():
         figure = style.new_figure(4.0)
         figure.subplots().plot([0, 1], [0, 1])
@@ -69,7 +69,7 @@ def test_a_figure_becomes_a_picture_for_a_slide_and_its_tables(tmp_path):
     assert picture.width >= 1600
 
 
-def test_every_controller_and_every_pair_has_a_colour_of_its_own():
+def test_every_controller_and_every_pair_has_a_unique_colour():
     assert set(CONTROLLERS) <= set(style.METHOD_COLOURS) == set(style.METHOD_NAMES)
     assert set(style.PAIR_COLOURS) == set(style.PAIR_NAMES)
     colours = [*style.METHOD_COLOURS.values(), *style.PAIR_COLOURS.values()]
@@ -77,8 +77,8 @@ def test_every_controller_and_every_pair_has_a_colour_of_its_own():
 
 
 @pytest.mark.parametrize("colours", [style.METHOD_COLOURS, style.PAIR_COLOURS])
-def test_colours_are_told_apart_by_colour_blind_eyes(colours):
-    seen = [seen_without_red_cones(colour) for colour in colours.values()]
+def test_colours_are_distinct_with_colour_blindness(colours):
+    seen = [deuteranopia(colour) for colour in colours.values()]
     gaps = [np.abs(a - b).max() for i, a in enumerate(seen) for b in seen[:i]]
     assert min(gaps) > 0.05
     assert all(luminance(colour) < 0.8 for colour in colours.values())  # on white

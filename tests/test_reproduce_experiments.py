@@ -1,4 +1,4 @@
-"""Runs are done once, agree with `run_scenario`, and do not depend on the processes."""
+"""Experiments run once, agree with `run_scenario`, and do not depend on the number of processes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
 
 
 def short(experiment: Experiment) -> Experiment:
-    """It for a twentieth of a second."""
+    """The experiment with a duration of 0.05 s."""
     return experiment._replace(scenario=replace(experiment.scenario, duration=0.05))
 
 
-def test_a_run_is_the_run_of_dbb_run(robot: RobotModel, border_data: BorderData):
+def test_experiment_gives_the_figures_of_run_scenario(robot: RobotModel, border_data: BorderData):
     lateral = short(LATERAL)
     run = run_experiments([lateral], seed=3)[lateral]
     result = run_scenario(robot, border_data, lateral.scenario, Config(), seed=3)
@@ -38,7 +38,7 @@ def test_a_run_is_the_run_of_dbb_run(robot: RobotModel, border_data: BorderData)
 
 
 @pytest.mark.slow
-def test_repeated_experiments_are_run_once_and_the_clock_reaches_their_sum():
+def test_repeated_experiments_run_once_and_progress_reaches_the_total():
     seen: list[float] = []
     others = [*map(short, (LATERAL, Experiment.of("guiding-front", "none"), LATERAL))]
     runs = run_experiments(others, on_progress=seen.append)
@@ -47,18 +47,18 @@ def test_repeated_experiments_are_run_once_and_the_clock_reaches_their_sum():
     assert seen[-1] == pytest.approx(experiments.duration(others)) == pytest.approx(0.1)
 
 
-def test_nothing_to_run_is_no_run():
+def test_no_experiments_give_no_runs():
     assert run_experiments([]) == {}
 
 
-def test_a_run_comes_through_a_pickle_as_it_was():
+def test_run_result_survives_pickling():
     run = experiments.RunResult({"a": 1.0}, {"t_s": np.arange(3.0)})
     again = pickle.loads(pickle.dumps(run))
     assert again.figures == run.figures
     np.testing.assert_array_equal(again.trace["t_s"], run.trace["t_s"])
 
 
-def test_the_kind_of_border_and_the_start_are_the_experiments():
+def test_experiment_sets_border_kind_and_start():
     plain = Experiment.of("tracking", "dbb")
     other = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.3))
     assert plain.config == other.config == Config()
@@ -69,7 +69,7 @@ def test_the_kind_of_border_and_the_start_are_the_experiments():
     assert len({plain.name, other.name}) == 2
 
 
-def test_each_figure_brings_what_it_and_its_claims_need_and_no_more():
+def test_figures_request_exactly_the_experiments_that_they_need():
     assert report.experiments_for(["fig10"]) == []
     twelve = report.experiments_for(["fig12"])
     assert {e.controller for e in twelve} == {"dbb", "repulsive", "none"}
@@ -79,11 +79,11 @@ def test_each_figure_brings_what_it_and_its_claims_need_and_no_more():
     assert {e for name in FIGURES for e in report.experiments_for([name])} == set(everything)
 
 
-def test_all_runs_together_are_short_enough():
-    """At the speed of one core, half of real time, two of them need less than the quarter hour."""
+def test_all_experiments_fit_into_a_quarter_of_an_hour():
+    """At half of real time on one core, two cores need 500 s for 500 s of simulation."""
     assert experiments.duration(report.experiments_for(list(FIGURES))) < 500.0
 
 
-def test_figures_come_in_the_papers_order_each_once():
+def test_chosen_figures_are_unique_and_in_the_papers_order():
     assert chosen(["fig12", "fig3", "fig12"]) == ["fig3", "fig12"]
     assert chosen([]) == list(FIGURES)

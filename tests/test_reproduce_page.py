@@ -1,4 +1,4 @@
-"""`index.html` needs no other file and shows all its input."""
+"""`index.html` refers to no other file and shows all its input."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def draw() -> None:
 
 @pytest.fixture
 def section(tmp_path: Path):
-    """Makes a figure of the page, changed in some fields."""
+    """Makes a part of the page with a figure; `changes` replace fields of its drawing."""
 
     def make(name: str = "fig1", **changes) -> Part:
         drawing = Drawing(Figure(), {}, {"d_min_m": 0.125}, ["so"])
@@ -71,7 +71,7 @@ class Reader(HTMLParser):
         self.text += data
 
 
-def test_nothing_outside_of_the_page_is_referred_to(section):
+def test_the_page_refers_to_nothing_outside_itself(section):
     text = paper_page([section(), section(name="fig2")], [claim(True)], "seed 0")
     reader = Reader(text)
     assert len(reader.addresses) == 5
@@ -79,29 +79,29 @@ def test_nothing_outside_of_the_page_is_referred_to(section):
     assert not re.search(r"https?:|//|@import|url\(|<script|<link", text.replace("/9", ""))
 
 
-def test_the_picture_is_embedded_bit_by_bit(section):
+def test_the_picture_is_embedded_exactly(section):
     (address,) = re.findall(r"base64,([^\"]+)", paper_page([section()], [], ""))
     assert b64decode(address) == PNG
 
 
-def test_what_the_paper_says_stands_beside_what_was_measured(section):
+def test_the_papers_statement_precedes_the_measurement(section):
     text = Reader(paper_page([section()], [], "")).text
     assert text.index("says <this>") < text.index("d min [m]") < text.index("0.125")
 
 
-def test_words_are_no_markup(section):
+def test_markup_in_texts_is_escaped(section):
     text = paper_page([section()], [claim(True)], "a < b")
     assert "<this>" not in text
     assert "<works>" not in text
     assert "a &lt; b" in text
 
 
-def test_the_page_begins_with_its_figures(section):
+def test_figures_precede_the_claims(section):
     text = Reader(paper_page([section()], [claim(True)], "")).text
     assert text.index("says <this>") < text.index("it <works>")
 
 
-def test_claims_are_counted_and_those_that_fail_are_shown_as_such(section):
+def test_claims_are_counted_and_failed_claims_are_marked(section):
     text = Reader(paper_page([section()], [claim(True), claim(False), claim(True)], "")).text
     assert "2 of 3 claims hold" in text
     assert text.count("✓ holds") == 2
@@ -109,7 +109,7 @@ def test_claims_are_counted_and_those_that_fail_are_shown_as_such(section):
     assert text.count("Figure 10") == 3
 
 
-def test_cases_stand_side_by_side_and_what_one_lacks_is_said(section):
+def test_cases_are_side_by_side_and_missing_values_are_marked(section):
     measured = {"dbb": {"d_m": 0.1, "jump": {"linear_mps2": 0.25}}, "none": {"d_m": None}}
     text = Reader(paper_page([section(measured=measured)], [], "")).text
     assert "dbb" in text

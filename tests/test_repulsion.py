@@ -1,4 +1,4 @@
-"""Laws of the repulsive rows, (20) to (23)."""
+"""The repulsive rows, (20) to (23)."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ CONFIG = RepulsionConfig(k_p=60.0, k_v=30.0)
 
 
 class Motion(NamedTuple):
-    """How a distance moves: ḋ = J q̇, d̈ = J q̈ + J̇ q̇."""
+    """Derivatives of a distance: ḋ = J q̇, d̈ = J q̈ + J̇ q̇."""
 
     J: np.ndarray
     Jdqd: float
@@ -27,19 +27,19 @@ class Motion(NamedTuple):
 
     @property
     def xdd(self) -> float:
-        """[m/s²] the acceleration that separates the pair."""
+        """[m/s²] acceleration that separates the pair."""
         return generate_rep_acc(self.d_dot, CONFIG.k_p, CONFIG.k_v)
 
 
 def motion_of(state: RobotState, closest: ClosestPoints) -> Motion:
-    """That of a pair."""
+    """Derivatives of the distance of a pair."""
     joints = np.array([[state.model.body_joints[body] for body in closest.pair]])
     J, Jdqd, d_dot = state.distance_motions(joints, closest.core[None], closest.n[None])
     return Motion(J[0], float(Jdqd[0]), float(d_dot[0]))
 
 
 class Moving:
-    """A robot at a random place, each step of which is integrated from there."""
+    """A robot in a random state, the start of each integration."""
 
     def __init__(self, robot: RobotModel, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -53,7 +53,7 @@ class Moving:
         self.at(0.0, self.qd)
 
     def at(self, t: float, qd: np.ndarray) -> list[ClosestPoints]:
-        """State after moving along `qd` for t, and the pairs there."""
+        """Move along `qd` for t [s] from the initial state; returns the pairs there."""
         q = self.model.configuration(self.pose, self.q_m)
         q = pin.integrate(self.model.pin, q, self.model.S @ (qd * t))
         pose = np.array([q[0], q[1], np.arctan2(q[3], q[2])])
@@ -62,7 +62,7 @@ class Moving:
         return self.monitor.find_closest_points()
 
     def motion(self, closest: ClosestPoints) -> Motion:
-        """That of a pair at present."""
+        """Derivatives of the distance of a pair in the current state."""
         return motion_of(self.state, closest)
 
 
@@ -87,8 +87,8 @@ def test_distances_within_the_robot_do_not_depend_on_the_base(robot: RobotModel,
 def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndarray:
     """(N, 2) [m/s²] error of d̈ = J q̈ + J̇ q̇, and the error with |v_⊥|²/d added.
 
-    Against central differences of the library's own distance along exact motions, in the buffer of
-    the pairs of L_m, where closest points do not change from one side of a body to another.
+    Compared with central differences of the library's distance along exact motions, for the pairs
+    of L_m in the buffer, where closest points do not change to another side of a body.
     """
     rng, state = np.random.default_rng(0), RobotState(robot)
     monitor, reader = (
@@ -103,7 +103,7 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
         if not 0.02 < min(reader.distance(i) for i in range(len(reader.pairs))) < 0.14:
             continue
         qd, qdd = 0.3 * rng.normal(size=(2, robot.n))
-        qd[:2] = 0.0  # a base that drives moves nothing that is fixed to it
+        qd[:2] = 0.0  # a driving base does not move the bodies fixed to it
         qdd[:2] = 0.0
 
         def distances(t: float, q=q, qd=qd, qdd=qdd) -> np.ndarray:
@@ -137,10 +137,10 @@ def _across(state: RobotState, closest: ClosestPoints) -> float:
 
 
 @pytest.mark.slow
-def test_the_second_derivative_of_the_distance_is_that_of_the_library(
+def test_second_derivative_of_the_distance_matches_the_library(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """The curvature of the distance of two fixed points, added, makes it several times worse."""
+    """Adding the curvature term of two fixed points makes the error several times larger."""
     own, with_curvature = curvature_errors(robot, border_data, 300).T
     assert np.median(own) < 0.05
     assert np.quantile(own, 0.95) < 0.5
@@ -148,7 +148,7 @@ def test_the_second_derivative_of_the_distance_is_that_of_the_library(
     assert np.median(with_curvature) > 3.0 * np.median(own)
 
 
-def test_two_links_at_rest_are_parted_and_parting_links_are_braked(robot: RobotModel) -> None:
+def test_links_at_rest_are_separated_and_separating_links_are_damped(robot: RobotModel) -> None:
     moving = Moving(robot, 3)
     moving.at(0.0, np.zeros(robot.n))
     closest = moving.monitor.find_closest_points()[-1]
@@ -158,8 +158,8 @@ def test_two_links_at_rest_are_parted_and_parting_links_are_braked(robot: RobotM
     assert moving.motion(closest).xdd == pytest.approx(30.0)
 
 
-def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> None:
-    """The error of witness points: they change sides."""
+def test_normal_separates_overlapping_links(robot: RobotModel) -> None:
+    """Closest points of overlapping links change sides."""
     rng = np.random.default_rng(0)
     moving = Moving(robot, 0)
     found = 0
@@ -176,7 +176,7 @@ def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> N
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_speed_is_the_jacobians(robot: RobotModel, seed: int) -> None:
+def test_distance_rate_is_the_jacobian_times_velocity(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for closest in moving.at(0.0, moving.qd):
         J, _, speed = moving.motion(closest)

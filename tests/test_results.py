@@ -1,4 +1,4 @@
-"""Measurements of the documentation's tables: kept row by row, with commit and machine."""
+"""Measurements of the documentation's tables: stored row by row with commit and machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COUNT += "p.write_text('x' * n); print(json.dumps({'n': n})) if n < 4 else sys.e
 
 @pytest.fixture
 def counting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A set of two rows whose command counts how often it ran, and fails from the fourth time."""
+    """A set of two rows; its command counts its runs and fails from the fourth run on."""
     counter = tmp_path / "counter"
     counter.write_text("", encoding="utf-8")
     module = tmp_path / "counted.py"
@@ -39,13 +39,13 @@ def test_a_row_is_measured_once_for_a_commit(counting: Path) -> None:
     assert results.figures("counting") == {"a": {"n": 1}, "b": {"n": 2}}
 
 
-def test_rows_that_were_not_asked_for_stay_as_they_are(counting: Path) -> None:
+def test_rows_that_are_not_selected_stay_unchanged(counting: Path) -> None:
     assert results.measure("counting", again=False, only=["b"])
     assert results.measure("counting", again=True, only=["a"])
     assert results.figures("counting") == {"a": {"n": 2}, "b": {"n": 1}}
 
 
-def test_what_was_ended_goes_on_and_what_fails_keeps_its_former_row(counting: Path) -> None:
+def test_an_ended_measurement_continues_and_a_failed_row_is_unchanged(counting: Path) -> None:
     results.write("counting", {"a": {"commit": "abc1234", "figures": {"n": 0}}})
     assert results.measure("counting", again=False)
     assert results.figures("counting") == {"a": {"n": 0}, "b": {"n": 1}}
@@ -64,7 +64,7 @@ def test_rows_of_another_commit_or_of_changed_files_are_measured_again(
     assert not results.measure("counting", again=False)
 
 
-def test_a_caption_says_command_commit_and_machine(counting: Path) -> None:
+def test_a_caption_names_command_commit_and_machine(counting: Path) -> None:
     assert (
         results.caption("counting") == "*Not measured yet; `make results ARGS=counting` does it.*"
     )
@@ -77,14 +77,14 @@ def test_a_caption_says_command_commit_and_machine(counting: Path) -> None:
     assert results.caption("counting").endswith(" Empty cells are not measured yet.*")
 
 
-def test_kept_numbers_have_six_digits_and_all_else_stays() -> None:
+def test_stored_numbers_have_six_digits_and_other_values_stay() -> None:
     given = {"a": [0.123456789, 12345678.9, 3], "b": None, "c": "0.123456789", "d": -1e-13 / 3}
     kept = {"a": [0.123457, 12345700.0, 3], "b": None, "c": "0.123456789", "d": -3.33333e-14}
     assert results.rounded(given) == kept
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_every_table_is_one_of_markdown_with_as_many_cells_in_each_line(name: str) -> None:
+def test_every_table_is_markdown_with_equal_numbers_of_cells(name: str) -> None:
     found = results.figures(name)
     if not found:
         pytest.skip("not measured yet")
@@ -96,7 +96,7 @@ def test_every_table_is_one_of_markdown_with_as_many_cells_in_each_line(name: st
         assert len(cells) == 1
 
 
-def test_kept_files_hold_what_a_caption_needs() -> None:
+def test_stored_files_contain_the_fields_of_a_caption() -> None:
     files = sorted(results.PROJECT.glob("docs/results/*.json"))
     assert files
     for path in files:
@@ -105,7 +105,7 @@ def test_kept_files_hold_what_a_caption_needs() -> None:
             assert {"commit", "machine", "date", "figures"} == set(row)
 
 
-def test_a_cell_says_what_touched() -> None:
+def test_a_cell_marks_contact() -> None:
     printed = {
         "scenario": "guiding-fold",
         "min_clearance_m": 0.2,

@@ -1,4 +1,4 @@
-"""A zip that is uploaded becomes a robot, in a process of its own that can be stopped."""
+"""An uploaded zip becomes a robot, in a separate process that can be cancelled."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ pytestmark = pytest.mark.slow
 TOY = robot([*cart(), *arm()])
 
 
-def test_work_apart_tells_and_returns() -> None:
-    told: list[float] = []
+def test_job_in_a_process_reports_progress_and_returns_its_result() -> None:
+    shares: list[float] = []
     pid = run_in_process(
-        count_up, 4, report=lambda _, share: told.append(share), cancelled=threading.Event()
+        count_up, 4, report=lambda _, share: shares.append(share), cancelled=threading.Event()
     )
-    assert told == [0.0, 0.25, 0.5, 0.75]
+    assert shares == [0.0, 0.25, 0.5, 0.75]
     assert pid != os.getpid()
     assert gone(pid)
 
 
-def test_work_apart_that_fails_says_why() -> None:
+def test_failed_job_raises_its_error() -> None:
     stopping = threading.Event()
     for raised, error, words in (
         (RobotFileError("no wheel"), RobotFileError, "no wheel"),
@@ -68,7 +68,7 @@ def test_work_apart_that_fails_says_why() -> None:
         run_in_process(vanish, report=lambda *_: None, cancelled=stopping)
 
 
-def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_path: Path) -> None:
+def test_cancelled_job_ends_with_its_child_processes(tmp_path: Path) -> None:
     stopping, file = threading.Event(), tmp_path / "child"
     with pytest.raises(Cancelled):
         run_in_process(
@@ -77,7 +77,7 @@ def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_pat
     wait_for(lambda: gone(int(file.read_text())), what="the end of the child's child")
 
 
-def test_work_apart_that_is_stopped_leaves_by_its_finally(tmp_path: Path) -> None:
+def test_cancelled_job_runs_its_finally_blocks(tmp_path: Path) -> None:
     stopping = threading.Event()
     with pytest.raises(Cancelled):
         run_in_process(
@@ -106,10 +106,10 @@ def making(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RobotBui
 
 
 def ended(making: RobotBuild) -> None:
-    wait_for(lambda: making.progress is None, what="the end of it")
+    wait_for(lambda: making.progress is None, what="the end of the job")
 
 
-def test_what_a_zip_holds_is_told_before_anything_is_made(tmp_path: Path) -> None:
+def test_contents_of_a_zip_are_listed_before_the_robot_is_made(tmp_path: Path) -> None:
     found = look_into(zipped(tmp_path, {"b/toy.urdf": TOY, "a/broken.urdf": "<robot>"}))
     ((name, contents),) = found.items()
     assert name == "b/toy.urdf"
@@ -126,7 +126,7 @@ def test_what_a_zip_holds_is_told_before_anything_is_made(tmp_path: Path) -> Non
         (60_000, 59_999, "more than 30,000 elements"),
     ],
 )
-def test_a_urdf_too_large_for_a_list_is_refused_before_anything_is_asked_of_its_links(
+def test_oversized_urdf_is_rejected_before_its_links_are_listed(
     tmp_path: Path, links: int, joints: int, words: str
 ) -> None:
     text = chain(links, joints)
@@ -137,13 +137,13 @@ def test_a_urdf_too_large_for_a_list_is_refused_before_anything_is_asked_of_its_
     assert time.process_time() - begin < 5.0
 
 
-def test_the_longest_chain_that_is_taken_is_told_whole(tmp_path: Path) -> None:
+def test_longest_accepted_chain_is_listed_completely(tmp_path: Path) -> None:
     ((_, contents),) = look_into(zipped(tmp_path, {"long.urdf": chain(500, 499)})).items()
     assert (contents.root, contents.last, len(contents.links)) == ("l0", "l499", 500)
 
 
 def chain(links: int, joints: int) -> str:
-    """A URDF of links, each on the one before, the last one first."""
+    """A URDF with a chain of fixed links, in reverse order."""
     rows = [f'<link name="l{i}"/>' for i in reversed(range(links))]
     rows += [
         f'<joint name="j{i}" type="fixed"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
@@ -152,9 +152,7 @@ def chain(links: int, joints: int) -> str:
     return robot(rows)
 
 
-def test_a_zip_is_kept_until_another_comes_or_the_server_ends(
-    making: RobotBuild, tmp_path: Path
-) -> None:
+def test_zip_is_stored_until_the_next_upload(making: RobotBuild, tmp_path: Path) -> None:
     content = zipped(tmp_path, {"toy.urdf": TOY}).read_bytes()
     making.receive("../My Robot (2).ZIP", content)
     ended(making)
@@ -170,7 +168,7 @@ def test_a_zip_is_kept_until_another_comes_or_the_server_ends(
     assert not first.exists()
 
 
-def test_a_robot_is_made_once_and_can_be_stopped(
+def test_only_one_job_runs_and_it_can_be_cancelled(
     making: RobotBuild, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request = Request("toy.zip", "base", "hand", tmp_path / "user" / "toy")
@@ -189,10 +187,10 @@ def test_a_robot_is_made_once_and_can_be_stopped(
         making.build(Request("toy.zip", "base", "hand", tmp_path / "user" / "a b"))
 
 
-def test_what_new_robot_refuses_is_told_and_nothing_is_left(
+def test_rejected_request_is_reported_and_leaves_no_files(
     making: RobotBuild, tmp_path: Path
 ) -> None:
-    """The whole way, in its own process."""
+    """The complete path, with a separate process."""
     making.receive("toy.zip", zipped(tmp_path, {"toy.urdf": TOY}).read_bytes())
     ended(making)
     assert making.package is not None
@@ -221,14 +219,14 @@ def server() -> Iterator[DashboardServer]:
 
 @contextmanager
 def visitor(server: DashboardServer) -> Iterator[tuple[RawClient, Page]]:
-    """A program that has come as a viewer, and the page that was made for it."""
+    """A client without a browser, and its page."""
     known = set(server.pages)
     with RawClient(server.address) as client:
         wait_for(lambda: set(server.pages) - known, what="a page")
         yield client, server.pages[max(server.pages)]
 
 
-def test_an_upload_is_asked_about_and_its_answers_make_the_request(
+def test_form_is_filled_from_the_upload_and_gives_the_request(
     server: DashboardServer, tmp_path: Path
 ) -> None:
     content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
@@ -265,7 +263,7 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
                 own.request()
 
 
-def test_only_what_suits_the_kind_of_base_is_asked_and_answers_to_the_rest_do_not_count(
+def test_form_shows_only_fields_of_the_kind_of_base_and_ignores_others(
     server: DashboardServer, tmp_path: Path
 ) -> None:
     content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
@@ -273,10 +271,10 @@ def test_only_what_suits_the_kind_of_base_is_asked_and_answers_to_the_rest_do_no
         assert page.robot_panel is not None
         own = page.robot_panel.own
         upload(client, own.uploads._impl.uuid, "half.zip", content)
-        wait_for(lambda: own.fields["out"].value == "half", what="the questions")  # of this zip
+        wait_for(lambda: own.fields["out"].value == "half", what="the questions")  # for this zip
         client.set_widget(own.fields["half_track"], 0.2)
         wait_for(lambda: own.request().half_track == 0.2)
-        for kind, asked in (
+        for kind, expected in (
             ("holonomic", set()),
             ("car-like", {"left", "right", "wheelbase", "steering_limit"}),
             ("differential", {"left", "right", "half_track", "wheel_radius"}),
@@ -284,16 +282,16 @@ def test_only_what_suits_the_kind_of_base_is_asked_and_answers_to_the_rest_do_no
             client.set_widget(own.fields["kind"], kind)
             wait_for(lambda kind=kind: own.fields["kind"].value == kind)
             wait_for(
-                lambda asked=asked: (
+                lambda expected=expected: (
                     {n for n, field in own.fields.items() if field.visible}
-                    == {"out", "base", "tip", "kind", "assume_inertia", *asked}
+                    == {"out", "base", "tip", "kind", "assume_inertia", *expected}
                 ),
-                what="its questions",
+                what="the fields of this kind",
             )
             assert own.request().half_track == (0.2 if kind == "differential" else None)
 
 
-def test_an_upload_is_not_kept_by_the_page_and_not_at_all_once_it_is_a_robot(
+def test_upload_is_not_stored_in_the_page_and_deleted_after_the_build(
     server: DashboardServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(robots, "build_robot", nothing_for_a_request)
@@ -313,17 +311,17 @@ def test_an_upload_is_not_kept_by_the_page_and_not_at_all_once_it_is_a_robot(
         assert made.built == "toy", made.problem
         assert made.package is None
         assert not archive.exists()
-        wait_for(lambda: "is ready" in own.status.text.content, what="the good news")
+        wait_for(lambda: "is ready" in own.status.text.content, what="the report of success")
 
 
-def test_of_options_the_page_speaks_as_of_its_questions() -> None:
+def test_messages_name_form_fields_instead_of_options() -> None:
     assert in_words("--wheelbase: give --wheelbase, or --wheels") == (
         "“Wheelbase”: give “Wheelbase”, or “Left wheel” and “Right wheel”"
     )
     assert in_words("give --mount and --base-x") == "give --mount and --base-x"
 
 
-def test_a_second_upload_is_asked_about_its_own_links(
+def test_second_upload_replaces_the_links_in_the_form(
     server: DashboardServer, tmp_path: Path
 ) -> None:
     other = TOY.replace('"hand"', '"gripper"')
@@ -337,7 +335,7 @@ def test_a_second_upload_is_asked_about_its_own_links(
             wait_for(lambda: server.shared.robot_build.progress is None)
 
 
-def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
+def test_oversized_or_excess_uploads_are_rejected_before_transfer(
     server: DashboardServer,
 ) -> None:
     with visitor(server) as (client, page):
@@ -347,7 +345,7 @@ def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
         begin(client, uuid, "a", 10**9, 1000)
         begin(client, uuid, "b", 100, 10**12)
         begin(client, uuid, "c", 100, 2)
-        wait_for(lambda: "c" in states, what="an upload that may be")
+        wait_for(lambda: "c" in states, what="a valid upload")
         assert set(states) == {"c"}
         begin(client, uuid, "d", 100, 2)
         begin(client, uuid, "e", 100, 2)
@@ -355,8 +353,8 @@ def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
         time.sleep(0.2)
         assert set(states) == {"c", "d"}
         client.send(_messages.FileTransferPart(uuid, "c", 0, b"x" * 10))
-        wait_for(lambda: states["c"]["transferred_bytes"] == 10, what="a part")
-    wait_for(lambda: not states, what="the end of the started work")
+        wait_for(lambda: states["c"]["transferred_bytes"] == 10, what="a part of the file")
+    wait_for(lambda: not states, what="removal of the uploads")
 
 
 def begin(client: RawClient, uuid: str, name: str, size: int, parts: int) -> None:
@@ -376,12 +374,12 @@ def upload(client: RawClient, uuid: str, name: str, content: bytes) -> None:
     ("stem", "name"),
     [("toy", "toy"), ("My Robot-2", "my_robot_2"), ("7dof", "robot_7dof"), ("é", "robot")],
 )
-def test_a_file_gives_a_name_that_a_robot_may_have(stem: str, name: str) -> None:
+def test_file_name_gives_a_valid_robot_name(stem: str, name: str) -> None:
     assert robot_name(stem) == name
     assert Request("", "", "", Path("/x") / name).name == name
 
 
-def test_a_report_stands_in_a_frame_that_executes_nothing() -> None:
+def test_report_is_shown_in_a_sandbox_without_scripts() -> None:
     page = '<body class="x">{1}"><script>alert()</script></body>'
     shown = report_html(page)
     assert "<iframe " in shown

@@ -1,4 +1,4 @@
-"""Robots' files of other programs: read in their sense, or refused with the cause."""
+"""Robot files of other programs are read as intended or refused with the cause."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
 def parsed(folder: Path, text: str | bytes, **changes: str) -> Parsed:
     path = folder / "toy.urdf"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    asked = {"base": "base", "tip": "hand"} | changes
-    return parse(Request(urdf=str(path), out=folder / "made", **asked))
+    options = {"base": "base", "tip": "hand"} | changes
+    return parse(Request(urdf=str(path), out=folder / "made", **options))
 
 
 def extents(made: Parsed, name: str = "hand") -> list[float]:
@@ -76,7 +76,7 @@ def test_a_urdf_is_read_in_the_encoding_that_it_declares(
         ("", "an empty file"),
     ],
 )
-def test_what_stands_in_the_place_of_a_file_is_said_by_name(
+def test_the_error_names_the_content_in_place_of_a_file(
     tmp_path: Path, content: str, cause: str
 ) -> None:
     path = tmp_path / "m.stl"
@@ -88,7 +88,7 @@ def test_what_stands_in_the_place_of_a_file_is_said_by_name(
 
 
 @pytest.mark.parametrize(("unit", "up"), [(0.0254, "Z_UP"), (0.001, "Z_UP"), (0.01, "Y_UP")])
-def test_the_unit_of_a_mesh_holds_in_bodies_and_in_the_file_that_engines_read(
+def test_the_unit_of_a_mesh_applies_to_bodies_and_the_written_urdf(
     tmp_path: Path, unit: float, up: str
 ) -> None:
     pytest.importorskip("collada")
@@ -119,9 +119,7 @@ def test_the_unit_of_a_mesh_holds_in_bodies_and_in_the_file_that_engines_read(
         "my robot/\u00c4.stl",
     ],
 )
-def test_addresses_of_meshes_are_read_as_their_writers_mean_them(
-    tmp_path: Path, address: str
-) -> None:
+def test_common_forms_of_mesh_addresses_are_read(tmp_path: Path, address: str) -> None:
     (tmp_path / "my robot").mkdir()
     for name in ("m", "\u00c4" if "\u0308" in address else "A\u0308"):
         (tmp_path / "my robot" / f"{name}.stl").write_bytes(cube())
@@ -144,7 +142,9 @@ def test_addresses_of_meshes_are_read_as_their_writers_mean_them(
         ("package://test/m.stl", "give --package test=FOLDER"),
     ],
 )
-def test_an_address_that_leads_nowhere_says_why(tmp_path: Path, address: str, cause: str) -> None:
+def test_the_error_of_a_wrong_mesh_address_states_the_cause(
+    tmp_path: Path, address: str, cause: str
+) -> None:
     (tmp_path / "meshes").mkdir()
     for name in ("Hand.STL", "nan.stl", "meshes/M.STL"):
         (tmp_path / name).write_bytes(cube())
@@ -155,11 +155,11 @@ def test_an_address_that_leads_nowhere_says_why(tmp_path: Path, address: str, ca
 
 @pytest.mark.parametrize("before", ["\n\n", " ", "\ufeff\n"])
 @pytest.mark.parametrize("after", ["", "\n\0\0"])
-def test_blanks_around_a_urdf_do_not_matter(tmp_path: Path, before: str, after: str) -> None:
+def test_blanks_around_a_urdf_are_ignored(tmp_path: Path, before: str, after: str) -> None:
     assert "hand" in parsed(tmp_path, before + TOY + after).tree.links
 
 
-def test_a_mesh_by_a_path_from_the_packages_top_is_found(tmp_path: Path) -> None:
+def test_a_mesh_path_relative_to_the_package_is_found(tmp_path: Path) -> None:
     for name in ("urdf", "meshes"):
         (tmp_path / name).mkdir()
     (tmp_path / "meshes" / "m.stl").write_bytes(cube())
@@ -178,7 +178,9 @@ def test_a_mesh_by_a_path_from_the_packages_top_is_found(tmp_path: Path) -> None
         ("cp1252", "Grün"),
     ],
 )
-def test_a_zip_may_have_names_of_another_code_page(tmp_path: Path, code: str, name: str) -> None:
+def test_a_zip_may_have_file_names_in_another_code_page(
+    tmp_path: Path, code: str, name: str
+) -> None:
     import zipfile
 
     class Info(zipfile.ZipInfo):
@@ -214,7 +216,7 @@ def test_a_zip_may_have_names_of_another_code_page(tmp_path: Path, code: str, na
         ("<inertial>", '<inertial><origin xyz="0 0 100"/>', ["link 'base'", "millimetres"]),
     ],
 )
-def test_numbers_in_other_units_name_the_unit(
+def test_the_error_of_numbers_in_other_units_names_the_unit(
     tmp_path: Path, old: str, new: str, causes: list[str]
 ) -> None:
     assert old in TOY
@@ -224,14 +226,14 @@ def test_numbers_in_other_units_name_the_unit(
 
 
 @pytest.mark.parametrize("factor", [1e6, 1e9])
-def test_moments_of_inertia_in_another_unit_are_named(tmp_path: Path, factor: float) -> None:
+def test_the_error_of_inertia_in_another_unit_names_the_unit(tmp_path: Path, factor: float) -> None:
     text = re.sub(r'(i[xyz]{2})="([\d.]+)"', lambda m: f'{m[1]}="{factor * float(m[2]):g}"', TOY)
     with pytest.raises(RobotFileError, match="looks like kg mm²"):
         parsed(tmp_path, text)
 
 
 @pytest.mark.parametrize("unit", ["0", "-1", "0,001", "mm", ""])
-def test_a_unit_that_is_none_is_refused(tmp_path: Path, unit: str) -> None:
+def test_an_invalid_unit_of_a_mesh_is_refused(tmp_path: Path, unit: str) -> None:
     pytest.importorskip("collada")
     text = collada(trimesh.creation.box(HAND), 1.0).replace('meter="1.0"', f'meter="{unit}"')
     (tmp_path / "m.dae").write_text(text)
@@ -240,7 +242,7 @@ def test_a_unit_that_is_none_is_refused(tmp_path: Path, unit: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_a_base_that_is_free_above_the_robot_is_the_base_itself(tmp_path: Path, kind: str) -> None:
+def test_a_free_joint_above_the_base_is_removed(tmp_path: Path, kind: str) -> None:
     text = TOY.replace("</robot>", ABOVE.format(kind) + "</robot>")
     made = parsed(tmp_path, text)
     assert "map" not in rebased_urdf(made, name="toy", header="")
@@ -258,7 +260,7 @@ def test_a_base_that_is_free_above_the_robot_is_the_base_itself(tmp_path: Path, 
         '<mesh filename="m.stl" scale="1 1 0"/>',
     ],
 )
-def test_a_placeholder_of_size_0_is_left_out_and_said(tmp_path: Path, shape: str) -> None:
+def test_a_placeholder_of_size_0_is_removed_and_reported(tmp_path: Path, shape: str) -> None:
     tag = link("tag", f"<collision><geometry>{shape}</geometry></collision>")
     mount = joint("tag_joint", "fixed", "wrist_link", "tag")
     made = parsed(tmp_path, TOY.replace("</robot>", tag + mount + "</robot>"))
@@ -277,7 +279,7 @@ def test_a_placeholder_of_size_0_is_left_out_and_said(tmp_path: Path, shape: str
         ("", "has no filename"),
     ],
 )
-def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(
+def test_an_unreadable_visual_mesh_is_removed_if_it_is_not_needed(
     tmp_path: Path, file: str, cause: str
 ) -> None:
     (tmp_path / "m.usd").write_bytes(b"PXR-USDC")
@@ -306,7 +308,7 @@ def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(
         ("<link", "<Link", ["the URDF has no <link> (did you mean 'Link'?)"]),
     ],
 )
-def test_what_other_readers_do_not_take_is_refused_with_its_remedy(
+def test_values_that_other_readers_reject_are_refused_with_a_remedy(
     tmp_path: Path, old: str, new: str, causes: list[str]
 ) -> None:
     assert old in TOY
@@ -324,7 +326,7 @@ def test_what_other_readers_do_not_take_is_refused_with_its_remedy(
         ('<link name="fore">', '<link name=" fore">'),
     ],
 )
-def test_blanks_around_a_name_are_no_part_of_it(tmp_path: Path, old: str, new: str) -> None:
+def test_blanks_around_a_name_are_removed(tmp_path: Path, old: str, new: str) -> None:
     made = parsed(tmp_path, TOY.replace(old, new))
     assert [each.child for each in made.arm.joints][-4:] == ["fore", "cuff", "wrist_link", "hand"]
     assert new not in rebased_urdf(made, name="toy", header="")
@@ -340,7 +342,7 @@ def test_blanks_around_a_name_are_no_part_of_it(tmp_path: Path, old: str, new: s
         ("red", None),
     ],
 )
-def test_colours_are_written_as_all_readers_take_them(
+def test_colours_are_written_in_the_common_form(
     tmp_path: Path, rgba: str, written: str | None
 ) -> None:
     visual = f'<visual><geometry>{BOX}</geometry><material name="m"><color rgba="{rgba}"/>'
@@ -365,29 +367,31 @@ OBJ = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
         ("m.stl", cube()[:96] + b"\0\0\x80\x7f" + cube()[100:], "not a finite number"),
     ],
 )
-def test_damage_of_a_mesh_is_named(tmp_path: Path, file: str, content: bytes, cause: str) -> None:
+def test_the_error_of_a_damaged_mesh_names_the_damage(
+    tmp_path: Path, file: str, content: bytes, cause: str
+) -> None:
     (tmp_path / file).write_bytes(content)
     with pytest.raises(RobotFileError, match=cause):
         read_mesh(tmp_path / file, "link 'a'")
 
 
-def test_a_mesh_without_a_volume_is_thin(tmp_path: Path) -> None:
+def test_a_flat_mesh_becomes_a_thin_body(tmp_path: Path) -> None:
     (tmp_path / "m.obj").write_text(OBJ)
     made = parsed(tmp_path, with_mesh(TOY, "m.obj"))
     assert extents(made) == pytest.approx([0.1, 0.1, 0.0], abs=2e-4)
 
 
 @pytest.mark.parametrize("ending", ["", ".v1"])
-def test_a_link_to_a_store_has_the_ending_of_its_name(tmp_path: Path, ending: str) -> None:
-    """As in caches of downloads, whose files are named by their content."""
+def test_a_symbolic_link_has_the_file_type_of_its_own_name(tmp_path: Path, ending: str) -> None:
+    """For example in download caches that name files by their content."""
     stored = tmp_path / f"0a{ending}"
     stored.write_text(str(trimesh.creation.box(HAND).export(file_type="off")))
     (tmp_path / "m.off").symlink_to(stored)
     assert extents(parsed(tmp_path, with_mesh(TOY, "m.off"))) == pytest.approx(HAND)
 
 
-def test_a_package_has_the_name_that_it_states(tmp_path: Path) -> None:
-    """A downloaded repository's folder may be called `toy-main`."""
+def test_a_package_has_the_name_in_its_package_xml(tmp_path: Path) -> None:
+    """The folder of a downloaded repository may have another name, such as `toy-main`."""
     folder = tmp_path / "toy-main" / "urdf"
     folder.mkdir(parents=True)
     (folder.parent / "package.xml").write_text("<package><name>toy</name></package>")
@@ -396,23 +400,23 @@ def test_a_package_has_the_name_that_it_states(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["file://{}", "~/toy.urdf"])
-def test_a_urdf_may_be_named_as_in_other_programs(
+def test_a_urdf_may_be_a_file_address_or_below_the_home_folder(
     tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "toy.urdf").write_text(TOY)
-    asked = Request(form.format(tmp_path / "toy.urdf"), "base", "hand", tmp_path / "made")
-    assert "hand" in parse(asked).tree.links
+    options = Request(form.format(tmp_path / "toy.urdf"), "base", "hand", tmp_path / "made")
+    assert "hand" in parse(options).tree.links
 
 
 @pytest.mark.parametrize("name", ["end_effector", "floor_point", "universe", "planar_x_link"])
-def test_a_link_may_have_the_name_of_a_frame_of_ours(tmp_path: Path, name: str) -> None:
+def test_a_link_may_have_the_name_of_a_frame_of_the_project(tmp_path: Path, name: str) -> None:
     from app.onboarding.write import compiled, description
 
     made = parsed(tmp_path, TOY.replace('"fore"', f'"{name}"'))
     (tmp_path / "robot.urdf").write_text(rebased_urdf(made, name="made", header=""))
-    asked = Request(str(tmp_path / "toy.urdf"), "base", "hand", tmp_path / "made")
-    model = compiled(description(asked, made), tmp_path / "robot.urdf")
+    options = Request(str(tmp_path / "toy.urdf"), "base", "hand", tmp_path / "made")
+    model = compiled(description(options, made), tmp_path / "robot.urdf")
     assert model.pin.frames[model.ee_frame].parentFrame == model.pin.getFrameId("hand")
 
 
@@ -431,15 +435,15 @@ FINGERS = "".join(
 )
 
 
-def test_bodies_hold_fingers_over_their_whole_travel(tmp_path: Path) -> None:
+def test_bodies_cover_fingers_over_their_whole_travel(tmp_path: Path) -> None:
     made = parsed(tmp_path, TOY.replace("</robot>", FINGERS + "</robot>"))
     found = filled(made.tree, made.geometry, made.arm.joints)
     assert found["left_finger"].shapes[0].hull.extents.tolist() == pytest.approx([0.02, 0.12, 0.12])
     assert found["hand"].shapes[0] is made.geometry["hand"].shapes[0]
 
 
-def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> None:
-    """Its end has the same reach, and its body encloses the middle part in all places."""
+def test_a_telescope_of_coupled_slides_becomes_one_slide(tmp_path: Path) -> None:
+    """Its end has the same reach, and its body covers all positions of the middle part."""
     tube = solid('<box size="0.04 0.04 0.2"/>', xyz="0 0 0.1")
     limit = 'lower="0" upper="0.1" effort="6" velocity="1"'
     first = joint("slide", "prismatic", "fore", "middle", limit=limit)
@@ -471,7 +475,7 @@ def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> N
         ("0 1 0", 1.0, None),  # not along one line
     ],
 )
-def test_a_telescope_has_parallel_parts_and_its_followers_keep_their_relation(
+def test_a_telescope_is_parallel_and_its_mimic_joints_are_rescaled(
     tmp_path: Path, axis: str, multiplier: float, travel: float | None
 ) -> None:
     limit = 'lower="0" upper="0.1" effort="6" velocity="1"'
@@ -497,7 +501,7 @@ def test_a_telescope_has_parallel_parts_and_its_followers_keep_their_relation(
         assert offset == pytest.approx(0.01)
 
 
-def test_of_a_mesh_of_very_many_triangles_a_light_one_with_the_same_hull_is_taken(
+def test_a_very_large_mesh_is_reduced_with_the_same_hull(
     tmp_path: Path,
 ) -> None:
     rough = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
@@ -511,7 +515,7 @@ def test_of_a_mesh_of_very_many_triangles_a_light_one_with_the_same_hull_is_take
 
 
 @pytest.mark.parametrize(("unseen", "outcome"), [(0, "passed"), (1, "failed")])
-def test_a_check_fails_on_any_collision_that_no_watched_pair_sees_and_says_what_a_rule_leaves_out(
+def test_check_fails_on_an_unmonitored_collision_and_reports_exclusions(
     monkeypatch: pytest.MonkeyPatch, unseen: int, outcome: str
 ) -> None:
     from app.onboarding import check

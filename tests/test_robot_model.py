@@ -16,10 +16,11 @@ from app.simulation.plants.collision_shapes import collision_shapes
 from tests.hulls import URDF, body_pairs, collision_points, hull_pairs
 from tests.robots import husky_panda
 
-COVER = 0.005  # [m] how far a mesh may stick out of its body
+COVER = 0.005  # [m] how far a mesh may extend beyond its body
 SHELTERED = {"panda_link3", "panda_link4"}
-"""The elbow sticks out of its two bodies by up to 0.18 m, which no pair notices: these links
-never meet a body that is not their neighbour (tested below)."""
+"""The elbow extends beyond its two bodies by up to 0.18 m. No pair misses a collision by that:
+these links meet only bodies of neighbours (tested below).
+"""
 
 
 @pytest.mark.parametrize(
@@ -31,14 +32,14 @@ never meet a body that is not their neighbour (tested below)."""
         ("max_effort", "effort"),
     ],
 )
-def test_limits_of_the_description_are_those_of_the_urdf(stated, attribute):
+def test_description_limits_equal_the_urdf_limits(stated, attribute):
     arm = husky_panda().description.arm
     for joint, value in zip(arm.joints, getattr(arm, stated), strict=True):
         limit = URDF.find(f"joint[@name='{joint}']/limit")
         assert float(limit.get(attribute)) == value, joint
 
 
-def test_wheels_of_the_urdf_stand_on_the_floor_at_the_described_radius():
+def test_wheels_stand_on_the_floor_with_the_described_radius():
     description = husky_panda().description
     base = description.base
     height = float(URDF.find("joint[@name='base_joint']/origin").get("xyz").split()[2])
@@ -51,20 +52,20 @@ def test_wheels_of_the_urdf_stand_on_the_floor_at_the_described_radius():
 
 
 def test_every_link_states_its_inertia():
-    """Libraries choose the inertia of a link without one: pybullet 1 kg, pinocchio 0."""
+    """Libraries differ for a link without inertia: pybullet assumes 1 kg, pinocchio 0."""
     for link in URDF.iterfind("link"):
         assert link.find("inertial/mass") is not None, link.get("name")
         assert link.find("inertial/inertia") is not None, link.get("name")
 
 
-def test_mass_of_the_model_is_the_sum_of_the_links_and_near_the_described_one():
+def test_model_mass_is_the_sum_of_the_links_and_near_the_described_mass():
     model = husky_panda()
     total = sum(float(mass.get("value")) for mass in URDF.iterfind("link/inertial/mass"))
     assert pin.computeTotalMass(model.pin) == pytest.approx(total, rel=1e-12)
     assert total == pytest.approx(model.description.base.mass_kg, rel=0.05)
 
 
-def test_mount_stands_where_the_papers_laboratory_put_it():
+def test_mount_has_the_papers_position():
     np.testing.assert_allclose(husky_panda().p_base(), [0.30, 0.0, 0.3883], atol=1e-9)
 
 
@@ -76,7 +77,7 @@ def test_every_link_with_a_collision_shape_belongs_to_one_body():
 
 
 def least_signed_distance(p: np.ndarray, shapes: list, placements: list) -> float:
-    """[m] of a point to a union of shapes; negative inside."""
+    """[m] distance of a point to a union of shapes; negative inside."""
     probe, at, request = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), p), coal.DistanceRequest()
     return min(
         coal.distance(
@@ -92,8 +93,8 @@ def least_signed_distance(p: np.ndarray, shapes: list, placements: list) -> floa
 
 
 @pytest.mark.parametrize("name", husky_panda().body_names)
-def test_a_body_covers_the_meshes_of_its_links_in_every_pose(name):
-    """Links of one body may turn against each other: the law must hold for all joint positions."""
+def test_body_covers_the_meshes_of_its_links_in_every_pose(name):
+    """Links of one body may move relative to each other, so joint positions are random."""
     model, rng = husky_panda(), np.random.default_rng(0)
     body = model.description.body(name)
     meshes = {link: collision_points(link) for link in body.covers if link not in SHELTERED}
@@ -112,8 +113,8 @@ def test_a_body_covers_the_meshes_of_its_links_in_every_pose(name):
     assert worst <= COVER
 
 
-def test_where_hulls_of_links_collide_their_bodies_do_and_sheltered_links_never_do():
-    """The justification of the bodies: nothing that the meshes hit is missed."""
+def test_bodies_overlap_where_link_hulls_collide():
+    """Sheltered links never collide, so the bodies miss no collision of the hulls."""
     model, rng = husky_panda(), np.random.default_rng(1)
     hulls, bodies = hull_pairs(model), body_pairs(model)
     data, hits = model.pin.createData(), 0
@@ -128,7 +129,7 @@ def test_where_hulls_of_links_collide_their_bodies_do_and_sheltered_links_never_
     assert hits > 500
 
 
-def test_what_is_kept_of_a_model_is_made_once_within_bounds_and_goes_with_it() -> None:
+def test_values_stored_per_model_are_bounded_and_freed_with_the_model() -> None:
     made = []
 
     @kept_per_model(2)
@@ -139,7 +140,7 @@ def test_what_is_kept_of_a_model_is_made_once_within_bounds_and_goes_with_it() -
     model = RobotModel(husky_panda().description)
     assert bodies(model, 2.0) is bodies(model, 2.0)
     assert bodies(husky_panda(), 2.0) is not bodies(model, 2.0)
-    for scale in (3.0, 4.0, 3.0, 2.0):  # the last was forgotten for 4.0
+    for scale in (3.0, 4.0, 3.0, 2.0):  # 4.0 evicts 2.0
         bodies(model, scale=scale)
     assert made == [2.0, 2.0, 3.0, 4.0, 2.0]
     collision_shapes(model)

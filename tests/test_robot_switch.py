@@ -1,4 +1,4 @@
-"""Another robot on the dashboard without a restart: persistent state, new state, failures."""
+"""A change of the robot in the dashboard: preserved state, new state, failures."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from tests.robots import husky_panda
 pytestmark = pytest.mark.slow
 
 OTHER = "other"
-"""A second robot: the paper's by another name, so that nothing else has to be installed."""
+"""A second robot: the paper's with another name, which needs no other package."""
 OWN = Config().replace("border.eps", 0.005)
-"""Its parameters by default."""
+"""The default parameters of the second robot."""
 
 
 def other() -> RobotModel:
@@ -43,7 +43,7 @@ def other() -> RobotModel:
 
 
 class Loops:
-    """Begins scripted loops and knows all of them."""
+    """Starts scripted loops and stores weak references to them."""
 
     def __init__(self) -> None:
         self.begun: list[weakref.ref[ScriptedLoop]] = []
@@ -65,7 +65,7 @@ class Loops:
 
 @pytest.fixture(autouse=True)
 def two_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two robots that can be had and one that cannot; models and borders are there at once."""
+    """Two available robots and one that is not installed; models and borders need no loading."""
     entries = [
         RobotEntry("husky_panda", "Husky", "differential base", None, False, False),
         RobotEntry(OTHER, "Other", "differential base", None, False, False),
@@ -86,11 +86,11 @@ def two_robots(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     monkeypatch.setattr(robots, "kept_border_data", lambda _: data)
     seen = parts().visuals
-    monkeypatch.setattr(robot, "load_visuals", lambda *_: list(seen))  # else seconds each time
+    monkeypatch.setattr(robot, "load_visuals", lambda *_: list(seen))  # loading takes seconds
 
 
 def choose(server: DashboardServer, name: str) -> None:
-    """Begin a change as the panel does, and wait until it has ended in one way or the other."""
+    """Start a change like the panel and wait for its end, with or without success."""
     shared = server.shared
     shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
     wait_for(lambda: shared.robot_switch.progress is None, what="the end of the change")
@@ -107,7 +107,7 @@ def title(server: DashboardServer) -> str:
     return server.shared.model.description.title
 
 
-def test_every_viewer_gets_the_other_robot_with_the_parameters_and_layers_of_before() -> None:
+def test_viewers_get_the_other_robot_with_their_parameters_and_layers() -> None:
     loops = Loops()
     with served_dashboard(start_loop=loops) as (server, _), viewer(server), viewer(server):
         wait_for(lambda: len(server.pages) == 2, what="two pages")
@@ -132,8 +132,8 @@ def test_every_viewer_gets_the_other_robot_with_the_parameters_and_layers_of_bef
         wait_for(lambda: loop.latest().config == OWN, what="the undone step")
 
 
-def test_four_changes_leave_nothing_behind() -> None:
-    """Threads, loops, meshes, widgets, scene nodes and messages are as many as after the second."""
+def test_four_changes_leave_no_objects_behind() -> None:
+    """After the second change, the numbers of threads, loops, widgets and nodes do not grow."""
     loops = Loops()
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         counts, threads, models = [], [], []
@@ -159,13 +159,13 @@ def test_four_changes_leave_nothing_behind() -> None:
             )
         assert counts[1:] == [counts[1]] * 3
         assert counts[1][-1] == 1
-        assert max(threads[2:]) <= threads[1]  # fewer, once the tour has asked the browser
+        assert max(threads[2:]) <= threads[1]  # fewer after the tour has queried the browser
         gc.collect()
         assert [ref() is None for ref in models] == [True] * 3 + [False]
 
 
-def test_nothing_of_a_replaced_robot_waits_for_the_next_collection() -> None:
-    """Python might not look for its cycles before several more robots have come."""
+def test_a_replaced_robot_is_freed_without_a_garbage_collection() -> None:
+    """The garbage collector is off during the second change."""
     loops = Loops()
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         choose(server, OTHER)
@@ -194,9 +194,9 @@ def test_nothing_of_a_replaced_robot_waits_for_the_next_collection() -> None:
             gc.enable()
 
 
-def test_memory_is_given_back() -> None:
+def test_give_back_frees_reference_cycles() -> None:
     class Node:
-        """Holds itself, and much."""
+        """Refers to itself and to a large array."""
 
         def __init__(self) -> None:
             self.itself, self.held = self, bytearray(1000)
@@ -210,7 +210,7 @@ def test_memory_is_given_back() -> None:
         gc.enable()
 
 
-def test_what_a_viewer_held_is_let_go_of() -> None:
+def test_a_change_releases_the_pull_of_a_viewer() -> None:
     with served_dashboard(start_loop=Loops()) as (server, _), viewer(server):
         old = server.shared.loop
         page = next(iter(server.pages.values()))
@@ -222,25 +222,25 @@ def test_what_a_viewer_held_is_let_go_of() -> None:
         assert old.pulls()[-1] is None
 
 
-def test_parameters_that_do_not_suit_the_robot_fall_back_and_the_viewers_are_told() -> None:
+def test_unsuitable_parameters_are_reset_and_the_viewers_notified() -> None:
     loops = Loops()
-    told: list[str] = []
+    notes: list[str] = []
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
-        server._notifier.tell = lambda *said: told.append(said[-1])  # type: ignore[method-assign]
+        server._notifier.tell = lambda *args: notes.append(args[-1])  # type: ignore[method-assign]
         server.shared.tuning.set("border.d_b", 0.3)
         loops.refuses = OWN.replace("border.d_b", 0.3)
         choose(server, OTHER)
         assert title(server) == "The other robot"
         assert server.shared.tuning.config == server.shared.tuning.usual == OWN
-        (note,) = told
+        (note,) = notes
         assert "all parameters are at their defaults: the robot cannot start with yours" in note
         assert "(the hand does not come there)" in note
-        server.shared.tuning.undo()  # nothing is lost
+        server.shared.tuning.undo()  # the change can be undone
         assert server.shared.tuning.config.border.d_b == 0.3
 
 
 @pytest.mark.parametrize("why", ["refused", "crashed", "cancelled"])
-def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
+def test_after_a_failure_the_old_robot_continues_and_the_cause_is_shown(
     why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loops = Loops()
@@ -263,18 +263,18 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
         assert panel is not None
         expected = {
             "refused": "does not come there",
-            "crashed": markup.DEFECT,  # the log has the exception, a page never
+            "crashed": markup.DEFECT,  # only the log contains the exception
             "cancelled": "cancelled",
         }[why]
         wait_for(lambda: expected in panel.about.content, what="the reason")
         t = first.latest().t
-        wait_for(lambda: first.latest().t > t, what="time to go on")
+        wait_for(lambda: first.latest().t > t, what="a running loop")
         loops.refuses = None
         monkeypatch.undo()
 
 
 @pytest.mark.parametrize(("before", "after"), [("score", "score"), (HIDDEN, HIDDEN)])
-def test_of_a_robot_without_the_shown_pairs_the_first_border_is_shown(
+def test_the_first_border_takes_the_view_if_the_shown_pairs_are_missing(
     before: str, after: str
 ) -> None:
     view = View.first(["a", "b"], [])
@@ -282,7 +282,7 @@ def test_of_a_robot_without_the_shown_pairs_the_first_border_is_shown(
     assert view.of_robot(["c", "d"], []).borders == {"c": after, "d": HIDDEN}
 
 
-def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
+def test_a_page_that_cannot_be_built_does_not_block_the_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     loop = ScriptedLoop(husky_panda())
@@ -303,7 +303,7 @@ def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
         loop.stop()
 
 
-def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
+def test_an_unknown_or_not_installed_robot_is_refused_at_once() -> None:
     with served_dashboard(start_loop=Loops()) as (server, _):
         change = server.shared.robot_switch
         for name, words in (
@@ -315,7 +315,7 @@ def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
         assert change.progress is None
 
 
-def test_a_simulation_that_has_ended_is_replaced_too() -> None:
+def test_a_failed_simulation_is_replaced_too() -> None:
     with served_dashboard(start_loop=Loops()) as (server, _), viewer(server):
         server.shared.loop.error = LoopError("gone")
         wait_for(lambda: server._failure is not None, what="the failure to be shown")

@@ -1,4 +1,4 @@
-"""Every robot through the same cases: a row has the figures of a run."""
+"""Every robot in the same cases: a row has the figures of a run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.robots import husky_panda
 SHORT = Case("short", "guiding", (10.0,), length=0.12, speed=0.1)
 
 
-def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_it():
+def test_paths_have_heights_of_the_base_and_on_axis_cases_its_direction():
     robot = husky_panda()
     top = MobileBody(robot).upper[2]
     for case in CASES:
@@ -29,8 +29,8 @@ def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_
 
 
 @pytest.mark.slow
-def test_a_row_for_each_controller_with_avoidance_farther_away():
-    """Paths that do not come into the inner half of the buffer show nothing."""
+def test_table_has_a_row_per_controller_and_more_clearance_with_avoidance():
+    """Paths outside the inner half of the buffer have nothing to show."""
     cases = [SHORT, SHORT._replace(length=0.04)]
     none, dbb, short = table.robot_table(["husky_panda"], cases=cases)["rows"]
     assert (none["controller"], dbb["controller"]) == table.COMPARED
@@ -42,7 +42,7 @@ def test_a_row_for_each_controller_with_avoidance_farther_away():
     assert "controller" not in short
 
 
-def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pytest.MonkeyPatch):
+def test_robot_that_cannot_be_loaded_has_a_row_with_the_reason(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(assets, "share_folders", list)
     (row,) = table.robot_table(["tiago"], cases=[SHORT])["rows"]
     assert row["robot"] == "tiago"
@@ -50,13 +50,13 @@ def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pyte
 
 
 @pytest.mark.parametrize("words", [["--robots", "r2d2"], ["--case", "dancing"]])
-def test_a_name_that_does_not_exist_is_refused(words: list[str]):
+def test_unknown_name_is_rejected(words: list[str]):
     with pytest.raises(UnknownNameError, match=words[1]):
         tyro.cli(table.main, args=words)
 
 
-def test_a_printed_table_shows_its_texts_as_they_are(capsys):
-    """A unit in brackets is no markup."""
+def test_printed_table_shows_brackets_verbatim(capsys):
+    """A unit in brackets is not markup."""
     print_table(("least clearance [m]", ""), [("0.1", "[bold]")], "speed [m/s]")
     out = capsys.readouterr().out
     assert all(text in out for text in ("least clearance [m]", "[bold]", "speed [m/s]"))

@@ -1,4 +1,4 @@
-"""The report of a run: its numbers are the log's, and its page needs nothing else."""
+"""The report of a run has the numbers of the log, and its page needs no other file."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def moving_log() -> Trace:
     return trace_of(snapshots)
 
 
-def test_key_numbers_are_those_of_the_motion():
+def test_key_numbers_equal_those_of_the_motion():
     log = moving_log()
     numbers = key_numbers(log)
     assert numbers["duration_s"] == pytest.approx(2.0)
@@ -54,7 +54,7 @@ def test_key_numbers_are_those_of_the_motion():
     assert numbers["base_displacement_m"] == pytest.approx(np.sqrt(8.0))
     assert numbers["base_yaw_rad"] == pytest.approx(np.pi / 2)
     assert numbers["min_distance_m"] == pytest.approx(dict.fromkeys(log.meta.pairs, 0.0))
-    assert numbers["activation_max"] == 0.25  # of the inserted rows, independent of the pairs'
+    assert numbers["activation_max"] == 0.25  # of the inserted rows, independent of the pairs' β
     assert (numbers["ee_error_max_m"], numbers["ee_error_final_m"]) == (50.0, 50.0)
     assert numbers["hand_force_max_n"] == pytest.approx(5.0)
     assert numbers["effort_max"] == {f"u_panda_joint{i}_nm": 100.0 for i in range(1, 8)}
@@ -62,7 +62,7 @@ def test_key_numbers_are_those_of_the_motion():
     assert numbers["torque_jump_max_nm"] is None  # its rows are not control steps
 
 
-def test_spans_cover_what_is_flagged_and_nothing_else():
+def test_spans_cover_exactly_the_flagged_samples():
     t = np.arange(8.0)
     flags = np.array([1, 1, 0, 0, 1, 0, 1, 1], dtype=bool)
     assert spans(flags, t) == [(0.0, 2.0), (4.0, 5.0), (6.0, 7.0)]
@@ -80,7 +80,7 @@ def test_every_changed_parameter_is_listed_with_all_its_values():
     ]
 
 
-def test_the_page_stands_alone_and_tells_numbers_changes_and_figures(tmp_path):
+def test_the_page_is_self_contained_with_numbers_changes_and_figures(tmp_path):
     log = moving_log()
     changed = log.snapshots[0].config.replace("border.d_b", 0.2).replace("border.kind", "points")
     rows = (replace(log.snapshots[0], config=changed, controller="<none>"), *log.snapshots[1:])
@@ -89,7 +89,7 @@ def test_the_page_stands_alone_and_tells_numbers_changes_and_figures(tmp_path):
     assert "http" not in re.sub(r'src="data:[^"]*"', "", page)
     assert page.count('src="data:image/png;base64,') == 5
     assert "min distance hand – base [m]" in page
-    assert "effort max u panda joint1 [N m]" in page  # a figure by joint, its unit kept
+    assert "effort max u panda joint1 [N m]" in page  # a figure for each joint, with its unit
     assert "border.d_b" in page
     assert "0.2, then 0.15" in page
     assert "points, then surface" in page  # a choice, which has no unit
@@ -107,7 +107,7 @@ def test_dbb_report_writes_the_page_and_prints_the_numbers(tmp_path, capsys):
     assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
 
 
-def test_dbb_report_of_no_log_is_one_clear_line(tmp_path, capsys):
+def test_dbb_report_reports_wrong_files_in_one_error(tmp_path, capsys):
     for args, words in (
         ([str(tmp_path / "none.csv")], "no such file"),
         ([str(tmp_path / "log.csv"), "--out", str(tmp_path / "a.pdf")], ".html"),

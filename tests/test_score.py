@@ -27,7 +27,7 @@ def field() -> ScoreField:
 
 
 def reachability(p: np.ndarray) -> np.ndarray:
-    """(9) with the paper's numbers, which the base has no part in."""
+    """(9) with the paper's numbers; it does not depend on the base."""
     return ScoreField(husky_panda().description.base, P_BASE, **REACH).reachability(p)
 
 
@@ -36,7 +36,7 @@ def points(count: int, seed: int = 0) -> np.ndarray:
 
 
 def test_6_is_the_velocity_of_a_point_fixed_to_the_base():
-    """By moving the base a little and looking where the point went."""
+    """The reference is a finite difference of the moved point."""
     rng = np.random.default_rng(1)
     for _ in range(20):
         phi, wheels, local = rng.uniform(-3, 3), rng.uniform(-2, 2, 2), rng.uniform(-1, 1, 2)
@@ -63,7 +63,7 @@ def test_7_is_the_determinant_of_the_jacobian_of_6():
     np.testing.assert_allclose(singularity_measure(p, R, B_TRACK), expected, rtol=1e-8, atol=1e-18)
 
 
-def test_8_the_determinant_vanishes_on_the_wheels_axis_only():
+def test_8_the_determinant_vanishes_only_on_the_wheel_axis():
     p = points(50)
     p[:, 0] = 0.0
     assert (singularity_measure(p, R, B_TRACK) == 0).all()
@@ -71,7 +71,7 @@ def test_8_the_determinant_vanishes_on_the_wheels_axis_only():
     assert (singularity_measure(p, R, B_TRACK) > 0).all()
 
 
-def test_9_is_the_papers_parabola_where_it_is_well_above_zero():
+def test_9_equals_the_papers_parabola_well_above_zero():
     for rho in np.linspace(0.155, 0.995, 50):
         p = P_BASE + rho * np.array([0.6, 0.0, 0.8])
         printed = -525.9 * (rho - 0.575) ** 2 + 100
@@ -79,7 +79,7 @@ def test_9_is_the_papers_parabola_where_it_is_well_above_zero():
         assert reachability(p) == pytest.approx(printed, rel=1e-12)
 
 
-def test_9_is_positive_and_falls_away_from_its_best_distance_everywhere():
+def test_9_is_positive_and_falls_on_both_sides_of_its_maximum():
     rho = np.linspace(0.575, 5.0, 2000)
     values = reachability(P_BASE + rho[:, None] * np.array([1.0, 0, 0]))
     assert (values > 0).all()
@@ -90,7 +90,7 @@ def test_9_is_positive_and_falls_away_from_its_best_distance_everywhere():
     assert (np.diff(values) < 0).all()
 
 
-def test_9_joins_its_floor_with_the_same_value_and_slope():
+def test_9_is_smooth_at_the_transition_to_its_tail():
     join = 0.575 + np.sqrt(95 / 525.9)  # [m] where (9) is 5
     h = 1e-7  # [m]
     p = P_BASE + np.outer([join - 2 * h, join - h, join + h, join + 2 * h], [1.0, 0.0, 0.0])
@@ -99,7 +99,7 @@ def test_9_joins_its_floor_with_the_same_value_and_slope():
     assert at[3] - at[2] == pytest.approx(at[1] - at[0], rel=1e-3)
 
 
-def test_10_is_mirrored_in_y_and_takes_its_sign_from_x(field):
+def test_10_is_symmetric_in_y_and_has_the_sign_of_x(field):
     p = points(500)
     np.testing.assert_allclose(field.score(p), field.score(p * [1, -1, 1]), rtol=1e-12)
     assert (np.sign(field.score(p)) == np.sign(p[:, 0])).all()
@@ -107,32 +107,32 @@ def test_10_is_mirrored_in_y_and_takes_its_sign_from_x(field):
     np.testing.assert_allclose(field.score(p), expected, rtol=1e-12)
 
 
-def test_the_gradient_of_10_is_that_of_finite_differences(field):
+def test_the_gradient_of_10_equals_finite_differences(field):
     p = np.concatenate([points(500), P_BASE + 1.5 * points(100, seed=1)])
     numeric = jacobian(lambda step: field.score(p + step), 3)
     np.testing.assert_allclose(field.gradient(p), numeric, atol=1e-7 * np.abs(numeric).max())
     np.testing.assert_allclose(field.gradient(p[0]), field.gradient(p)[0], rtol=1e-14)
 
 
-def test_the_gradient_is_finite_at_the_mount_and_zero_on_the_wheels_axis(field):
+def test_the_gradient_is_finite_at_the_mount_and_zero_on_the_wheel_axis(field):
     assert np.isfinite(field.gradient(field.p_base)).all()
     assert (field.gradient(np.array([0.0, 0.5, 0.2])) == 0).all()
 
 
-def test_the_direction_is_e_x_on_the_wheels_axis_as_from_both_sides(field):
+def test_the_uphill_direction_is_e_x_at_the_wheel_axis(field):
     for x in (-1e-7, 0.0, 1e-7):
         np.testing.assert_allclose(
             uphill(field.gradient(np.array([x, 0.6, 0.3]))), [1.0, 0.0, 0.0], atol=1e-5
         )
 
 
-def test_the_direction_is_the_gradients(field):
+def test_the_uphill_direction_is_the_normalised_gradient(field):
     p = np.array([0.4, 0.5, 0.3])
     gradient = field.gradient(p)
     np.testing.assert_allclose(uphill(field.gradient(p)), gradient / np.linalg.norm(gradient))
 
 
-def test_score_and_gradient_at_one_point_are_those_of_many(field):
+def test_score_and_gradient_at_one_point_equal_the_array_functions(field):
     near, far = points(500), P_BASE + 2.0 * points(500, seed=1)
     for p in [*near, *far, P_BASE, np.array([0.0, 0.5, 0.2]), np.array([-1e-9, 0.5, 0.2])]:
         S, gradient = score_at(field.coefficients(), p)
@@ -141,14 +141,14 @@ def test_score_and_gradient_at_one_point_are_those_of_many(field):
         np.testing.assert_allclose(gradient, field.gradient(p), rtol=1e-12, atol=1e-13 * scale)
 
 
-def test_the_field_holds_the_papers_numbers(field):
+def test_the_field_has_the_papers_numbers(field):
     base = husky_panda().description.base
     assert field.base == base
     assert (field.A, field.B, field.C) == (525.9, 0.575, 100.0)
     np.testing.assert_allclose(field.p_base, P_BASE, atol=1e-12)
 
 
-def test_a_body_without_coefficients_is_named():
+def test_the_error_of_missing_coefficients_names_the_body():
     model = husky_panda()
     with pytest.raises(DescriptionError, match=r"reachability\.l1"):
         ScoreField.of(model, "l1")

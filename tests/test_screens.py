@@ -1,4 +1,4 @@
-"""Any screen: a page without a GPU draws lightly, and a narrow one is used by fingers."""
+"""Any screen: less detail without a GPU, and touch input on narrow screens."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def served():
 
 
 def drawn(tab: DashboardTab) -> dict[str, int]:
-    """Triangles, draw calls and points of the last picture."""
+    """Counts of triangles, draw calls and points in a new picture."""
     with tab.drawing():
         tab.render(2)
     return tab.page.evaluate("() => ({ ...window.__viserTestpoints.rendererInfo.render })")
 
 
 def settled(tab: DashboardTab, holds: Callable[[dict[str, int]], object], what: str) -> dict:
-    """The same once something holds of it and nothing is on its way any more."""
+    """Counts of a picture, once they satisfy `holds` and no longer change."""
     seen: list[dict[str, int]] = [{}]
 
     def rests() -> bool:
         seen.append(drawn(tab))
-        tab.page.wait_for_timeout(500)  # [ms] the server sends one mesh after the other
+        tab.page.wait_for_timeout(500)  # [ms] the server sends the meshes one by one
         counts = [{k: each.get(k) for k in ("triangles", "calls", "points")} for each in seen[-2:]]
         return counts[0] == counts[1] and bool(holds(seen[-1]))
 
@@ -53,7 +53,7 @@ def settled(tab: DashboardTab, holds: Callable[[dict[str, int]], object], what: 
 
 
 @needs_pybullet
-def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_other(browser, served):
+def test_browser_without_gpu_gets_low_detail_until_it_is_switched_off(browser, served):
     tab = DashboardTab(browser, served.server.address, honest=True)
     assert served.page().view.light
     light = settled(tab, lambda now: now["points"], "the border")
@@ -62,13 +62,15 @@ def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_othe
     tab.check("Low detail", on=False)
     fine = settled(tab, lambda now: now["triangles"] > 8 * light["triangles"], "the fine drawing")
     assert fine["calls"] > 1.5 * light["calls"]
-    assert not tab.page.get_by_text("Software WebGL rendering").count(), "it is said once"
+    assert not tab.page.get_by_text("Software WebGL rendering").count(), (
+        "the notice must appear only once"
+    )
     tab.check("Low detail", on=True)
-    wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="the light one")
+    wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="low detail")
     assert tab.errors == []
 
 
-def test_no_box_of_the_settings_takes_the_page_to_another_server(browser, served):
+def test_settings_have_no_field_for_another_server(browser, served):
     tab = DashboardTab(browser, served.server.address)
     tab.page.get_by_label("Display settings").first.click()
     tab.page.get_by_text("Reset View").wait_for(timeout=40_000)
@@ -80,9 +82,9 @@ def test_no_box_of_the_settings_takes_the_page_to_another_server(browser, served
     tab.close()
 
 
-def test_light_meshes_have_few_faces_and_fill_the_same_room():
+def test_light_meshes_have_few_faces_and_the_same_extent():
     def room(visuals: list[Visual], joint: int) -> np.ndarray:
-        """Corners (2, 3) [m] of the objects that a joint moves, in its frame."""
+        """Corners (2, 3) [m] of the box around the objects that a joint moves, in its frame."""
         moved = [
             v.mesh.copy().apply_transform(v.placement.homogeneous).bounds
             for v in visuals
@@ -96,9 +98,7 @@ def test_light_meshes_have_few_faces_and_fill_the_same_room():
     assert sum(len(v.mesh.faces) for v in light) < 1.2 * LIGHT_FACES * len(light)
 
 
-def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels_are_a_drawer(
-    browser, served
-):
+def test_phone_has_touch_pulls_a_header_and_a_drawer(browser, served):
     tab = DashboardTab(browser, served.server.address, PHONE, touch=True)
     strip = tab.page.locator("#dbb-head")
     strip.wait_for(state="visible")
@@ -119,7 +119,7 @@ def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels
     wait_for(lambda: tab.plot("distance [m]") is not None, what="the plots")
     tab.page.get_by_role("tab", name="Compare").tap()
     chosen = tab.page.get_by_text("Second robot", exact=True).bounding_box()
-    assert opened < chosen["y"] < bar["y"], "it opens in sight"
+    assert opened < chosen["y"] < bar["y"], "the opened tab must be visible"
     assert strip.is_visible()
     line = tab.page.locator("#dbb-bar")
     assert line.get_by_role("button", name=re.compile("Pause|Continue")).is_visible()
@@ -129,14 +129,14 @@ def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels
 
 
 @needs_pybullet
-def test_on_a_tablet_a_finger_pulls_the_hand_and_a_link(browser, served):
+def test_touch_on_a_tablet_pulls_end_effector_and_link(browser, served):
     tab = DashboardTab(browser, served.server.address, TABLET, touch=True)
     tab.page.locator("[data-drawer=closed]").wait_for()
     pull_by_finger(tab, served)
     del served.loop.commands[:]
     link = tab.pixels("/robot/panda_joint4", np.zeros((1, 3)))[0]
     tab.touch(link, link + np.array([0.0, -40.0]))
-    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="let go")
+    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="release")
     pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
     assert pulls[-1].link is not None
     assert pulls[-1].target[2] > pulls[0].target[2]
@@ -144,18 +144,18 @@ def test_on_a_tablet_a_finger_pulls_the_hand_and_a_link(browser, served):
 
 
 def pull_by_finger(tab: DashboardTab, served: Served) -> None:
-    """The hand, forwards."""
+    """Pull the end-effector forwards."""
     arrow = tab.arrow(GIZMO, 0, SCALE)
     a, b = tab.pixels(GIZMO, np.array([arrow, arrow + np.array([0.1, 0.0, 0.0])]))
     del served.loop.commands[:]
     tab.touch(a, b)
-    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="let go")
+    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="release")
     pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
     assert pulls[-1].link is None
     assert pulls[-1].target[0] - pulls[0].target[0] > 0.05
 
 
-def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, monkeypatch):
+def test_untouched_page_plays_the_demonstration_until_the_first_input(browser, served, monkeypatch):
     monkeypatch.setattr(page, "UNTOUCHED", 1.0)
     served.begin_anew()
     tab = DashboardTab(browser, served.server.address, fresh=True)
@@ -167,7 +167,9 @@ def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, m
     tab.page.get_by_role("heading", name=CARDS["demo"].title).wait_for()
     del commands[:]
     tab.page.mouse.click(640, 40)
-    wait_for(lambda: any(isinstance(c, Reset) for c in commands), what="its end")
+    wait_for(
+        lambda: any(isinstance(c, Reset) for c in commands), what="the end of the demonstration"
+    )
     assert Compare() in commands
     tab.page.locator("#dbb-card").wait_for(state="hidden")
     del commands[:]
@@ -175,7 +177,7 @@ def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, m
     assert not any(isinstance(c, Play) for c in commands)
 
 
-def test_a_click_on_watch_it_counts_also_if_the_demonstration_begins_before(
+def test_click_on_watch_counts_even_if_the_demonstration_starts_before(
     browser, served, monkeypatch
 ):
     monkeypatch.setattr(page, "UNTOUCHED", 2.0)
@@ -185,7 +187,7 @@ def test_a_click_on_watch_it_counts_also_if_the_demonstration_begins_before(
     tab.page.get_by_role("heading", name=CARDS["welcome"].title).wait_for()
     place = watch.bounding_box()
     tab.page.get_by_role("heading", name=CARDS["demo"].title).wait_for()
-    assert watch.bounding_box() == pytest.approx(place, abs=2), "under the mouse is another button"
+    assert watch.bounding_box() == pytest.approx(place, abs=2), "the button must not move"
     commands = served.loop.commands
     del commands[:]
     tab.page.mouse.click(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
@@ -193,4 +195,4 @@ def test_a_click_on_watch_it_counts_also_if_the_demonstration_begins_before(
     wait_for(lambda: any(isinstance(c, Play) for c in commands), what="the scenario")
     tab.page.wait_for_timeout(1500)
     last = next(c for c in reversed(commands) if isinstance(c, Play | Reset))
-    assert isinstance(last, Play), "the end of the demonstration ended the scenario"
+    assert isinstance(last, Play), "the scenario must go on after the demonstration"

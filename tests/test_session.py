@@ -1,4 +1,4 @@
-"""A session: the same inputs give the same outputs, and the controller sees only its sensors."""
+"""A session: equal inputs give equal outputs, and the controller depends only on its sensors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def q_start(robot: RobotModel, border_data: BorderData) -> np.ndarray:
 
 @pytest.fixture
 def make(robot: RobotModel, border_data: BorderData, q_start: np.ndarray):
-    """Makes sessions at the start of guiding-lateral; closes them in the end."""
+    """Makes sessions at the start of guiding-lateral and closes them at the end."""
     made: list[Session] = []
 
     def make(physics: str = "kinematic", config: Config | None = None, **options) -> Session:
@@ -48,7 +48,7 @@ def make(robot: RobotModel, border_data: BorderData, q_start: np.ndarray):
 
 @pytest.fixture(scope="module")
 def run(robot: RobotModel, border_data: BorderData, q_start: np.ndarray) -> list[Step]:
-    """Steps of the stand-in in which the hand is pulled into the buffer."""
+    """Steps of the kinematic plant with a pull of the end-effector into the buffer."""
     session = Session(robot, border_data, Config(), physics="kinematic")
     session.reset(q_start)
     return pulled(session, 1500)
@@ -60,7 +60,7 @@ def pulled(session: Session, steps: int, target: np.ndarray | None = PULL) -> li
 
 
 def numbers(step: Step) -> np.ndarray:
-    """All that is physical in a step, without the real time that it took."""
+    """All physical quantities of a step, without its computing time."""
     m, w = step.measurement, step.control
     return np.concatenate(
         [
@@ -82,16 +82,16 @@ def same(a: list[Step], b: list[Step]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("physics", ["kinematic", "planar"])
-def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
-    """`test_physics_plants.py` tests each of the plants alone."""
+def test_equal_inputs_give_bitwise_equal_outputs(make, physics):
+    """`test_physics_plants.py` tests the plants alone."""
     a, b = make(physics), make(physics)
     steps = [(kept(a.step(pull=PULL)), kept(b.step(pull=PULL))) for _ in range(1200)]
     same([first for first, _ in steps], [second for _, second in steps])
-    assert steps[-1][0].control.activation > 0.0  # avoidance was part of it
+    assert steps[-1][0].control.activation > 0.0  # avoidance was active
 
 
 @pytest.mark.slow
-def test_a_reset_begins_the_same_run_again(make):
+def test_a_reset_restarts_the_same_run(make):
     session = make()
     first = pulled(session, 1000)
     angles = session.wheel_angles.copy()
@@ -99,7 +99,7 @@ def test_a_reset_begins_the_same_run_again(make):
     assert session.t == 0.0
     np.testing.assert_array_equal(session.wheel_angles, 0.0)
     second = pulled(session, 1000)
-    # Not bitwise: the solvers are warm-started from where the first run has ended.
+    # Not bitwise, because the solvers are warm-started from the end of the first run.
     np.testing.assert_allclose(
         [numbers(step) for step in second], [numbers(step) for step in first], atol=1e-9
     )
@@ -108,7 +108,7 @@ def test_a_reset_begins_the_same_run_again(make):
 
 
 @pytest.mark.parametrize("physics", ["kinematic", "planar"])
-def test_the_wheels_roll_as_far_as_the_base_goes(make, physics):
+def test_the_wheel_angles_match_the_base_motion(make, physics):
     session = make(physics)
     steps = pulled(session, 1200)
     base = session.model.description.base
@@ -121,17 +121,17 @@ def test_the_wheels_roll_as_far_as_the_base_goes(make, physics):
     assert abs(way) > 0.001
 
 
-def test_a_reset_forgets_the_persons_hold_and_the_count_of_failures(make, q_start):
+def test_a_reset_clears_the_persons_grip_and_the_failure_count(make, q_start):
     session = make()
     pulled(session, 300)
     session.controller.last.failures[()] = 3
     session.reset(q_start)
     step = session.step(pull=PULL)
     assert session.controller.last.failures == 0
-    assert np.linalg.norm(step.hand_force) < 0.1  # the grip starts at the present place
+    assert np.linalg.norm(step.hand_force) < 0.1  # the grip starts at the current position
 
 
-def test_it_stands_still_while_nobody_pulls(make, q_start):
+def test_the_robot_stands_still_without_a_pull(make, q_start):
     steps = pulled(make(), 500, None)
     np.testing.assert_allclose(steps[-1].measurement.q_m, q_start, atol=1e-4)
     np.testing.assert_allclose(steps[-1].measurement.base_pose, 0.0, atol=1e-6)
@@ -145,12 +145,12 @@ def test_time_advances_by_the_control_period(make):
 
 
 @pytest.mark.slow
-def test_the_controllers_answer_depends_on_its_sensors_alone(
+def test_the_controllers_output_depends_on_its_sensors_alone(
     run: list[Step], robot: RobotModel, border_data: BorderData
 ):
     """Another controller with only the measured values gives bitwise the same result.
 
-    It never meets the person, whose force therefore has no way into the answer.
+    This controller has no access to the person, so their force has no other influence.
     """
     assert max(np.linalg.norm(step.hand_force) for step in run) > 1.0
     assert max(step.control.activation for step in run) > 0.05
@@ -164,7 +164,7 @@ def test_the_controllers_answer_depends_on_its_sensors_alone(
 
 
 def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndarray]:
-    """The known response of the base's own drive, from commands and measured velocities alone."""
+    """The known response of the base's drive from commands and measured velocities alone."""
     base = robot.description.base
     commands = [np.zeros(2)] + [step.base_command for step in steps[:-1]]
     return [
@@ -174,7 +174,7 @@ def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndar
 
 
 @pytest.mark.slow
-def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(
+def test_the_base_command_is_the_admittance_law_of_the_acceleration(
     run: list[Step], robot: RobotModel
 ):
     law = RunningAdmittance(robot.description.base, Config().admittance)
@@ -184,7 +184,7 @@ def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(
 
 
 @pytest.mark.slow
-def test_the_base_command_is_renewed_at_its_own_slow_rate(run: list[Step]):
+def test_the_base_command_changes_at_the_rate_of_the_admittance(run: list[Step]):
     changes = [
         k
         for k, (a, b) in enumerate(pairwise(run), start=1)
@@ -195,7 +195,7 @@ def test_the_base_command_is_renewed_at_its_own_slow_rate(run: list[Step]):
     assert {k % period for k in changes} == {changes[0] % period}
 
 
-def test_another_configuration_holds_from_the_next_step_on_and_another_buffer_by_and_by(make):
+def test_a_configuration_applies_at_once_and_a_buffer_gradually(make):
     session = make()
     before = pulled(session, 5)[-1]
     wide = Config().replace("border.d_b", 0.30).replace("hand.stiffness", 900.0)
@@ -205,21 +205,21 @@ def test_another_configuration_holds_from_the_next_step_on_and_another_buffer_by
     assert session.controller.d_b == pytest.approx(0.30)
     beta = np.array([step.control.beta_m for step in after])
     assert beta[-1] > 0.1
-    assert np.abs(np.diff(beta)).max() < 0.05, "a jump would throw the arm"
+    assert np.abs(np.diff(beta)).max() < 0.05, "β_m jumps"
     assert session.config is wide
     session.configure(Config().replace("hand.f_max", 1.0))
     assert max(np.linalg.norm(step.hand_force) for step in pulled(session, 300)) <= 1.0 + 1e-9
 
 
 @pytest.mark.slow
-def test_configuring_is_the_same_as_having_been_made_so(make):
+def test_configuring_equals_creating_with_the_configuration(make):
     config = Config().replace("border.d_b", 0.20).replace("admittance.mass", 30.0)
     changed = make()
     changed.configure(config)
     same(pulled(changed, 800), pulled(make(config=config), 800))
 
 
-def test_the_error_is_towards_the_reference_or_towards_the_person(make):
+def test_the_error_refers_to_the_reference_or_the_persons_target(make):
     session = make()
     orientation = session.T_world_ee.rotation.copy()
     away = LATERAL.changed(start=tuple(np.add(LATERAL.start, (0.0, 0.1, 0.0)).tolist()))
@@ -237,12 +237,12 @@ def test_a_pull_below_the_floor_is_refused(make):
 
 
 @pytest.mark.parametrize("option", [{"controller": "x"}, {"physics": "x"}])
-def test_an_unknown_name_lists_those_that_exist(make, option):
+def test_the_error_of_an_unknown_name_lists_the_known_ones(make, option):
     with pytest.raises(UnknownNameError, match="choose from"):
         make(**option)
 
 
-def test_a_robot_without_anything_to_avoid_is_refused_by_name(
+def test_a_robot_without_pairs_to_avoid_is_refused_with_its_name(
     robot: RobotModel, border_data: BorderData
 ):
     data = replace(border_data, pairs=replace(border_data.pairs, mobile=()))
@@ -251,9 +251,7 @@ def test_a_robot_without_anything_to_avoid_is_refused_by_name(
 
 
 @pytest.mark.parametrize("reading", ["base_pose", "base_velocity", "q_m"])
-def test_readings_that_are_no_numbers_brake_the_robot_and_are_counted_and_it_goes_on(
-    make, monkeypatch, reading
-):
+def test_nan_readings_brake_the_robot_are_counted_and_it_recovers(make, monkeypatch, reading):
     session, spoiled = make(), range(60, 260)
     steps: list[Step] = []
 
@@ -268,6 +266,6 @@ def test_readings_that_are_no_numbers_brake_the_robot_and_are_counted_and_it_goe
     assert all(np.isfinite(step.control.u_cmd).all() for step in steps)
     assert all(np.isfinite(step.base_command).all() for step in steps)
     braked = [k for k, step in enumerate(steps) if not step.control.solved]
-    predicted = 100 if reading == "q_m" else len(spoiled)  # [ms] the base has the drive's model
+    predicted = 100 if reading == "q_m" else len(spoiled)  # [ms]; the base has a model of its drive
     assert braked == list(spoiled)[predicted:]
     assert session.controller.last.failures == len(braked)

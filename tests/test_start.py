@@ -1,4 +1,4 @@
-"""The start solver: properties of all its starts, and its refusals."""
+"""The start solver: properties of all its starts, and its errors."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ def solver(robot: RobotModel, border_data: BorderData) -> StartSolver:
 
 @pytest.fixture(scope="module", params=PLACES)
 def solved(request, solver):
-    """A place, and the arm configuration for it."""
+    """A place and the arm configuration for it."""
     return np.array(PLACES[request.param]), solver.solve(PLACES[request.param])
 
 
 def end_effector(robot: RobotModel, q_m: np.ndarray) -> pin.SE3:
-    """By pinocchio directly, the base at the origin."""
+    """The pose directly from pinocchio, with the base at the origin."""
     data = robot.pin.createData()
     pin.framesForwardKinematics(robot.pin, data, robot.configuration((0, 0, 0), q_m))
     return data.oMf[robot.ee_frame]
 
 
 @pytest.mark.slow
-def test_the_hand_is_where_it_was_asked_for(robot, solved):
+def test_the_end_effector_is_at_the_requested_place(robot, solved):
     place, q_m = solved
     np.testing.assert_allclose(end_effector(robot, q_m).translation, place, atol=1e-5)
 
 
-def test_every_pair_is_outside_of_its_buffer(robot, border_data, solved):
+def test_every_pair_is_outside_its_buffer(robot, border_data, solved):
     distances = PairDistances(robot, border_data.pairs.all)
     distances.update(robot.configuration((0, 0, 0), solved[1]))
     assert min(distances.distance(i) for i in range(len(distances.pairs))) > D_B
@@ -66,7 +66,7 @@ def test_joints_are_away_from_their_limits(robot, solved):
 
 
 def test_the_arm_is_above_the_floor(robot, solved):
-    """Lowest point of each capsule of the arm: ends of its axis, less its radius."""
+    """The lowest point of a capsule is the lower end of its axis minus its radius."""
     data = robot.pin.createData()
     geometry = pin.GeometryData(robot.geometry)
     q = robot.configuration((0, 0, 0), solved[1])
@@ -78,26 +78,28 @@ def test_the_arm_is_above_the_floor(robot, solved):
             assert at.translation[2] - sag > 0.0
 
 
-def test_the_hand_points_away_from_the_mount_and_not_upwards(robot, solved):
+def test_the_end_effector_points_away_from_the_mount_and_not_upwards(robot, solved):
     place, q_m = solved
     pointing = end_effector(robot, q_m).rotation[:, 2]
     outwards = (place - robot.p_base())[:2]
-    assert pointing[:2] @ outwards > -1e-6  # straight down is none of both
+    assert pointing[:2] @ outwards > -1e-6  # straight down is neutral
     across = pointing[0] * outwards[1] - pointing[1] * outwards[0]
     assert abs(across) < 0.03 * np.linalg.norm(outwards)
     assert pointing[2] < 0.03
 
 
-def test_the_hand_points_steeply_down_where_nothing_hinders_it(robot, solver):
+def test_the_end_effector_points_down_by_45_degrees_in_free_space(robot, solver):
     pointing = end_effector(robot, solver.solve((0.85, 0.30, 0.40))).rotation[:, 2]
     assert -pointing[2] == pytest.approx(np.sin(np.pi / 4), abs=0.03)
 
 
 @pytest.mark.parametrize(
-    ("lean", "anyhow"), [(0.0, False), (0.3, False), (1.2, True), (3.1, False)]
+    ("lean", "any_direction"), [(0.0, False), (0.3, False), (1.2, True), (3.1, False)]
 )
-def test_the_hand_of_an_arm_on_a_flank_points_as_it_can(robot, border_data, lean, anyhow):
-    """As an Alicia-D on a Jackal's side, 69 degrees tilted: away and down was out of its reach."""
+def test_only_a_sideways_mounted_arm_may_point_in_any_direction(
+    robot, border_data, lean, any_direction
+):
+    """An Alicia-D on a Jackal, tilted by 69°, cannot point away and down."""
     model = RobotModel(robot.description)
     model.pin.jointPlacements[2] = model.pin.jointPlacements[2] * pin.SE3(
         pin.utils.rotate("x", lean), np.zeros(3)
@@ -106,11 +108,11 @@ def test_the_hand_of_an_arm_on_a_flank_points_as_it_can(robot, border_data, lean
     solver._try = lambda target, *_: tried.append(target.z) or Found(None, 0.0, Counter())
     with pytest.raises(UnreachableError):
         solver.solve((0.3, 0.7, 0.3))
-    assert [each for each in tried if each is None] == ([None] if anyhow else [])
+    assert [each for each in tried if each is None] == ([None] if any_direction else [])
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_bitwise_the_same_start(robot, border_data, solver):
+def test_equal_seeds_give_bitwise_equal_starts(robot, border_data, solver):
     again = StartSolver(robot, border_data.pairs, D_B)
     for name in ("guiding-lateral", "guiding-fold"):
         first = solver.solve(PLACES[name], seed=4)
@@ -118,32 +120,32 @@ def test_the_same_seed_gives_bitwise_the_same_start(robot, border_data, solver):
         np.testing.assert_array_equal(first, again.solve(PLACES[name], seed=4))
 
 
-def test_what_was_found_is_not_searched_again_and_what_differs_is(
-    robot, border_data, solver, monkeypatch
-):
-    model = RobotModel(robot.description)  # of this test alone
+def test_a_found_start_is_reused_only_for_equal_arguments(robot, border_data, solver, monkeypatch):
+    model = RobotModel(robot.description)  # only for this test
 
     def found(d_b, place, seed):
         return find_start(model, border_data.pairs, d_b, place, seed=seed)
 
-    asked = (0.15, LINES["guiding-front"].start, 0)
-    first = found(*asked)
+    arguments = (0.15, LINES["guiding-front"].start, 0)
+    first = found(*arguments)
     np.testing.assert_array_equal(first, solver.solve(LINES["guiding-front"].start))
-    with pytest.raises(ValueError, match="read-only"):  # it is everybody's who asks
+    with pytest.raises(ValueError, match="read-only"):  # all callers share it
         first[:] = np.nan
     searched = []
     monkeypatch.setattr(
         StartSolver, "solve", lambda *args, **_: searched.append(args) or np.ones(7)
     )
-    assert np.isfinite(found(*asked)).all()
+    assert np.isfinite(found(*arguments)).all()
     assert not searched
-    for k, other in enumerate([(0.16, *asked[1:]), (0.15, (0.9, 0.1, 0.3), 0), (*asked[:2], 1)]):
+    for k, other in enumerate(
+        [(0.16, *arguments[1:]), (0.15, (0.9, 0.1, 0.3), 0), (*arguments[:2], 1)]
+    ):
         found(*other)
         assert len(searched) == k + 1
 
 
 @pytest.mark.slow
-def test_other_seeds_reach_the_same_places(robot, solver):
+def test_every_seed_reaches_the_place(robot, solver):
     for place, seed in itertools.product(("guiding-lateral", "tracking"), (1, 2, 3)):
         at = end_effector(robot, solver.solve(PLACES[place], seed=seed)).translation
         np.testing.assert_allclose(at, PLACES[place], atol=1e-5)
@@ -154,7 +156,7 @@ def test_other_seeds_reach_the_same_places(robot, solver):
     ("place", "reason"),
     [
         ((2.5, 0.0, 0.5), "out of the arm's reach"),
-        ((1.32, 0.0, 0.5), "out of the arm's reach"),  # nearer than all offsets together
+        ((1.32, 0.0, 0.5), "out of the arm's reach"),  # nearer than the sum of all offsets
         ((0.2, 0.42, 0.15), "inside its buffer"),
         ((0.7, 0.1, 0.02), "touch the floor"),
         ((0.9, 0.0, -0.1), "above the floor"),
@@ -162,15 +164,15 @@ def test_other_seeds_reach_the_same_places(robot, solver):
         ((float("nan"), 0.0, 0.5), "start"),
     ],
 )
-def test_a_start_that_cannot_be_is_refused_with_its_reason(solver, place, reason):
+def test_an_impossible_start_is_refused_with_its_reason(solver, place, reason):
     with pytest.raises(UnreachableError, match=reason) as caught:
         solver.solve(place)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["husky_panda", "stretch_se3"])
-def test_no_posture_brings_the_hand_beyond_the_length_of_the_arm(name: str):
-    """So a place that is farther is refused at once; the Stretch has five slides."""
+def test_no_posture_is_beyond_the_length_of_the_arm(name: str):
+    """Farther places are refused without a search. The Stretch has five prismatic joints."""
     try:
         robot = RobotModel(load_robot(name))
     except AssetError as error:
@@ -185,14 +187,14 @@ def test_no_posture_brings_the_hand_beyond_the_length_of_the_arm(name: str):
     assert max(reached) < 0.0
 
 
-def test_a_wider_buffer_is_kept_too(robot, border_data):
+def test_a_start_is_outside_a_wider_buffer_too(robot, border_data):
     wide = StartSolver(robot, border_data.pairs, 0.25)
     distances = PairDistances(robot, border_data.pairs.all)
     distances.update(robot.configuration((0, 0, 0), wide.solve((0.95, 0.1, 0.45))))
     assert min(distances.distance(i) for i in range(len(distances.pairs))) > 0.25
 
 
-def test_a_hand_that_slides_keeps_its_direction(robot, solver):
+def test_sliding_preserves_the_direction_of_the_end_effector(robot, solver):
     begin, end = (0.30, 0.72, 0.30), (0.33, 0.75, 0.30)
     q_m = solver.solve(begin)
     slid = solver.slide(end, q_m)
@@ -204,16 +206,18 @@ def test_a_hand_that_slides_keeps_its_direction(robot, solver):
 
 
 @pytest.mark.parametrize("turn", [-0.7, 0.7])
-def test_a_turned_hand_points_that_much_to_the_left(robot, solver, turn):
+def test_a_turned_end_effector_points_to_the_left_by_the_angle(robot, solver, turn):
     place = (0.80, 0.10, 0.40)
     straight, turned = (end_effector(robot, solver.solve(place, turn=t)) for t in (0.0, turn))
     x, y, _ = straight.rotation[:, 2]
     u, v, _ = turned.rotation[:, 2]
     between = np.arctan2(x * v - y * u, x * u + y * v)
-    assert between == pytest.approx(turn, abs=0.08)  # pitches differ, directions are kept to 0.02
+    assert between == pytest.approx(
+        turn, abs=0.08
+    )  # pitches differ; the tolerance of directions is 0.02
 
 
-def test_what_is_solved_is_reached_and_what_is_far_is_not(solver):
+def test_solved_places_are_in_reach_and_distant_ones_are_not(solver):
     assert all(solver.reaches(place) for place in PLACES.values())
     assert not solver.reaches((0.30, 1.6, 0.30))
     assert not solver.reaches((-0.9, 0.0, 0.30))

@@ -1,4 +1,4 @@
-"""Structs: compiled code reads the values of Python, and writes into the same memory."""
+"""Structs: compiled code reads the values of Python and writes into the same memory."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def read(w: Any, found: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("flags", [(True, False, True), (False, True, False)])
-def test_compiled_code_sees_every_field_and_shares_its_memory(flags: tuple[bool, ...]) -> None:
+def test_compiled_code_reads_every_field_and_shares_its_memory(flags: tuple[bool, ...]) -> None:
     flag, first, second = flags
     matrix, turned = np.arange(6.0).reshape(2, 3), np.arange(6.0).reshape(2, 3).T.copy(order="F")
     scalar = np.array(0.0)

@@ -1,4 +1,4 @@
-"""A case follows from its study and its number alone, and can be run again exactly."""
+"""A case depends only on its study and its number and can be repeated exactly."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def cases(sources) -> list[Row]:
 
 
 @pytest.mark.slow
-def test_a_case_does_not_depend_on_what_was_drawn_or_played_before(sources, cases):
+def test_a_case_does_not_depend_on_earlier_cases(sources, cases):
     play_case(cases[0], PARAMETERS, sources.model, sources.data)
     for number in (7, 2):
         assert draw_case(PARAMETERS, number, sources) == cases[number]
 
 
-def test_another_number_and_another_seed_are_another_case(sources, cases):
+def test_each_number_and_each_seed_gives_another_case(sources, cases):
     other = draw_case(PARAMETERS.model_copy(update={"seed": 6}), 0, sources)
     drawn = [
         tuple(case[name] for name in ("start_x_m", "move_x_m", "speed_mps", "seed"))
@@ -72,7 +72,7 @@ def test_another_number_and_another_seed_are_another_case(sources, cases):
     assert len(set(drawn)) == len(drawn)
 
 
-def test_a_case_begins_where_it_says_with_every_pair_outside_its_buffer(sources, cases):
+def test_a_case_starts_at_its_place_with_every_pair_outside_its_buffer(sources, cases):
     state = RobotState(sources.model)
     pairs = sources.data.pairs
     monitor = DistanceMonitor(state, [*pairs.mobile, *pairs.manipulator])
@@ -84,7 +84,7 @@ def test_a_case_begins_where_it_says_with_every_pair_outside_its_buffer(sources,
         assert min(c.d for c in monitor.find_closest_points()) > Config().border.d_b
 
 
-def test_the_hand_is_pulled_no_faster_than_the_case_says_and_as_fast(cases):
+def test_the_largest_pull_speed_is_that_of_the_case(cases):
     for case in cases:
         line = line_of(case)
         times = np.linspace(0.0, line.duration, 2001)
@@ -94,7 +94,7 @@ def test_the_hand_is_pulled_no_faster_than_the_case_says_and_as_fast(cases):
         assert line.place(line.duration) == pytest.approx(np.add(line.start, line.move))
 
 
-def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases):
+def test_drawn_values_are_in_their_intervals_and_in_the_configuration(cases):
     ranges = PARAMETERS.ranges
     for case in cases:
         config = spec_of(case, PARAMETERS).config
@@ -107,7 +107,7 @@ def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases)
         assert config.disturbance.begins == case["fault_at_s"]
 
 
-def test_a_case_has_no_faults_or_one_to_three_that_begin_during_the_pull(sources, cases):
+def test_a_case_has_at_most_three_faults_that_start_during_the_pull(sources, cases):
     healthy = {name: Config().value(DRAWN[name]) for name in FAULTS}
     counts = []
     for case in cases:
@@ -120,8 +120,8 @@ def test_a_case_has_no_faults_or_one_to_three_that_begin_during_the_pull(sources
     assert {name: case[COLUMNS[name]] for name in FAULTS} == healthy
 
 
-def test_a_soft_and_a_stiff_spring_are_as_likely(sources):
-    """As many below the geometric mean of the interval as above it."""
+def test_soft_and_stiff_springs_are_equally_likely(sources):
+    """Half of the draws are below the geometric mean of the interval."""
     rng = np.random.default_rng(0)
     draws = [draw_value("hand_stiffness", PARAMETERS.ranges, rng) for _ in range(400)]
     middle = np.sqrt(np.prod(PARAMETERS.ranges.hand_stiffness))
@@ -129,7 +129,7 @@ def test_a_soft_and_a_stiff_spring_are_as_likely(sources):
     assert min(draws) < 350.0 < 2500.0 < max(draws)
 
 
-def test_who_lets_go_does_so_on_the_way_and_takes_hold_again_before_the_end(cases):
+def test_a_release_is_during_the_motion_and_a_new_grasp_before_the_end(cases):
     lines = [line_of(case) for case in cases]
     for line in lines:
         pulled, release, regrasp = line.duration * line.moving, line.release_at, line.regrasp_at
@@ -145,7 +145,7 @@ def test_who_lets_go_does_so_on_the_way_and_takes_hold_again_before_the_end(case
     assert any(line.regrasp_at is not None for line in lines)
 
 
-def test_directions_are_of_the_whole_sphere_and_each_of_its_sector(sources):
+def test_directions_cover_the_sphere_and_match_their_sectors(sources):
     rng, lower, upper = np.random.default_rng(0), sources.lower, sources.upper
     ways = []
     for sector in SECTORS:
@@ -166,8 +166,8 @@ def test_a_uniform_direction_falls_into_every_sector():
     assert found.count("above") / 3000 == pytest.approx((1 - 0.5**0.5) / 2, abs=0.03)
 
 
-def test_a_pull_that_does_not_go_along_the_base_goes_into_it(sources, cases):
-    """Its way, prolonged, meets the base's box."""
+def test_a_pull_that_is_not_along_the_base_leads_into_it(sources, cases):
+    """The extended line of the pull intersects the box of the base."""
     lower, upper = sources.lower, sources.upper
     for case in cases:
         if "along" in case["kind"]:
@@ -178,15 +178,15 @@ def test_a_pull_that_does_not_go_along_the_base_goes_into_it(sources, cases):
         assert ((points > lower) & (points < upper)).all(axis=1).any()
 
 
-def test_a_row_of_the_table_holds_its_whole_case(cases):
-    """As in its journal, with its results."""
+def test_a_row_of_the_table_contains_its_complete_case(cases):
+    """The row is like that of the journal, with results."""
     for case in cases:
         row = json.loads(json.dumps({**case, "nan": False, "min_clearance_m": 0.1}))
         assert spec_of(row, PARAMETERS) == spec_of(case, PARAMETERS)
 
 
 def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
-    """Played from memory and from the file of a failure, after another case in between."""
+    """The case runs from memory and, after another case, from the file of a failure."""
     row = play_case(cases[3], PARAMETERS, sources.model, sources.data)
     run = spec_of(cases[3], PARAMETERS)
     file = tmp_path / "case.json"
@@ -211,7 +211,7 @@ def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
         ('{"dbb_case": 1, "sped": 1}', ["sped"]),
     ],
 )
-def test_a_file_that_is_no_case_is_refused_by_name(tmp_path, content, words):
+def test_a_file_that_is_no_case_is_refused_with_its_name(tmp_path, content, words):
     path = tmp_path / "case.json"
     if content is not None:
         path.write_text(content)
@@ -228,7 +228,7 @@ def test_a_case_of_another_arm_or_with_an_impossible_value_is_refused(sources, c
         spec_of({**cases[0], "base_delay_s": 9.0}, PARAMETERS)
 
 
-def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
+def test_an_aborted_run_gives_a_row_with_the_reason(sources, cases):
     below = {**cases[0], "move_z_m": -5.0}
     row = play_case(below, PARAMETERS, sources.model, sources.data)
     assert "below the floor" in row["error"]
@@ -236,7 +236,7 @@ def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
 
 
 @pytest.mark.slow
-def test_inside_of_an_envelope_every_case_lies_in_it(sources):
+def test_every_case_of_a_narrowed_study_is_inside_the_envelope(sources):
     envelope = Envelope(
         force=50.0,
         speed=(0.1, 0.9),
@@ -271,9 +271,7 @@ def test_inside_of_an_envelope_every_case_lies_in_it(sources):
         empty.narrowed(RANGES)
 
 
-def test_files_that_are_not_there_end_a_study_instead_of_being_a_row_of_it(
-    sources, cases, monkeypatch
-):
+def test_missing_files_end_a_study_with_an_error(sources, cases, monkeypatch):
     def missing(*_: object) -> None:
         raise AssetError("no such mesh")
 
@@ -283,7 +281,7 @@ def test_files_that_are_not_there_end_a_study_instead_of_being_a_row_of_it(
 
 
 @pytest.mark.parametrize("file", ["control/controller.py", "studies/sweep/plan.py", "structs.py"])
-def test_a_change_of_any_file_of_the_program_changes_the_digest_of_the_code(file, monkeypatch):
+def test_a_change_of_any_source_file_changes_the_code_digest(file, monkeypatch):
     before, read = code_digest.__wrapped__(), Path.read_bytes
     changed = f"app/{file}"
     monkeypatch.setattr(

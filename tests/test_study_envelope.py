@@ -1,4 +1,4 @@
-"""The envelope: it holds no failed case, and finds a known limit."""
+"""The envelope contains no failed case, and finds a known limit."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def row(case: int, force: float, speed: float, delay: float, contacts: int) -> R
 
 
 def rows_by(law, count: int, seed: int = 0) -> list[Row]:
-    """Random cases that fail where they are stronger than a law of speed and delay allows."""
+    """Random cases that fail if their force exceeds a limit that depends on speed and delay."""
     rng = np.random.default_rng(seed)
     rows = []
     for case in range(count):
@@ -75,7 +75,7 @@ def rows_by(law, count: int, seed: int = 0) -> list[Row]:
     return rows
 
 
-def test_without_a_failure_it_goes_as_far_as_was_exerted_and_no_farther():
+def test_envelope_without_failures_extends_to_the_exerted_force():
     rows = rows_by(lambda speed, delay: 1e3, 2000)
     assert STRONGEST - 5.0 < fit_envelope(rows, RANGES).force <= STRONGEST
     weak = [row for row in rows if row["hand_force_clear_max_n"] < 50]
@@ -83,8 +83,8 @@ def test_without_a_failure_it_goes_as_far_as_was_exerted_and_no_farther():
     assert fit_envelope([], RANGES).force == 0.0
 
 
-def test_a_known_limit_is_found_from_below_and_no_farther_than_the_margin():
-    """That of the hardest case within the intervals."""
+def test_known_limit_is_found_from_below_within_the_margin():
+    """The limit of the hardest case within the intervals."""
 
     def law(speed: float, delay: float) -> float:
         return 100.0 - 40.0 * speed - 50.0 * delay
@@ -106,27 +106,27 @@ cases = st.builds(
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(cases, max_size=40))
-def test_no_failed_case_is_inside(rows):
+def test_failed_cases_are_outside_the_envelope(rows):
     fitted = fit_envelope(rows, RANGES)
     assert not [r for r in rows if r["contacts"] and fitted.holds(r)]
 
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(cases, max_size=20), cases)
-def test_a_further_failure_never_widens_the_envelope_and_a_success_never_narrows_it(rows, further):
+def test_failure_never_widens_and_success_never_narrows_the_envelope(rows, further):
     before, after = (fit_envelope(each, RANGES).force for each in (rows, [*rows, further]))
     assert after <= before if further["contacts"] else after >= before
 
 
-def test_a_case_that_came_too_near_bounds_the_envelope_too():
+def test_case_with_too_little_clearance_limits_the_envelope():
     near = {**row(0, 50.0, 0.5, 0.1, 0), "min_clearance_m": NEAR - 1e-6}
     assert not fit_envelope([near], RANGES).holds(near)
     clear = {**near, "min_clearance_m": NEAR}
     assert fit_envelope([clear], RANGES).holds({**clear, "hand_force_clear_max_n": 49.0})
 
 
-def test_what_was_exerted_counts_and_not_what_the_spring_would_have_allowed():
-    """A strong person who pulls weakly says nothing of strong pulls, however it goes."""
+def test_exerted_force_counts_rather_than_the_limit_of_the_spring():
+    """A weak pull, successful or not, does not extend the envelope to strong pulls."""
     weak = row(0, 20.0, 0.5, 0.1, 0)
     assert fit_envelope([weak], RANGES).force == 20.0
     assert fit_envelope([{**weak, "contacts": 1}], RANGES).force == 0.0
@@ -134,13 +134,13 @@ def test_what_was_exerted_counts_and_not_what_the_spring_would_have_allowed():
     assert fit_envelope([{**weak, "contacts": 1}, strong], RANGES).force == 18.0
 
 
-def test_a_run_that_broke_off_counts_with_the_force_of_its_spring():
+def test_aborted_run_counts_with_the_largest_force_of_its_spring():
     broken = {**row(0, 0.0, 0.5, 0.1, 0), "hand_force_clear_max_n": None, "error": "it broke"}
     fitted = fit_envelope([broken, row(1, 95.0, 1.2, 0.4, 0)], RANGES)
     assert fitted.force == MARGIN * 100.0
 
 
-def test_beyond_what_was_drawn_nothing_is_inside():
+def test_values_beyond_the_drawn_ranges_are_outside_the_envelope():
     hardest = row(0, STRONGEST, RANGES.speed[1], RANGES.base_delay[1], 0)
     fitted = fit_envelope([hardest], RANGES)
     assert fitted.holds(row(1, 99.0, 0.4, 0.1, 0))
@@ -160,7 +160,7 @@ def test_beyond_what_was_drawn_nothing_is_inside():
         assert not fitted.holds({**row(1, 1.0, 0.4, 0.1, 0), column: value}), column
 
 
-def test_the_bound_of_a_rate_is_that_of_the_binomial_and_three_over_n_without_a_failure():
+def test_rate_bound_is_binomial_and_three_over_n_without_failures():
     for n in (50, 300, 2000):
         assert (1 - rate_bound(0, n)) ** n == pytest.approx(0.05)
         assert rate_bound(0, n) == pytest.approx(3 / n, rel=0.04)
@@ -170,8 +170,8 @@ def test_the_bound_of_a_rate_is_that_of_the_binomial_and_three_over_n_without_a_
     assert rate_bound(0, 0) == rate_bound(4, 4) == 1.0
 
 
-def test_each_half_is_held_against_the_envelope_of_the_other():
-    """A failure that only the odd cases know is found inside of the even ones' envelope."""
+def test_each_half_is_tested_with_the_envelope_of_the_other_half():
+    """A failure among the odd cases is inside the envelope of the even cases."""
     even = [row(2 * k, 50.0, 0.5, 0.1, 0) for k in range(10)]
     odd = [row(1, 50.0, 0.5, 0.1, 1)]
     halves, whole = tally_by_halves([*even, *odd], RANGES), tally([*even, *odd])
@@ -179,7 +179,7 @@ def test_each_half_is_held_against_the_envelope_of_the_other():
     assert (whole["cases"], whole["failed"]) == (11, 1)
 
 
-def test_an_envelope_survives_its_file():
+def test_envelope_survives_its_file():
     fitted = fit_envelope(rows_by(lambda v, d: 90.0 - 20.0 * v, 300), RANGES)
     text = as_toml(fitted, {"seed": 3, "about": 'a "test"', "inside": True})
     content = tomllib.loads(text)
@@ -187,7 +187,7 @@ def test_an_envelope_survives_its_file():
     assert content["source"] == {"seed": 3, "about": 'a "test"', "inside": True}
 
 
-def test_the_stated_envelope_can_be_read_and_says_where_it_comes_from():
+def test_stated_envelope_is_readable_and_states_its_source():
     stated = Envelope.stated()
     assert stated.force > 0.0
     source = tomllib.loads(module.STATED.read_text(encoding="utf-8"))["source"]
@@ -195,7 +195,7 @@ def test_the_stated_envelope_can_be_read_and_says_where_it_comes_from():
     assert source["inside_failed"] == 0
 
 
-def test_a_damaged_envelope_is_refused_by_name(tmp_path, monkeypatch):
+def test_damaged_envelope_error_names_the_file(tmp_path, monkeypatch):
     path = tmp_path / "envelope.toml"
     monkeypatch.setattr(module, "STATED", path)
     for text in (
@@ -208,7 +208,7 @@ def test_a_damaged_envelope_is_refused_by_name(tmp_path, monkeypatch):
             Envelope.stated()
 
 
-def test_an_entry_into_the_buffer_is_judged_by_the_robots_own_buffer_distance():
+def test_entry_into_the_buffer_is_judged_by_the_robots_d_b():
     events = {"kind": "side", "redraws": 0, "release_at_s": None, "regrasp_at_s": None}
     rows = [{**row(0, 20.0, 0.5, 0.1, 0), **events, "min_clearance_m": 0.17}]
     for d_b, entered in ((0.15, 0), (0.2, 1)):

@@ -1,4 +1,4 @@
-"""A case played again, by the command line and behind the dashboard, is the same run."""
+"""The command line and the dashboard repeat the run of a case."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_case_can_be_played_with_another_controller(case, file, capfd):
         (["--controller", "dbx"], ["did you mean 'dbb'"]),
     ],
 )
-def test_what_the_case_says_already_is_refused(file, capfd, args, words):
+def test_options_that_a_case_defines_are_refused(file, capfd, args, words):
     with pytest.raises(SystemExit) as end:
         main(["run", *args, "--case", str(file)])
     assert end.value.code == 2
@@ -107,7 +107,7 @@ def test_the_dashboard_refuses_a_file_that_is_no_case(tmp_path, capfd):
     assert str(path) in capfd.readouterr().err
 
 
-def test_the_dashboard_checks_what_a_case_names_before_it_loads_anything(file, capfd):
+def test_the_dashboard_checks_the_names_in_a_case_before_loading(file, capfd):
     content = json.loads(file.read_text())
     content["controller"] = "dbx"
     file.write_text(json.dumps(content))
@@ -135,20 +135,20 @@ def loop(sources, case):
     loop.stop()
 
 
-def begun(loop: SimulationLoop) -> None:
-    """Wait until the hand is pulled."""
+def wait_for_pull(loop: SimulationLoop) -> None:
+    """Wait until the pull has started."""
     end = time.monotonic() + 60
     while loop.latest().hand_target is None:
         assert time.monotonic() < end
         time.sleep(0.002)
 
 
-def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, drawn, case, loop):
-    """Each snapshot is a row of the run's log, to the last digit, noise included."""
+def test_the_loop_repeats_the_run_and_releases_the_robot_at_its_end(sources, drawn, case, loop):
+    """Each snapshot equals a row of the run's log exactly, including noise."""
     trace = run_from_spec(spec_of(drawn, FAST), sources.model, sources.data).trace
     log = {round(t, 3): k for k, t in enumerate(trace.t)}
     loop.send(Play(case.scenario()))
-    begun(loop)
+    wait_for_pull(loop)
     end, seen = time.monotonic() + 60, {}
     while time.monotonic() < end and loop.latest().t < case.options["duration"] + 0.1:
         seen |= {s.t: s for s in loop.history(-1.0) if s.hand_target is not None}
@@ -165,9 +165,9 @@ def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, drawn, case
 
 
 @pytest.mark.parametrize("command", [Pull((0.9, 0.0, 0.5)), Reset()])
-def test_whoever_takes_the_hand_or_begins_anew_ends_the_play(case, loop, command):
+def test_a_pull_or_a_reset_ends_the_replay(case, loop, command):
     loop.send(Play(case.scenario()))
-    begun(loop)
+    wait_for_pull(loop)
     loop.send(command)
     time.sleep(0.3)
     target = loop.latest().hand_target
@@ -187,7 +187,7 @@ def test_the_button_plays_the_case_of_the_page(case):
     wait_for(lambda: sent)
     server.stop()
     assert sent == [Play(case.scenario())]
-    assert pickle.loads(pickle.dumps(sent)) == sent  # it goes to the process of the loop
+    assert pickle.loads(pickle.dumps(sent)) == sent  # it is sent to the process of the loop
 
 
 def labels_of_the_page(server) -> list[str]:

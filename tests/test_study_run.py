@@ -1,4 +1,4 @@
-"""`dbb study`: the same table in all modes, its files and its refusals."""
+"""`dbb study`: the same table in all modes, its files and its errors."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ def printed_here(*args: str) -> str:
 
 
 def here(capfd: pytest.CaptureFixture[str], *args: str) -> tuple[int, str, str]:
-    """The error of a failing command, in this process."""
+    """Status and output of a failing command, in this process."""
     with pytest.raises(SystemExit) as end:
         main(list(args))
     return (int(str(end.value.code)), *capfd.readouterr())
 
 
 def refused(outcome: tuple[int, str, str], *words: str) -> None:
-    """Status 2, nothing on standard output, one line on standard error with these words."""
+    """Status 2, no standard output, one line with these words on standard error."""
     status, out, err = outcome
     assert (status, out) == (2, ""), err
     (line,) = err.splitlines()
@@ -86,7 +86,7 @@ def refused(outcome: tuple[int, str, str], *words: str) -> None:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory) -> Path:
-    """The folder of a study that one process did without a break."""
+    """The folder of an uninterrupted study of one process."""
     out = tmp_path_factory.mktemp("undisturbed")
     printed = printed_here(
         "study", "--cases", str(CASES), *OPTIONS, "--processes", "1", "--out", str(out), "--json"
@@ -95,7 +95,7 @@ def undisturbed(tmp_path_factory) -> Path:
     return out
 
 
-def test_one_row_a_case_with_its_inputs_and_figures_and_none_of_the_machine(undisturbed):
+def test_table_has_one_row_per_case_with_inputs_and_figures(undisturbed):
     table = pq.read_table(undisturbed / "results.parquet")
     assert table["case"].to_pylist() == list(range(CASES))
     names = set(table.column_names)
@@ -132,7 +132,7 @@ def test_one_row_a_case_with_its_inputs_and_figures_and_none_of_the_machine(undi
     assert all(0.0 < d < 2.0 for d in table["min_clearance_m"].to_pylist())
 
 
-def test_the_report_stands_alone_and_holds_its_figures(undisturbed):
+def test_report_is_self_contained_and_has_its_figures(undisturbed):
     page = (undisturbed / "report.html").read_text(encoding="utf-8")
     assert page.count('src="data:image/png;base64,') == 3
     assert "http" not in page
@@ -146,10 +146,10 @@ def test_the_report_stands_alone_and_holds_its_figures(undisturbed):
     assert f"of {CASES} cases failed" in page
 
 
-def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, tmp_path):
-    """By SIGKILL, with two processes instead of one, and no process is left behind.
+def test_killed_study_resumes_and_gives_the_same_table(undisturbed, tmp_path):
+    """Killed with SIGKILL with two processes, resumed with one; no process is left.
 
-    Nor does any of them listen on a port: nobody else has been asked to help.
+    No process listens on a port.
     """
     args = ("study", "--cases", str(CASES), *OPTIONS, "--processes", "2", "--out", str(tmp_path))
     journal = tmp_path / "cases.jsonl"
@@ -174,7 +174,7 @@ def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, t
         assert (tmp_path / name).read_bytes() == (undisturbed / name).read_bytes(), name
 
 
-def test_a_running_scheduler_gives_the_same_table_and_more_cases_are_added(undisturbed, tmp_path):
+def test_running_scheduler_gives_the_same_table_and_adds_cases(undisturbed, tmp_path):
     from distributed import LocalCluster  # no other test needs this slow import
 
     with LocalCluster(
@@ -182,28 +182,28 @@ def test_a_running_scheduler_gives_the_same_table_and_more_cases_are_added(undis
     ) as local:
         for cases in (3, CASES):
             study(PARAMETERS, cases, tmp_path, scheduler=local.scheduler_address)
-        assert local.scheduler_info["workers"]  # it is not ours to end
+        assert local.scheduler_info["workers"]  # the study must not end it
     table = (tmp_path / "results.parquet").read_bytes()
     assert table == (undisturbed / "results.parquet").read_bytes()
 
 
 def listening(process: psutil.Process) -> set[tuple[str, int]]:
-    """The addresses at which a process takes connections."""
+    """The addresses at which a process accepts connections."""
     with suppress(psutil.NoSuchProcess):
         found = process.net_connections("inet")
         return {c.laddr for c in found if c.status == psutil.CONN_LISTEN}
     return set()
 
 
-def test_a_finished_study_is_not_done_again(undisturbed):
-    """Without a scheduler nothing answers at that address, and nothing has to."""
+def test_finished_study_is_not_repeated(undisturbed):
+    """No scheduler is at that address, and none is needed."""
     before = (undisturbed / "cases.jsonl").read_bytes()
     args = ("study", "--cases", str(CASES), *OPTIONS, "--scheduler", "tcp://127.0.0.1:9")
     printed_here(*args, "--out", str(undisturbed))
     assert (undisturbed / "cases.jsonl").read_bytes() == before
 
 
-def test_another_studys_folder_is_refused_and_left_alone(undisturbed, capfd):
+def test_folder_of_another_study_is_rejected_and_not_changed(undisturbed, capfd):
     before = {path: path.read_bytes() for path in undisturbed.glob("*.*")}
     args = ("study", "--cases", str(CASES), *OPTIONS, "--out", str(undisturbed))
     other = ["8" if word == "7" else word for word in args]
@@ -213,7 +213,7 @@ def test_another_studys_folder_is_refused_and_left_alone(undisturbed, capfd):
     assert {path: path.read_bytes() for path in undisturbed.glob("*.*")} == before
 
 
-def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkeypatch):
+def test_unreachable_scheduler_is_one_line(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(module, "_PATIENCE", 1.0)
     args = ("study", "--cases", "2", *OPTIONS, "--out", str(tmp_path), "--scheduler")
     for address in ("tcp://127.0.0.1:9", "tls://127.0.0.1:9", "no address"):
@@ -238,12 +238,12 @@ def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkey
         (["--seed", "-1"], ["--seed"]),
     ],
 )
-def test_what_cannot_be_studied_is_one_line_that_says_what_can(tmp_path, capfd, args, words):
+def test_invalid_study_options_are_one_line_with_the_valid_values(tmp_path, capfd, args, words):
     refused(here(capfd, "study", "--out", str(tmp_path), *args), *words)
     assert not (tmp_path / "cases.jsonl").exists()
 
 
-def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
+def test_ctrl_c_ends_the_study_cleanly_and_keeps_finished_cases(tmp_path):
     args = ("study", "--cases", "500", *OPTIONS, "--processes", "2", "--out", str(tmp_path))
     process = start(*args)
     journal = tmp_path / "cases.jsonl"
@@ -263,8 +263,8 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
     assert [json.loads(line)["error"] for line in lines] == [None] * len(lines)
 
 
-def test_a_failure_is_kept_and_played_again_with_the_same_figures(tmp_path):
-    """Without avoidance, fast and low: some hand meets the base."""
+def test_failed_case_is_stored_and_replayed_with_the_same_figures(tmp_path):
+    """Without avoidance, fast and low: some end-effector hits the base."""
     args = ("study", "--cases", "2", "--physics", "kinematic", "--seed", "3", *FAST)
     printed_here(*args, "--processes", "1", "--out", str(tmp_path))
     result = json.loads((tmp_path / "study.json").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Laws of a sweep: nothing is lost, starts are shared, the number of processes does not matter."""
+"""A sweep loses no run, shares its starts and does not depend on the number of processes."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ GOOD: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def told() -> list[float]:
-    """The finished shares, as reported by `quick`."""
+def shares() -> list[float]:
+    """[-] The finished shares that `quick` reports."""
     return []
 
 
 @pytest.fixture(scope="module")
-def quick(told: list[float]) -> dict[str, Any]:
-    return sweep(QUICK, on_progress=told.append)
+def quick(shares: list[float]) -> dict[str, Any]:
+    return sweep(QUICK, on_progress=shares.append)
 
 
-def test_every_direction_is_run_by_each_controller_and_speed_or_unreachable(quick) -> None:
+def test_every_direction_is_unreachable_or_run_in_all_combinations(quick) -> None:
     closed = {row["direction_deg"] for row in quick["unreachable"]}
     assert closed >= {180.0}
     runs = [(r["controller"], r["speed_mps"], r["direction_deg"]) for r in quick["paths"]]
@@ -62,18 +62,18 @@ def test_every_direction_is_run_by_each_controller_and_speed_or_unreachable(quic
         assert kinds["paths"]["runs"] == len(open_)
 
 
-def test_the_result_is_the_same_on_one_and_on_two_processes(quick) -> None:
+def test_one_and_two_processes_give_the_same_result(quick) -> None:
     again = sweep(QUICK, processes=2)
     assert {**again, "elapsed_s": 0} == {**quick, "elapsed_s": 0}
 
 
-def test_all_runs_of_a_direction_begin_at_the_same_posture(quick) -> None:
+def test_all_runs_of_a_direction_start_at_the_same_place(quick) -> None:
     for direction in (0.0, 90.0, 270.0):
         rows = [r for r in quick["paths"] if r["direction_deg"] == direction]
         assert len({(r["start_x_m"], r["start_y_m"], r["start_z_m"]) for r in rows}) == 1
 
 
-def test_the_summary_is_the_worst_of_its_rows(quick) -> None:
+def test_the_summary_has_the_worst_values_of_its_rows(quick) -> None:
     rows = [r for r in quick["paths"] if r["controller"] == "dbb"]
     found = quick["summary"]["dbb"]["paths"]
     assert found["ee_error_final_max_m"] == max(r["ee_error_final_m"] for r in rows)
@@ -81,7 +81,7 @@ def test_the_summary_is_the_worst_of_its_rows(quick) -> None:
     assert found["passed"] == sum(r["passed"] for r in rows)
 
 
-def test_keys_of_quantities_end_in_their_unit_and_all_is_json(quick) -> None:
+def test_keys_of_quantities_end_in_their_unit_and_the_result_is_json(quick) -> None:
     plain = {
         "controller",
         "contacts",
@@ -96,13 +96,13 @@ def test_keys_of_quantities_end_in_their_unit_and_all_is_json(quick) -> None:
     assert json.loads(json.dumps(quick, allow_nan=False)) == quick
 
 
-def test_progress_rises_to_one(quick, told: list[float]) -> None:
-    assert told == sorted(told)
-    assert (told[0] > 0.0, told[-1]) == (True, 1.0)
+def test_progress_rises_to_one(quick, shares: list[float]) -> None:
+    assert shares == sorted(shares)
+    assert (shares[0] > 0.0, shares[-1]) == (True, 1.0)
 
 
 @pytest.mark.parametrize(("weight", "moves"), [(300.0, False), (1.0, True)])
-def test_on_the_wheel_axis_a_barrier_moves_a_cheap_base_only(
+def test_on_the_wheel_axis_a_barrier_moves_only_a_base_of_low_weight(
     robot: RobotModel, border_data: BorderData, weight: float, moves: bool
 ) -> None:
     config = Config().replace("task.base_weight", weight)
@@ -128,10 +128,9 @@ def test_a_fast_target_close_above_the_deck_is_reached_in_time(
     speed: float,
     hold: float,
 ) -> None:
-    """There links near their own buffers, or the arm the distance that it keeps from the base.
+    """Parts of the arm above the end-effector come near their buffers; the base must make room.
 
-    Both are above the end-effector, which stays behind until the base makes room for them. On the
-    wheel axis it comes over the base's edge, with the force of the horizontal part of the normal.
+    On the wheel axis, the force at the base's edge has only the horizontal part of the normal.
     """
     plan = replace(QUICK, length=0.2, hold=hold)
     start = StartFinder(robot, border_data, plan.config.border.d_b).find(
@@ -141,7 +140,7 @@ def test_a_fast_target_close_above_the_deck_is_reached_in_time(
     assert found["ee_error_final_m"] < 1e-4
 
 
-def test_each_start_is_run_by_each_controller_at_each_speed_once() -> None:
+def test_each_start_runs_once_with_each_controller_and_speed() -> None:
     plan = replace(QUICK, speeds=(0.2, 0.4))
     starts = [Start(Approach("side", 0.3, d), reason="far" * (d == 180.0)) for d in (0.0, 180.0)]
     trials = list(plan.trials(starts))
@@ -149,7 +148,7 @@ def test_each_start_is_run_by_each_controller_at_each_speed_once() -> None:
     assert {start.approach.direction_deg for start, *_ in trials} == {0.0}
 
 
-def test_guided_hands_are_pulled_and_tracking_ones_are_not() -> None:
+def test_the_scenario_of_a_run_has_the_mode_and_speed_of_the_plan() -> None:
     start = Start(Approach("side", 0.3, 90.0), (0.0,) * 7, (0.0, 0.6, 0.3))
     for mode in ("tracking", "guiding"):
         scenario = replace(QUICK, mode=mode).spec(start, "dbb", 0.2).scenario
@@ -159,13 +158,13 @@ def test_guided_hands_are_pulled_and_tracking_ones_are_not() -> None:
         assert scenario.duration == pytest.approx(0.3)
 
 
-def test_the_start_is_a_little_outside_whatever_the_buffer() -> None:
+def test_the_start_distance_is_outside_any_buffer_by_default() -> None:
     config = Config().replace("border.d_b", 0.1)
     assert replace(QUICK, config=config).distance == pytest.approx(0.12)
     assert replace(QUICK, start_distance=0.2).distance == 0.2
 
 
-def test_the_hand_has_arrived_when_it_stays_within_a_millimetre() -> None:
+def test_arrival_is_when_the_error_stays_within_a_millimetre() -> None:
     t = np.array([0.0, 1.0, 2.0, 3.0])
     assert arrival(t, np.array([0.1, 5e-4, 0.002, 5e-4])) == 3.0
     assert arrival(t, np.array([0.1, 5e-4, 5e-4, 1e-3])) == 1.0
@@ -174,7 +173,7 @@ def test_the_hand_has_arrived_when_it_stays_within_a_millimetre() -> None:
 
 
 @pytest.mark.parametrize(
-    "flaw",
+    "fault",
     [
         {"ee_error_final_m": 0.0011},
         {"min_clearance_m": 0.029},
@@ -184,12 +183,12 @@ def test_the_hand_has_arrived_when_it_stays_within_a_millimetre() -> None:
         {"solver_failures": 1},
     ],
 )
-def test_any_one_flaw_fails_a_path(flaw: dict[str, Any]) -> None:
+def test_any_single_fault_fails_a_path(fault: dict[str, Any]) -> None:
     assert passes(GOOD)
-    assert not passes(GOOD | flaw)
+    assert not passes(GOOD | fault)
 
 
-def test_a_guided_hand_may_be_farther_from_the_persons() -> None:
+def test_a_guided_end_effector_may_have_a_larger_error() -> None:
     off = GOOD | {"ee_error_final_m": GUIDED_LIMIT}
     assert passes(off, GUIDED_LIMIT)
     assert not passes(off)

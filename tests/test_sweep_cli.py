@@ -1,4 +1,4 @@
-"""`dbb sweep`: its files and its refusals."""
+"""`dbb sweep`: its files and its errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.cli import main
 
 
 @pytest.mark.slow
-def test_one_object_on_standard_output_and_the_files_that_it_names(
+def test_sweep_prints_one_object_and_writes_the_files_that_it_names(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     parameters = tmp_path / "parameters.toml"
@@ -74,13 +74,13 @@ def test_one_object_on_standard_output_and_the_files_that_it_names(
         (["--config", "nowhere.toml"], ["--config", "nowhere.toml"]),
     ],
 )
-def test_bad_options_are_refused_in_one_line_before_any_work(
+def test_invalid_options_are_rejected_in_one_line_before_any_work(
     args: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["sweep", *args, "--out", str(tmp_path / "out")])
-    told = capsys.readouterr()
-    assert (ended.value.code, told.out) == (2, "")
-    (line,) = told.err.splitlines()
+    printed = capsys.readouterr()
+    assert (ended.value.code, printed.out) == (2, "")
+    (line,) = printed.err.splitlines()
     assert all(word in line for word in words), line
     assert not (tmp_path / "out").exists()

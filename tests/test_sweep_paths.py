@@ -1,4 +1,4 @@
-"""Laws of the hand's paths towards the base, and of the postures that they begin with."""
+"""Paths of the end-effector towards the base, and their start postures."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def at(robot: RobotModel, start: Start) -> RobotState:
 
 
 @given(step=st.sampled_from([0.5, 1.0, 5.0, 15.0, 90.0]))
-def test_a_ring_has_every_direction_once_at_every_height(step: float) -> None:
+def test_a_ring_has_each_direction_once_at_each_height(step: float) -> None:
     found = list(ring([0.2, 0.4], step))
     assert len(set(found)) == len(found) == 2 * round(360.0 / step)
     for approach in found:
@@ -56,7 +56,9 @@ def test_a_ring_has_every_direction_once_at_every_height(step: float) -> None:
 
 
 @given(st.floats(0.0, 2 * np.pi), st.floats(0.1, 2.0), st.floats(0.1, 2.0))
-def test_the_outline_is_where_a_ray_leaves_the_rectangle(angle: float, a: float, b: float) -> None:
+def test_exit_distance_ends_on_the_outline_of_the_rectangle(
+    angle: float, a: float, b: float
+) -> None:
     half = np.array([a, b])
     direction = np.array([np.cos(angle), np.sin(angle)])
     within = np.array([0.3 * a, -0.2 * b])
@@ -65,7 +67,7 @@ def test_the_outline_is_where_a_ray_leaves_the_rectangle(angle: float, a: float,
 
 
 @given(st.floats(0.05, 0.9))
-def test_the_grid_from_above_spans_the_footprint_no_wider_than_asked(spacing: float) -> None:
+def test_the_grid_from_above_spans_the_footprint_within_the_spacing(spacing: float) -> None:
     lower, upper = np.array([-0.495, -0.345]), np.array([0.495, 0.345])
     places = np.array([approach.place for approach in from_above(lower, upper, spacing)])
     np.testing.assert_allclose(places.min(axis=0), lower)
@@ -74,7 +76,7 @@ def test_the_grid_from_above_spans_the_footprint_no_wider_than_asked(spacing: fl
         assert np.diff(np.unique(values)).max() <= spacing + 1e-6
 
 
-def test_paths_along_the_wheel_axis_are_mirror_images_on_both_sides() -> None:
+def test_paths_along_the_wheel_axis_are_mirrored() -> None:
     left, right = ([a for a in wheel_axis([0.3]) if a.direction_deg == d] for d in (90.0, 270.0))
     assert [a.offset for a in left] == [a.offset for a in right] == list(AXIS_OFFSETS)
     np.testing.assert_array_equal(left[0].inwards, [0.0, -1.0, 0.0])
@@ -82,7 +84,7 @@ def test_paths_along_the_wheel_axis_are_mirror_images_on_both_sides() -> None:
 
 
 @pytest.mark.parametrize("direction", [0.0, 90.0, 345.0])
-def test_a_start_is_clear_on_its_ray_and_at_the_asked_distance(
+def test_a_start_is_clear_and_at_the_requested_distance_on_its_ray(
     finder: StartFinder, robot: RobotModel, border_data: BorderData, direction: float
 ) -> None:
     start = finder.find(Approach("side", 0.3, direction), DISTANCE)
@@ -102,7 +104,7 @@ def test_a_start_is_clear_on_its_ray_and_at_the_asked_distance(
 
 
 @pytest.mark.slow
-def test_on_the_wheel_axis_p_b_begins_exactly_where_it_was_asked(
+def test_on_the_wheel_axis_p_b_starts_at_the_requested_offset(
     axis_starts: list[Start], robot: RobotModel, border_data: BorderData
 ) -> None:
     assert all(start.reason == "" for start in axis_starts)
@@ -114,14 +116,14 @@ def test_on_the_wheel_axis_p_b_begins_exactly_where_it_was_asked(
         assert closest.d > D_B
 
 
-def test_a_start_does_not_depend_on_what_was_looked_for_before(
+def test_a_start_does_not_depend_on_earlier_searches(
     axis_starts: list[Start], robot: RobotModel, border_data: BorderData
 ) -> None:
     last = axis_starts[6]
     assert StartFinder(robot, border_data, D_B).find(last.approach, DISTANCE) == last
 
 
-def test_from_above_the_hand_begins_over_its_place_with_the_way_down_free(
+def test_a_start_from_above_is_over_its_place_and_outside_the_buffer(
     finder: StartFinder, robot: RobotModel
 ) -> None:
     start = finder.find(Approach("above", place=(-0.2, 0.2)), DISTANCE)
@@ -132,7 +134,9 @@ def test_from_above_the_hand_begins_over_its_place_with_the_way_down_free(
 
 
 @pytest.mark.slow
-def test_what_cannot_begin_says_why(finder: StartFinder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_impossible_start_has_a_reason(
+    finder: StartFinder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sweep, "_SEARCHES", ((0.0, 0),))
     behind = finder.find(Approach("side", 0.3, 180.0), DISTANCE)
     assert "out of the arm's reach" in behind.reason

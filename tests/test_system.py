@@ -1,4 +1,4 @@
-"""Differences between operating systems are in `app.system`, with fallbacks elsewhere."""
+"""Differences between operating systems are in `app.system`, with fallbacks."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MODULES = {
     "syslog",
     "termios",
 }
-"""Modules of some systems only, and the one that calls C."""
+"""Modules that exist only on some systems, and the one that calls C."""
 NAMES = {
     "os": {
         "epoll",
@@ -77,8 +77,9 @@ NAMES = {
     },
     "mp": {"get_context", "set_start_method", "Pipe", "Pool", "Process", "Queue", "Value"},
 }
-"""Functions of a module that exist on some systems only, or differ there. Names of `os` that start
-with `sched_` or `SCHED_` count too."""
+"""Functions of a module that exist only on some systems, or differ there. Names of `os` that start
+with `sched_` or `SCHED_` count too.
+"""
 GUARD = {
     "ctypes",
     "select",
@@ -92,11 +93,11 @@ FOR_A_REASON = {
     ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers",
     **{("app/jobs/guard.py", name): "it runs without this package" for name in GUARD},
 }
-"""Exceptions outside of it."""
+"""Exceptions outside `app.system`, with their reasons."""
 
 
 @pytest.mark.parametrize("path", OTHERS, ids=lambda path: str(path.relative_to(PROJECT)))
-def test_what_only_some_systems_have_stands_in_one_module(path: Path) -> None:
+def test_system_dependent_names_are_used_in_one_module(path: Path) -> None:
     name = path.relative_to(PROJECT).as_posix()
     found = set(peculiar(path.read_text(encoding="utf-8")))
     assert {one for one in found if (name, one) not in FOR_A_REASON} == set()
@@ -119,18 +120,18 @@ def test_what_only_some_systems_have_stands_in_one_module(path: Path) -> None:
         ("f'/proc/{1}/stat'", "/proc"),
     ],
 )
-def test_the_rule_sees_every_way_to_break_it(source: str, culprit: str) -> None:
+def test_rule_detects_every_form_of_use(source: str, culprit: str) -> None:
     assert culprit in set(peculiar(source))
 
 
-def test_the_place_itself_breaks_the_rule() -> None:
+def test_rule_detects_the_names_in_app_system() -> None:
     found = set(peculiar(THE_PLACE.read_text(encoding="utf-8")))
     assert {"fcntl", "ctypes", "os.killpg", "os.sched_setscheduler", "sys.platform"} <= found
 
 
 @pytest.fixture
 def mac(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A system without Linux's own features, and with a Mac's units."""
+    """A system without Linux's own functions, and with macOS units."""
     for name in [name for name in vars(os) if name.lower().startswith("sched_")]:
         monkeypatch.delattr(os, name)
     monkeypatch.setattr(sys, "platform", "darwin")
@@ -138,12 +139,12 @@ def mac(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("mac")
-def test_a_mac_has_no_set_of_allowed_cores_and_all_of_them_are_taken() -> None:
+def test_without_cpu_affinity_all_cores_are_usable() -> None:
     assert system.usable_cores() == os.cpu_count()
 
 
 @pytest.mark.usefixtures("mac")
-def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(
+def test_without_real_time_policy_only_the_niceness_is_set(
     monkeypatch,
 ) -> None:
     wished = []
@@ -153,9 +154,7 @@ def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(
 
 
 @pytest.mark.parametrize(("cores", "claimed"), [(1, False), (2, False), (3, True)])
-def test_only_with_a_core_to_spare_the_real_time_policy_is_claimed(
-    cores, claimed, monkeypatch
-) -> None:
+def test_real_time_policy_is_used_only_with_a_spare_core(cores, claimed, monkeypatch) -> None:
     wished = []
     monkeypatch.setattr(system, "usable_cores", lambda: cores)
     monkeypatch.setattr(system.resource, "setrlimit", lambda *_: None)
@@ -167,7 +166,7 @@ def test_only_with_a_core_to_spare_the_real_time_policy_is_claimed(
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="no real-time policy here")
-def test_who_does_not_pause_within_the_budget_loses_the_real_time_policy() -> None:
+def test_process_that_never_pauses_loses_the_real_time_policy() -> None:
     code = (
         "import os, threading, time\nfrom app import system\nsystem.usable_cores = lambda: 4\n"
         "begun = threading.Event()\n"
@@ -188,12 +187,12 @@ def test_who_does_not_pause_within_the_budget_loses_the_real_time_policy() -> No
 
 
 @pytest.mark.usefixtures("mac")
-def test_without_malloc_trim_nothing_is_given_back_and_output_is_flushed() -> None:
+def test_memory_release_and_flush_work_without_malloc_trim() -> None:
     system.give_freed_memory_back()
     system.flush_c_output()
 
 
-def test_a_mac_counts_its_memory_in_bytes(monkeypatch) -> None:
+def test_peak_memory_considers_the_unit_of_the_system(monkeypatch) -> None:
     monkeypatch.setattr(
         system.resource, "getrusage", lambda _: SimpleNamespace(ru_maxrss=3 * 2**20)
     )
@@ -202,7 +201,7 @@ def test_a_mac_counts_its_memory_in_bytes(monkeypatch) -> None:
     assert system.peak_memory() == 3
 
 
-def test_a_user_without_the_right_to_raise_the_priority_is_served_all_the_same(monkeypatch) -> None:
+def test_missing_permission_for_priorities_is_no_error(monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError
 
@@ -215,7 +214,7 @@ def test_a_user_without_the_right_to_raise_the_priority_is_served_all_the_same(m
 
 
 @pytest.mark.parametrize("at_once", [False, True])
-def test_a_group_is_ended_with_all_that_its_leader_has_started(at_once: bool) -> None:
+def test_end_group_ends_the_leader_and_its_children(at_once: bool) -> None:
     code = (
         "import subprocess, sys, time\nfrom app.system import lead_group\nlead_group()\n"
         "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'],"
@@ -229,15 +228,15 @@ def test_a_group_is_ended_with_all_that_its_leader_has_started(at_once: bool) ->
     assert int(leader.stdout.readline()) != leader.pid
     begin = time.monotonic()
     system.end_group(leader.pid, at_once=at_once)
-    assert leader.stdout.read() == ""  # ends when the last of them has closed it
-    assert time.monotonic() - begin < 50  # not by their own end
+    assert leader.stdout.read() == ""  # ends when the last process has closed it
+    assert time.monotonic() - begin < 50  # they did not end by themselves
     assert leader.wait() == -(signal.SIGKILL if at_once else signal.SIGTERM)
-    system.end_group(leader.pid, at_once=at_once)  # there is none any more
+    system.end_group(leader.pid, at_once=at_once)  # the group no longer exists
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system lists no children")
-def test_what_a_child_has_started_and_is_stopped_goes_on() -> None:
-    """Like a process of a browser; its driver would wait for its end for ever."""
+def test_stopped_grandchild_is_resumed() -> None:
+    """A stopped browser process would block its driver for ever."""
     with subprocess.Popen(
         ["sh", "-c", "sleep 60 & echo $!; wait"], stdout=subprocess.PIPE, text=True
     ) as shell:
@@ -252,11 +251,11 @@ def test_what_a_child_has_started_and_is_stopped_goes_on() -> None:
             os.kill(grandchild, signal.SIGKILL)
 
 
-def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path: Path) -> None:
+def test_write_through_a_link_keeps_it_and_a_device_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     link, pipe = tmp_path / "newest.csv", tmp_path / "pipe.csv"
     link.symlink_to("data/today.csv")
-    for text in ("one", "two"):  # there is nothing yet, and then there is
+    for text in ("one", "two"):  # first without a file, then with one
         system.write_whole(link, text)
         assert link.is_symlink()
         assert (tmp_path / "data" / "today.csv").read_text() == text
@@ -269,10 +268,10 @@ def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path:
 
 
 @pytest.mark.parametrize("made", ["log.csv", "robot"])
-def test_a_mount_point_is_refused_before_the_work(
+def test_mount_point_is_rejected_before_the_work(
     made: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As in a container; the system replaces no mount point."""
+    """As in a container; the system does not replace mount points."""
     out = tmp_path / made
     out.touch() if out.suffix else out.mkdir()
     monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == out)
@@ -281,7 +280,7 @@ def test_a_mount_point_is_refused_before_the_work(
         pytest.fail("the work began")
 
 
-def test_in_a_removed_folder_only_whole_paths_are_written(
+def test_in_a_removed_folder_only_absolute_paths_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "removed").mkdir()
@@ -292,8 +291,8 @@ def test_in_a_removed_folder_only_whole_paths_are_written(
         system.write_whole(Path("log.csv"), "lost")
 
 
-def test_two_who_write_one_file_at_once_do_not_write_into_each_others(tmp_path: Path) -> None:
-    """As two containers that share a cache, in each of which the first thread has number 1."""
+def test_concurrent_writers_of_one_file_do_not_mix_their_contents(tmp_path: Path) -> None:
+    """As two containers with a shared cache, in both of which the first thread has number 1."""
     with system.whole_file(tmp_path / "a") as one, system.whole_file(tmp_path / "a") as other:
         one.write_text("whole")
         other.write_text("hal")
@@ -301,7 +300,7 @@ def test_two_who_write_one_file_at_once_do_not_write_into_each_others(tmp_path: 
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_temporary_folder_that_is_none_is_forgotten(
+def test_invalid_temporary_folder_is_ignored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for folder, kept in ((tmp_path, True), (tmp_path / "nothing", False)):
@@ -310,7 +309,7 @@ def test_a_temporary_folder_that_is_none_is_forgotten(
         assert ("TMPDIR" in os.environ) is kept
 
 
-def test_a_file_is_claimed_by_one_at_a_time(tmp_path: Path) -> None:
+def test_file_is_claimed_by_one_process_at_a_time(tmp_path: Path) -> None:
     path = tmp_path / "journal"
     with path.open("a+b") as first:
         assert system.claim(first)
@@ -320,7 +319,7 @@ def test_a_file_is_claimed_by_one_at_a_time(tmp_path: Path) -> None:
         assert system.claim(third)
 
 
-def test_a_folder_waits_for_whoever_looks_whether_it_is_abandoned(tmp_path: Path) -> None:
+def test_new_folder_waits_while_its_lock_is_checked_elsewhere(tmp_path: Path) -> None:
     folder = tmp_path / f"{system._BEGUN}robot"
     folder.mkdir()
     looks = os.open(folder, os.O_RDONLY)
@@ -332,7 +331,7 @@ def test_a_folder_waits_for_whoever_looks_whether_it_is_abandoned(tmp_path: Path
     release.join()
 
 
-def test_a_folder_that_has_come_into_the_place_of_an_abandoned_one_stays(
+def test_folder_that_replaced_an_abandoned_one_is_not_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, claim = tmp_path / f"{system._BEGUN}robot", system.claim
@@ -360,7 +359,7 @@ sys.stdin.read()
 """
 
 
-def test_what_a_killed_process_has_begun_goes_and_what_others_begin_stays(tmp_path: Path) -> None:
+def test_files_of_a_killed_process_are_removed_and_others_stay(tmp_path: Path) -> None:
     def begin() -> subprocess.Popen[str]:
         process = subprocess.Popen(
             [sys.executable, "-c", KILLED],
@@ -394,7 +393,7 @@ def test_what_a_killed_process_has_begun_goes_and_what_others_begin_stays(tmp_pa
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root makes links of other users")
 @pytest.mark.parametrize("link", ["a.txt", "folder"])
 @pytest.mark.parametrize("write", [system.write_whole, lambda path, _: make_folder(path.parent)])
-def test_no_link_of_another_user_in_a_shared_folder_is_followed(link, write, tmp_path) -> None:
+def test_links_of_other_users_in_a_shared_folder_are_not_followed(link, write, tmp_path) -> None:
     shared, target = tmp_path / "shared", tmp_path / "target"
     for folder in (shared, target):
         folder.mkdir()
@@ -413,22 +412,22 @@ def test_no_link_of_another_user_in_a_shared_folder_is_followed(link, write, tmp
         assert (target / "a.txt").read_text() == "text"
 
 
-def test_a_file_of_the_longest_name_is_written_whole(tmp_path: Path) -> None:
+def test_file_with_the_longest_name_is_written(tmp_path: Path) -> None:
     system.write_whole(tmp_path / ("a" * 251 + ".txt"), "text")
     assert [len(path.name) for path in tmp_path.iterdir()] == [255]
 
 
-def test_a_folder_that_is_tried_keeps_all_its_files(tmp_path: Path) -> None:
+def test_check_of_a_folder_keeps_all_its_files(tmp_path: Path) -> None:
     (tmp_path / ".writable").write_text("a user's own")
     make_folder(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [".writable"]
 
 
 @pytest.mark.slow
-def test_the_loop_in_its_process_and_the_command_work_without_what_linux_alone_has(
+def test_loop_process_works_without_linux_functions(
     tmp_path: Path,
 ) -> None:
-    """Every process of these begins with an `os` from which those names were taken."""
+    """Every process starts with an `os` module without the `sched_` names."""
     (tmp_path / "sitecustomize.py").write_text(
         "import os\n"
         "for name in [name for name in vars(os) if name.lower().startswith('sched_')]:\n"
@@ -498,16 +497,16 @@ def peculiar(source: str) -> list[str]:
 
 
 def is_peculiar(module: str, name: str) -> bool:
-    """Whether a name of a module is one of those."""
+    """Whether a name of a module is system-dependent."""
     if module == "os" and name.lower().startswith("sched_"):
         return True
     return name in NAMES.get(module, ()) or (module, name) == ("sys", "platform")
 
 
-def test_a_user_without_a_home_gets_an_own_folder(
+def test_user_without_a_home_gets_a_separate_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("HOME", "~")  # the home of a user whom the system does not know
+    monkeypatch.setenv("HOME", "~")  # the home of a user that the system does not know
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     system.find_folders()
     assert Path(os.environ["HOME"]).parent == tmp_path

@@ -1,4 +1,4 @@
-"""Laws of the continuous task transition (29)."""
+"""Properties of the continuous task transition (29)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SOFT = 1e-3
 
 
 class Problem:
-    """Random tasks and random avoidance rows: two of the base, then one by one."""
+    """Random tasks and random avoidance rows: two of the base, then `singles` others."""
 
     def __init__(self, seed: int, singles: int = 3) -> None:
         rng = np.random.default_rng(seed)
@@ -38,12 +38,12 @@ class Problem:
         return least(inserted(self.objective, self.rows(betas), softness))
 
     def printed(self, betas: list[float]) -> Array:
-        """All active rows at once, blended with the one solution without any of them."""
+        """The blend of (29) as printed: all active rows with one solution without them."""
         return printed_blend(self.objective, self.rows(betas))
 
 
 def strictly(objective: Objective, J: Array, b: Array) -> Array:
-    """The least with J q̈ = b, by the KKT conditions."""
+    """The minimum with J q̈ = b, by the KKT conditions."""
     n, k = len(objective.c), len(b)
     kkt = np.block([[objective.H, J.T], [J, np.zeros((k, k))]])
     return np.linalg.lstsq(kkt, np.concatenate([-objective.c, b]), rcond=None)[0][:n]
@@ -58,7 +58,7 @@ def printed_blend(objective: Objective, rows: Rows) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_rows_at_beta_zero_are_not_there_whatever_the_others_do(seed: int) -> None:
+def test_rows_at_beta_zero_have_no_effect(seed: int) -> None:
     problem = Problem(seed)
     np.testing.assert_array_equal(problem.solve([0.0] * 4), least(problem.objective))
     betas = [0.3, 0.8, 0.0, 1.0]
@@ -70,20 +70,20 @@ def test_rows_at_beta_zero_are_not_there_whatever_the_others_do(seed: int) -> No
 @pytest.mark.parametrize("beta", [0.0, 0.01, 0.3, 0.9, 1.0])
 @pytest.mark.parametrize("seed", range(10))
 def test_a_row_alone_is_the_blend_of_29(seed: int, beta: float) -> None:
-    """β b + (1 - β) J q̈_2*, to the softness; at β = 1 it holds, and the rest is the best."""
+    """J q̈ = β b + (1 - β) J q̈_2* up to the softness, with the remaining freedom optimal."""
     problem = Problem(seed, singles=1)
     J, wanted, without = problem.J_r, problem.b_r, least(problem.objective)
     target = beta * wanted + (1 - beta) * (J @ without)
     qdd = problem.solve([0.0, beta])
-    asked = float(np.abs(wanted - J @ without)[0])
-    assert abs(float((J @ qdd - target)[0])) <= SOFT * asked
+    demand = float(np.abs(wanted - J @ without)[0])
+    assert abs(float((J @ qdd - target)[0])) <= SOFT * demand
     np.testing.assert_allclose(qdd, strictly(problem.objective, J, J @ qdd), atol=1e-9)
     exact = problem.solve([0.0, beta], softness=1e-9)
     np.testing.assert_allclose(exact, strictly(problem.objective, J, target), atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_at_B_identity_the_avoidance_task_is_met_but_for_the_softness(seed: int) -> None:
+def test_at_B_identity_the_avoidance_task_is_met_up_to_the_softness(seed: int) -> None:
     problem = Problem(seed)
     J, b, B = problem.rows([1.0] * 4)
     np.testing.assert_array_equal(B, np.ones(5))
@@ -96,7 +96,7 @@ def test_at_B_identity_the_avoidance_task_is_met_but_for_the_softness(seed: int)
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_row_in_full_force_holds_whatever_others_do(seed: int) -> None:
+def test_a_fully_active_row_holds_for_any_other_activations(seed: int) -> None:
     problem = Problem(seed)
     for others in (0.0, 0.2, 0.9):
         qdd = problem.solve([others, 1.0, others, others], 1e-7)
@@ -128,8 +128,8 @@ def random_path(seed: int, steps: int) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_along_smooth_activations_nothing_jumps_and_the_printed_blend_does(seed: int) -> None:
-    """Steps a tenth as long change the answer by about a tenth; a jump would not shrink."""
+def test_smooth_activations_cause_jumps_only_in_the_printed_blend(seed: int) -> None:
+    """Ten times smaller steps change the result by about a tenth, unless it jumps."""
     problem = Problem(seed)
     coarse, fine = (largest_step(problem.solve, random_path(seed, n)) for n in (1000, 10_000))
     assert fine < 0.2 * coarse
@@ -139,7 +139,7 @@ def test_along_smooth_activations_nothing_jumps_and_the_printed_blend_does(seed:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_the_cost_grows_linearly_with_the_rows(seed: int) -> None:
-    """Sixty rows, where combinations of them could not even be counted, in sixty times one's."""
+    """An algorithm over combinations of 60 rows would not finish."""
     rng = np.random.default_rng(seed)
     objective = Problem(seed).objective
     rows = Rows(rng.normal(size=(60, N)), np.ones(60), np.full(60, 0.5))
@@ -157,10 +157,10 @@ def test_the_cost_grows_linearly_with_the_rows(seed: int) -> None:
 
 
 def run_into_walls(blend, seed: int, k_v: float) -> tuple[float, float]:
-    """Kinetic energy before and after of a unit mass that meets two walls at an angle.
+    """Squared speed [m²/s²] of a point mass before and after it meets two walls at an angle.
 
-    Their rows enter and leave one after the other. The normals are not orthogonal: where they are,
-    the rows do not see each other, and every blend is the same.
+    Their rows enter and leave one after the other. With orthogonal normals every blend would be
+    the same.
     """
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0.15, 0.35) * np.pi
@@ -186,10 +186,10 @@ def soft_blend(objective: Objective, rows: Rows) -> Array:
 
 
 @pytest.mark.slow
-def test_nothing_gains_energy_by_running_into_two_buffers_and_leaving_them() -> None:
-    """Energy comes back as it went in without damping and never more with it.
+def test_meeting_two_buffers_adds_no_energy() -> None:
+    """Without damping the energy is preserved, and with damping it does not rise.
 
-    The printed blend does not satisfy this law, which distinguishes it from ours.
+    The printed blend violates this.
     """
     ours = [run_into_walls(soft_blend, seed, 0.0) for seed in range(4)]
     printed = [run_into_walls(printed_blend, seed, 0.0) for seed in range(4)]
@@ -209,8 +209,8 @@ def test_B_repeats_beta_m_for_the_two_rows_of_the_base() -> None:
     assert b.shape == (5,)
 
 
-def test_nothing_is_left_to_the_garbage_collector() -> None:
-    """At 1 kHz, garbage that only the collector frees becomes pauses of many milliseconds."""
+def test_a_solution_creates_no_reference_cycles() -> None:
+    """At 1 kHz, the collection of reference cycles causes pauses of many milliseconds."""
     problem = Problem(0)
     problem.solve([0.4, 0.7, 0.3, 1.0])
     gc.collect()

@@ -1,4 +1,4 @@
-"""One configuration for all viewers: setting, refusal, undo, marks, saving and loading."""
+"""One configuration for all clients: changes, errors, undo, marks, saving and loading."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ D_B = "border.d_b"
 
 
 class Clock:
-    """Time that a test sets."""
+    """A clock that a test sets."""
 
     now = 100.0
 
@@ -62,7 +62,7 @@ class Person:
 
 
 class Sink:
-    """Takes commands and keeps them."""
+    """Records commands."""
 
     def __init__(self):
         self.commands = []
@@ -72,7 +72,7 @@ class Sink:
 
 
 class Desk:
-    """A configuration and the panels of two viewers."""
+    """A configuration and the panels of two clients."""
 
     def __init__(self, servers):
         self.sink, self.clock = Sink(), Clock()
@@ -81,7 +81,7 @@ class Desk:
         self.panels = [TuningPanel(viewer) for viewer in self.viewers]
 
     def viewer(self, server):
-        """A viewer with a separate server."""
+        """A client with its own server."""
         shared = SimpleNamespace(tuning=self.tuning, model=husky_panda())
         return SimpleNamespace(client=server, notifier=Notifier(server), shared=shared, panels=[])
 
@@ -112,16 +112,16 @@ def desk(servers):
 
 
 def put(handle, value, person):
-    """Viser's reaction to a client's value: store it, call the callbacks."""
+    """Viser's reaction to a client's value: store it and call the callbacks."""
     handle._impl.value = value
     event = SimpleNamespace(client=person, client_id=1, target=handle)
     for callback in list(handle._impl.update_cb):
-        if iscoroutine(begun := callback(event)):  # else viser calls it in a thread
+        if iscoroutine(begun := callback(event)):  # viser calls other functions in a thread
             asyncio.run(begun)
 
 
 def press(gui, label, value=True, person=None):
-    """Press the button, or one of a group, or upload, by the label; the last one that was made."""
+    """Press the newest button or upload with a label, or one button of a group."""
     found = [h for h in gui._gui_input_handle_from_uuid.values() if h.label == label]
     person = person or Person()
     put(found[-1], value, person)
@@ -131,7 +131,7 @@ def press(gui, label, value=True, person=None):
 # The history
 
 
-def test_each_change_is_sent_once_and_is_of_one_parameter():
+def test_each_change_is_sent_once():
     sink = Sink()
     tuning = Tuning(sink, Config())
     for _ in range(2):
@@ -140,7 +140,7 @@ def test_each_change_is_sent_once_and_is_of_one_parameter():
 
 
 @pytest.mark.parametrize("value", [99999.0, -1.0, math.nan, math.inf, "0.2", [0.2], None, True])
-def test_a_value_that_is_refused_changes_nothing_and_is_no_step(value):
+def test_rejected_value_changes_nothing_and_adds_no_undo_step(value):
     sink = Sink()
     tuning = Tuning(sink, Config())
     with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.05 to 0\.3 m"):
@@ -150,7 +150,7 @@ def test_a_value_that_is_refused_changes_nothing_and_is_no_step(value):
     assert (tuning.config, sink.commands) == (Config(), [])
 
 
-def test_moves_of_one_slider_within_the_burst_are_one_step():
+def test_changes_of_one_slider_within_the_burst_are_one_step():
     clock = Clock()
     tuning = Tuning(Sink(), Config(), clock=clock)
     for value in (0.16, 0.17, 0.18):
@@ -169,7 +169,7 @@ def test_moves_of_one_slider_within_the_burst_are_one_step():
         tuning.undo()
 
 
-def test_there_and_back_in_one_burst_is_no_step():
+def test_change_and_return_within_one_burst_is_no_step():
     tuning = Tuning(Sink(), Config(), clock=Clock())
     tuning.set("force.f_max", 200.0)
     tuning.set(D_B, 0.2)
@@ -186,7 +186,7 @@ acts = st.one_of(
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(acts, max_size=15))
-def test_undoing_everything_leads_back_and_redoing_it_forth_again(script):
+def test_undo_of_all_steps_and_redo_visit_the_same_configurations(script):
     clock, sink = Clock(), Sink()
     tuning = Tuning(sink, Config(), clock=clock)
     for name, *given_ in script:
@@ -206,12 +206,12 @@ def test_undoing_everything_leads_back_and_redoing_it_forth_again(script):
     back = until_refused(tuning, tuning.undo)
     assert back[-1] == Config()
     assert until_refused(tuning, tuning.redo) == back[::-1]
-    assert all(a != b for a, b in pairwise(back)), "a step changes something"
+    assert all(a != b for a, b in pairwise(back)), "each step must change the configuration"
     assert not sink.commands or sink.commands[-1] == Configure(tuning.config)
 
 
 def until_refused(tuning, act):
-    """The configurations from now on, until there is nothing more to undo or to redo."""
+    """The configurations from now on, until no further undo or redo is possible."""
     seen = [tuning.config]
     with contextlib.suppress(ConfigError):
         for _ in range(1000):
@@ -221,7 +221,7 @@ def until_refused(tuning, act):
     return seen
 
 
-def test_a_change_after_an_undo_ends_what_could_be_redone():
+def test_change_after_undo_discards_the_redo_steps():
     tuning = Tuning(Sink(), Config(), clock=Clock())
     tuning.set(D_B, 0.2)
     tuning.undo()
@@ -231,7 +231,7 @@ def test_a_change_after_an_undo_ends_what_could_be_redone():
     assert tuning.config.value(D_B) == 0.25
 
 
-def test_the_history_is_bounded():
+def test_history_is_bounded():
     clock = Clock()
     tuning = Tuning(Sink(), Config(), clock=clock)
     for i in range(MOST_STEPS + 50):
@@ -244,7 +244,7 @@ def test_the_history_is_bounded():
         tuning.undo()
 
 
-def test_loading_and_resetting_are_one_step_each():
+def test_load_and_reset_are_one_step_each():
     tuning = Tuning(Sink(), Config(), clock=Clock())
     loaded = Config().replace(D_B, 0.2).replace("hand.f_max", 20.0)
     tuning.load(loaded)
@@ -252,7 +252,7 @@ def test_loading_and_resetting_are_one_step_each():
     assert tuning.config == Config().replace("hand.f_max", 20.0)
     tuning.reset()
     assert tuning.config == Config()
-    tuning.reset()  # changes nothing, so it is none
+    tuning.reset()  # changes nothing, so it adds no step
     tuning.undo()
     tuning.undo()
     assert tuning.config == loaded
@@ -260,7 +260,7 @@ def test_loading_and_resetting_are_one_step_each():
     assert tuning.config == Config()
 
 
-def test_the_defaults_are_the_robots_own():
+def test_defaults_are_those_of_the_robot():
     tuning = Tuning(Sink(), Config(), Config().replace(D_B, 0.1), clock=Clock())
     assert tuning.changes == {D_B: 0.15}
     tuning.reset([D_B])
@@ -274,7 +274,7 @@ def test_the_defaults_are_the_robots_own():
 # The widgets
 
 
-def test_every_parameter_has_widgets_with_its_range_unit_value_and_help(desk):
+def test_every_parameter_has_a_widget_with_range_unit_value_and_help(desk):
     assert list(desk.panels[0].widgets) == list(TUNABLES)
     for path, about in TUNABLES.items():
         handle = desk.handle(path)
@@ -296,7 +296,7 @@ def test_every_label_names_its_quantity_before_the_symbol():
         assert not about.label.endswith("]"), path
 
 
-def test_every_default_lies_on_a_step_of_its_slider():
+def test_every_default_is_on_a_step_of_its_slider():
     for path in NUMBERS:
         about = parameter(path)
         step = slider_step(about.low, about.high)
@@ -306,7 +306,7 @@ def test_every_default_lies_on_a_step_of_its_slider():
 
 
 @pytest.mark.parametrize("path", list(TUNABLES))
-def test_each_widget_changes_what_it_says_at_once_and_nothing_else(desk, path):
+def test_each_widget_changes_only_its_parameter(desk, path):
     about = TUNABLES[path]
     value = about.choices[-1] if isinstance(about, Choice) else about.high
     if value == about.default:
@@ -315,7 +315,7 @@ def test_each_widget_changes_what_it_says_at_once_and_nothing_else(desk, path):
     assert desk.sink.commands == [Configure(Config().replace(path, value))]
 
 
-def test_what_one_sets_the_others_see_and_nothing_comes_back(desk):
+def test_change_appears_at_all_clients_without_echo(desk):
     put(desk.handle(D_B), 0.2, Person())
     assert desk.sees(D_B, viewer=1) == 0.15
     for _ in range(3):
@@ -327,15 +327,15 @@ def test_what_one_sets_the_others_see_and_nothing_comes_back(desk):
     assert [c.config.border.d_b for c in desk.sink.commands] == [0.2, 0.15]
 
 
-def test_a_widget_that_the_program_sets_sends_nothing(desk):
+def test_assignment_by_the_program_sends_nothing(desk):
     handle = desk.handle(D_B)
-    put(handle, 0.2, None)  # as viser tells an assignment
+    put(handle, 0.2, None)  # as viser reports an assignment
     assert desk.sink.commands == []
 
 
 @pytest.mark.parametrize("value", [9e9, -1.0, math.nan, math.inf])
 @pytest.mark.parametrize("path", [D_B, "task.base_weight"])
-def test_a_refused_value_is_told_to_its_sender_and_set_back(desk, path, value):
+def test_rejected_value_is_reset_in_the_widget(desk, path, value):
     sender = Person()
     put(desk.handle(path), value, sender)
     for _ in range(3):
@@ -343,7 +343,7 @@ def test_a_refused_value_is_told_to_its_sender_and_set_back(desk, path, value):
     assert desk.handle(path).value == tunable(path).default
 
 
-def test_a_logarithmic_slider_and_its_number_show_the_same_value(desk):
+def test_logarithmic_slider_and_its_number_show_the_same_value(desk):
     for path in (path for path in NUMBERS if parameter(path).log):
         widget = desk.panels[0].widgets[path]
         put(widget.exponent, math.log10(parameter(path).high) - 0.5, Person())
@@ -357,7 +357,7 @@ def test_a_logarithmic_slider_and_its_number_show_the_same_value(desk):
 
 
 @pytest.mark.parametrize("power", [1e9, -1e9, math.inf, math.nan])
-def test_an_exponent_out_of_range_is_refused(desk, power):
+def test_exponent_out_of_range_is_rejected(desk, power):
     path = next(path for path in NUMBERS if parameter(path).log)
     before, sender = desk.tuning.config.value(path), Person()
     slider = desk.panels[0].widgets[path].exponent
@@ -369,14 +369,14 @@ def test_an_exponent_out_of_range_is_refused(desk, power):
     assert (desk.tuning.config, desk.sink.commands) == (Config(), [])
 
 
-def test_a_choice_that_does_not_exist_is_refused(desk):
+def test_unknown_choice_is_rejected(desk):
     sender = Person()
     put(desk.handle("border.kind"), "cloud", sender)
     assert desk.sees("border.kind") == "surface"
     assert "surface or points" in sender.notes[0]
 
 
-def test_what_is_changed_is_marked_on_its_label_and_folder_until_it_is_set_back(desk):
+def test_changed_parameter_is_marked_on_label_and_folder(desk):
     def labels():
         return {
             h.label
@@ -398,7 +398,7 @@ def test_what_is_changed_is_marked_on_its_label_and_folder_until_it_is_set_back(
     assert desk.tuning.config == Config()
 
 
-def test_buttons_undo_redo_and_say_when_there_is_nothing(desk):
+def test_undo_and_redo_buttons_report_when_nothing_is_left(desk):
     gui = desk.panels[0]._gui
     put(desk.handle(D_B), 0.2, Person())
     press(gui, "Changes", "Undo")
@@ -409,7 +409,7 @@ def test_buttons_undo_redo_and_say_when_there_is_nothing(desk):
     assert desk.tuning.config.value(D_B) == 0.2
 
 
-def test_defaults_of_a_folder_leave_the_others(servers):
+def test_defaults_of_one_folder_do_not_reset_the_others(servers):
     servers[0].gui.reset()
     desk = Desk(servers[:1])
     desk.tuning.set(D_B, 0.2)
@@ -424,7 +424,7 @@ def test_defaults_of_a_folder_leave_the_others(servers):
     assert desk.tuning.config.value(D_B) == 0.2
 
 
-def test_advanced_parameters_are_shown_when_asked_for_or_changed(desk):
+def test_advanced_parameters_are_shown_on_request_or_if_changed(desk):
     advanced = [path for path, about in TUNABLES.items() if about.advanced]
     assert advanced
 
@@ -448,7 +448,7 @@ def upload(desk, content, name="mine.toml"):
     return press(desk.panels[0]._gui, "Load", file)
 
 
-def test_what_is_saved_and_loaded_again_is_the_same_in_one_step(desk):
+def test_saved_configuration_loads_in_one_step(desk):
     gui = desk.panels[0]._gui
     desk.tuning.load(config := Config().replace(D_B, 0.2).replace("border.kind", "points"))
     press(gui, "Name", " stiff/arm ")
@@ -462,15 +462,15 @@ def test_what_is_saved_and_loaded_again_is_the_same_in_one_step(desk):
     assert desk.tuning.config == Config()
 
 
-def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
-    """Viser awaits `async` functions in the thread that receives for all viewers."""
+def test_file_is_read_outside_the_receiving_thread(desk):
+    """Viser awaits `async` callbacks in the thread that receives the messages of all clients."""
     handles = desk.panels[0]._gui._gui_input_handle_from_uuid.values()
     (load,) = [handle for handle in handles if handle.label == "Load"]
     assert [iscoroutinefunction(each) for each in load._impl.update_cb] == [False]
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"#" * (MAX_BYTES + 1), "at most 65536"),
         (b"\xff\xff", "UTF-8"),
@@ -478,14 +478,14 @@ def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
         (b"[border]\nd_bb = 1", "did you mean 'd_b'"),
     ],
 )
-def test_a_bad_file_is_refused_with_its_name_and_problem(desk, content, told):
+def test_invalid_file_error_has_name_and_problem(desk, content, message):
     [note] = upload(desk, content).notes
     assert note.startswith("mine.toml: ")
-    assert told in note
+    assert message in note
     assert (desk.tuning.config, desk.sink.commands) == (Config(), [])
 
 
-def test_a_name_that_cannot_be_printed_is_refused(desk):
+def test_unprintable_name_is_rejected(desk):
     gui = desk.panels[0]._gui
     press(gui, "Name", "a\nb")
     person = press(gui, "Save")
@@ -497,11 +497,11 @@ def test_a_name_that_cannot_be_printed_is_refused(desk):
     ("name", "file"),
     [("a b", "a b.toml"), ("../x", "-x.toml"), ("", "tuning.toml"), ("é☃?", "é--.toml")],
 )
-def test_a_file_is_named_as_any_system_takes_it(name, file):
+def test_file_name_is_valid_on_any_system(name, file):
     assert file_name(name) == file
 
 
-def test_a_loaded_file_is_as_good_as_one_that_is_typed(desk):
+def test_loaded_file_appears_in_all_widgets(desk):
     upload(desk, save_config(Config().replace("hand.f_max", 20.0)).encode())
     desk.update()
     assert desk.sees("hand.f_max", viewer=1) == 20.0

@@ -1,4 +1,4 @@
-"""`tools/venv.sh` takes an existing Python, by uv or by venv and pip, or names the missing one."""
+"""`tools/venv.sh` uses a suitable Python with uv or with venv and pip, or reports its absence."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCRIPT = PROJECT / "tools" / "venv.sh"
 def venv(
     folder: Path, *arguments: str, python: str = "", tools: tuple[str, ...] = ()
 ) -> subprocess.CompletedProcess[str]:
-    """The behaviour of the script if `PATH` has a shell and these tools alone."""
+    """Run the script with a `PATH` that has only a shell and these tools."""
     programs = folder / "programs"
     programs.mkdir(exist_ok=True)
     for tool in ("bash", "env", *tools):
@@ -37,13 +37,13 @@ def venv(
 
 @pytest.fixture
 def spaced(tmp_path: Path) -> Path:
-    """A folder whose path has a space in it."""
+    """A folder with a space in its path."""
     folder = tmp_path / "with a space"
     folder.mkdir()
     return folder
 
 
-def test_without_any_python_one_line_says_what_to_install(spaced: Path) -> None:
+def test_without_python_one_line_names_the_packages_to_install(spaced: Path) -> None:
     done = venv(spaced, "made")
     assert done.returncode == 1
     (line,) = done.stderr.strip().splitlines()
@@ -53,7 +53,7 @@ def test_without_any_python_one_line_says_what_to_install(spaced: Path) -> None:
     assert not (spaced / "made").exists()
 
 
-def test_an_interpreter_that_is_asked_for_and_does_not_suit_is_named_and_no_other_taken(
+def test_an_unsuitable_requested_python_is_an_error_without_fallback(
     spaced: Path,
 ) -> None:
     old = spaced / "python3.9"
@@ -73,8 +73,8 @@ def test_an_interpreter_that_is_asked_for_and_does_not_suit_is_named_and_no_othe
             (spaced / "programs" / tool).unlink()
 
 
-def test_the_newest_is_taken_and_3_14_last(spaced: Path) -> None:
-    """Each of these says its name instead of making an environment."""
+def test_the_newest_python_is_preferred_except_3_14(spaced: Path) -> None:
+    """Each fake interpreter prints its name instead of creating an environment."""
     programs = spaced / "programs"
     programs.mkdir()
     for name in ("python3.10", "python3.12", "python3.14"):
@@ -93,15 +93,15 @@ def test_the_newest_is_taken_and_3_14_last(spaced: Path) -> None:
 
 @pytest.mark.parametrize("tools", [(), ("uv",)], ids=["venv", "uv"])
 @pytest.mark.slow
-def test_an_environment_in_a_path_with_a_space_has_pip_and_is_made_once(
+def test_an_environment_in_a_path_with_a_space_is_created_once(
     spaced: Path, tools: tuple[str, ...]
 ) -> None:
     done = venv(spaced, "made", python=sys.executable, tools=tools)
     assert done.returncode == 0, done.stderr
     made = spaced / "made" / "bin" / "python"
     code = "import pip, sys; print(sys.version_info[:2] >= (3, 10), sys.prefix)"
-    told = subprocess.run([str(made), "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == f"True {spaced / 'made'}"
+    result = subprocess.run([str(made), "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == f"True {spaced / 'made'}"
     before = made.parent.stat().st_mtime_ns
     for tool in ("bash", "env", *tools):
         (spaced / "programs" / tool).unlink()

@@ -1,4 +1,4 @@
-"""viser's private names are used in one file, and viser has them."""
+"""viser's private names are used only in one file, and exist in viser."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.raw_client import RawClient
 ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
 ONE_FILE = "viser_compat.py"
 OURS = {"_replace", "_fields", "_exit"}
-"""Of NamedTuples, and of `os`."""
+"""Private names of NamedTuple and of `os`."""
 OF_THE_SERVER = {"_websock_server"}
 OF_A_CLIENT = {"_websock_connection", "_viser_server"}
 OF_ITS_CAMERA = {"_state"}
@@ -39,7 +39,7 @@ OF_CONNECTIONS = {
     "_server_thread",
 }
 OF_AN_EVENT = {"_value", "_waiters"}
-"""Of asyncio, which viser's queue waits for."""
+"""Private names of asyncio's events; viser's queue waits for one."""
 ALSO = {"gate.py": {"_messages"}}
 """Viser's own message types define the messages of a page."""
 
@@ -53,7 +53,7 @@ def private(path: Path) -> set[str]:
                 names.add(node.attr)
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("viser"):
             names |= {alias.name for alias in node.names}
-    # Those of Python's own, as __version__, are nobody's secret.
+    # Dunder names such as __version__ are public.
     return {name for name in names if name[0] == "_" and name[:2] != "__"} - OURS
 
 
@@ -62,7 +62,7 @@ def test_private_names_are_used_in_one_file(path: Path) -> None:
     assert path.name == ONE_FILE or private(path) <= ALSO.get(path.name, set())
 
 
-def test_viser_has_them() -> None:
+def test_viser_has_the_private_names() -> None:
     server = open_server("127.0.0.1", 0)
     try:
         gui = server.gui
@@ -99,7 +99,7 @@ def test_icons_and_type_hints_are_those_of_viser(monkeypatch: pytest.MonkeyPatch
         close_server(server)
 
 
-def test_a_server_that_takes_long_to_end_prints_nothing_either(capfd) -> None:
+def test_slow_shutdown_of_a_server_prints_nothing(capfd) -> None:
     server = open_server("127.0.0.1", 0)
     loop = server._websock_server._background_event_loop
     assert loop is not None
@@ -109,7 +109,7 @@ def test_a_server_that_takes_long_to_end_prints_nothing_either(capfd) -> None:
     assert capfd.readouterr().out == ""
 
 
-def test_what_no_page_says_calls_nothing() -> None:
+def test_invalid_messages_of_a_page_are_ignored() -> None:
     heard: list[object] = []
     box = SimpleNamespace(on_update=lambda _: None)
     client: Any = SimpleNamespace(gui=SimpleNamespace(add_text=lambda *_, **__: box))
@@ -124,7 +124,7 @@ def test_what_no_page_says_calls_nothing() -> None:
     assert heard == [2.0, "now"]
 
 
-def test_what_strangers_can_cause_is_written_once_a_minute(caplog, monkeypatch) -> None:
+def test_errors_caused_by_clients_are_logged_once_a_minute(caplog, monkeypatch) -> None:
     monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
     close_server(open_server("127.0.0.1", 0))
     modules = job, notifications, server, viser_compat
@@ -139,7 +139,7 @@ def test_what_strangers_can_cause_is_written_once_a_minute(caplog, monkeypatch) 
     assert sorted(caplog.messages) == [*failed, "socket.send() raised exception."]
 
 
-def test_no_connection_has_the_thread_for_long(monkeypatch) -> None:
+def test_large_message_is_read_in_small_pieces(monkeypatch) -> None:
     read, usual = [], ServerConnection.data_received
     monkeypatch.setattr(
         ServerConnection,
@@ -160,15 +160,15 @@ def test_no_connection_has_the_thread_for_long(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("host", "alone"), [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False)]
 )
-def test_an_address_is_of_this_machine_alone_or_not(host, alone) -> None:
+def test_is_loopback_detects_local_addresses(host, alone) -> None:
     assert is_loopback(host) is alone
 
 
 @pytest.mark.parametrize("persistent", [False, True])
-def test_a_viewer_gets_the_removal_of_a_node_that_is_created_again(persistent: bool) -> None:
-    """Else the page would keep the pose of the node before, as viser sends no default pose.
+def test_removal_of_a_node_is_sent_before_it_is_created_again(persistent: bool) -> None:
+    """Otherwise the page keeps the former pose, as viser sends no default pose.
 
-    Messages that later viewers get from the start need no removal.
+    Persistent messages, which later clients receive from the start, need no removal.
     """
     loop = asyncio.new_event_loop()
     queue = _Buffer(loop, persistent_messages=persistent)

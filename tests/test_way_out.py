@@ -1,4 +1,4 @@
-"""Starts in trouble have their stated kind, and the robot leaves them gently."""
+"""Starts inside a buffer or in contact have their stated kind, and the robot leaves them gently."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Draw = Callable[[Begin, int], np.ndarray]
 
 @pytest.fixture(scope="module")
 def drawn(robot: RobotModel, border_data: BorderData) -> Draw:
-    """The posture of the arm at a start of a kind, by its seed."""
+    """The posture of the arm at a start, by kind and seed."""
     return lambda begin, seed: (
         WayOutScenario(begin=begin).setting(robot, border_data, Config(), seed).q_m
     )
@@ -40,7 +40,7 @@ def closest_at(robot: RobotModel, data: BorderData, q_m: np.ndarray) -> list[Clo
 
 
 @pytest.mark.parametrize("begin", BEGINS)
-def test_starts_are_of_the_kind_that_they_say(
+def test_starts_have_their_stated_kind(
     robot: RobotModel, border_data: BorderData, drawn: Draw, begin
 ) -> None:
     ranges = {"penetration": (-DEEPEST, 0.0), "buffer": (0.0, D_B), "arm": (0.0, D_B)}
@@ -52,7 +52,7 @@ def test_starts_are_of_the_kind_that_they_say(
             assert (worst.pair.a == "lm") == (begin == "buffer")
 
 
-def test_every_pair_is_drawn_from_above_and_from_the_side(
+def test_starts_cover_every_pair_and_the_side_of_the_base(
     robot: RobotModel, border_data: BorderData, drawn: Draw
 ) -> None:
     found, from_side = set(), 0
@@ -65,7 +65,7 @@ def test_every_pair_is_drawn_from_above_and_from_the_side(
     assert from_side >= 3
 
 
-def test_the_same_seed_draws_the_same_start(drawn: Draw) -> None:
+def test_equal_seeds_draw_equal_starts(drawn: Draw) -> None:
     for begin in BEGINS:
         np.testing.assert_array_equal(drawn(begin, 5), drawn(begin, 5))
     assert (drawn("buffer", 5) != drawn("buffer", 6)).all()
@@ -80,7 +80,7 @@ def test_an_unknown_kind_of_start_is_refused() -> None:
 
 @pytest.mark.parametrize("begin", BEGINS)
 @pytest.mark.parametrize("seed", [100, 105])
-def test_the_robot_leaves_the_inner_buffer_within_three_seconds_and_stays_out(
+def test_the_robot_leaves_the_inner_buffer_and_stays_outside(
     robot: RobotModel, border_data: BorderData, begin, seed: int
 ) -> None:
     figures = run_scenario(
@@ -91,10 +91,10 @@ def test_the_robot_leaves_the_inner_buffer_within_three_seconds_and_stays_out(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_first_torques_are_near_those_that_hold_the_arm(
+def test_the_first_torques_are_near_gravity_compensation(
     robot: RobotModel, border_data: BorderData, drawn: Draw, seed: int
 ) -> None:
-    """Nothing kicks at the start, however deep it is."""
+    """No start causes a kick, at any depth of penetration."""
     session = Session(robot, border_data, Config(), physics="kinematic")
     session.reset(drawn("penetration", seed))
     step = session.step()

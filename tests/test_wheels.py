@@ -1,4 +1,4 @@
-"""Every dependency comes as a wheel for each Python and platform of the promise."""
+"""Every dependency has a wheel for each supported Python and platform."""
 
 from __future__ import annotations
 
@@ -33,25 +33,25 @@ def outcomes() -> dict[tuple[str, str], Outcome]:
 
 
 @pytest.mark.slow
-def test_all_of_the_promise_is_installed_from_wheels(outcomes) -> None:
+def test_supported_combinations_install_from_wheels(outcomes) -> None:
     assert {cell: outcomes[cell] for cell in PROMISED if isinstance(outcomes[cell], str)} == {}
 
 
 @pytest.mark.slow
-def test_the_documents_table_is_the_one_that_is_found(outcomes) -> None:
+def test_documented_table_matches_the_resolved_wheels(outcomes) -> None:
     assert written() == table(outcomes), "python -m tools.wheels --write"
 
 
 @pytest.mark.slow
-def test_never_pybullet_and_its_fork_and_everywhere_one_mujoco(outcomes) -> None:
+def test_exactly_one_mujoco_and_at_most_one_pybullet_is_installed(outcomes) -> None:
     for cell, names in outcomes.items():
         assert not {"pybullet", "pybullet-arm64"} <= names, cell
         assert len({"mujoco", "mujoco-core"} & names) == 1, cell
 
 
 @pytest.mark.slow
-def test_only_pybullet_is_left_out_and_only_where_the_markers_say(outcomes) -> None:
-    """On the supported platforms; `requires-python` has an upper bound without gaps."""
+def test_only_pybullet_is_omitted_and_only_by_its_markers(outcomes) -> None:
+    """On the supported platforms; the upper bound of `requires-python` has no gaps."""
     for platform, python in PROMISED:
         names = outcomes[platform, python]
         assert bool({"pybullet", "pybullet-arm64"} & names) == (python != "3.14")
@@ -59,7 +59,7 @@ def test_only_pybullet_is_left_out_and_only_where_the_markers_say(outcomes) -> N
 
 
 @pytest.mark.slow
-def test_a_package_without_a_wheel_is_seen(tmp_path) -> None:
+def test_missing_wheel_is_detected(tmp_path) -> None:
     wanted = tmp_path / "wanted.in"
     wanted.write_text("pybullet==3.2.7\n", encoding="utf-8")
     try:
@@ -71,8 +71,8 @@ def test_a_package_without_a_wheel_is_seen(tmp_path) -> None:
     assert "pybullet" in why
 
 
-def test_an_index_that_does_not_answer_is_no_missing_wheel(tmp_path, monkeypatch) -> None:
-    """Nothing listens at that port of this machine."""
+def test_unreachable_index_is_not_a_missing_wheel(tmp_path, monkeypatch) -> None:
+    """No server listens on that port of this machine."""
     wanted = tmp_path / "wanted.in"
     wanted.write_text("numpy\n", encoding="utf-8")
     monkeypatch.setenv("UV_DEFAULT_INDEX", "http://127.0.0.1:9/simple")
@@ -82,7 +82,7 @@ def test_an_index_that_does_not_answer_is_no_missing_wheel(tmp_path, monkeypatch
         compiled([str(wanted), *BARE, "3.11"])
 
 
-def test_the_table_says_no_where_something_has_no_wheel() -> None:
+def test_table_shows_no_for_a_missing_wheel() -> None:
     outcomes: dict[tuple[str, str], Outcome] = {
         (platform, python): frozenset({"pin", "mujoco"})
         for platform in PLATFORMS
@@ -93,7 +93,7 @@ def test_the_table_says_no_where_something_has_no_wheel() -> None:
     assert last == "| macOS arm64 | MuJoCo | MuJoCo | MuJoCo | MuJoCo | no |"
 
 
-def test_the_promise_is_for_every_python_that_the_package_takes() -> None:
+def test_supported_pythons_are_those_of_requires_python() -> None:
     low, high = re.findall(r'requires-python = ">=3\.(\d+),<3\.(\d+)"', PYPROJECT)[0]
     assert [f"3.{minor}" for minor in range(int(low), int(high))] == list(PYTHONS)
     assert {python for _, python in PROMISED} == set(PYTHONS)
@@ -106,4 +106,4 @@ def direct() -> set[str]:
     """Names of the dependencies of the package itself and of all extras."""
     text = PYPROJECT[PYPROJECT.index("\ndependencies = [") : PYPROJECT.index("[project.scripts]")]
     names = {name.lower() for name in re.findall(r'^    "([A-Za-z0-9_.-]+)', text, re.M)}
-    return names - {"dbb-mobile-manipulator"}  # an extra that takes another in
+    return names - {"dbb-mobile-manipulator"}  # an extra that includes another one

@@ -65,6 +65,7 @@ from app.control.limits import (
     distance_rows,
     joint_bounds,
     joint_rows,
+    speed_error,
     torque_range,
     torque_reachable_bounds,
     torque_rows,
@@ -461,28 +462,25 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         gains: `GAINS`, including the approach rates of the limits.
         w: `STEP`.
         which: The problem. All problems have the limits of torques and joints. ARM: the torques
-            are within w.u_min and w.u_max, the rows of joints and distances include external
-            forces, and a joint limit demands at most the acceleration that the joint's own torque
-            can achieve; if the method has barriers, each pair has one. FREE_BASE: if the base takes
-            part in the method's barriers, each pair has one. ROOM: if the method has a lookahead
-            (`dbb`), there are barriers of L_m and the buffers of the arm's links.
+            are within w.u_min and w.u_max. The rows of joints and distances include external forces
+            and a margin for the recent errors of predicted speeds. A joint limit demands at most
+            the acceleration that the joint's own torque can achieve. If the method has barriers,
+            each pair has one. FREE_BASE: if the base takes part in the method's barriers, each pair
+            has one. ROOM: if the method has a lookahead (`dbb`), there are barriers of L_m and the
+            buffers of the arm's links.
     """
     barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
-    n_m, n_b = len(w.q_m), robot.n_b
+    n_m, qd_limits = len(w.q_m), robot.qd_limits
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
     v_error = w.v_error if for_arm else qdd_ext
-    bounds = joint_bounds(
-        w.q_m,
-        w.qd_m,
-        robot.q_limits,
-        robot.qd_limits,
-        gains.position_rate,
-        gains.velocity_rate,
-        v_error,
-    )
     if for_arm:
         qdd_ext, u_min, u_max = w.x_est[2], w.u_min, w.u_max
+        qd_limits = qd_limits + np.stack((v_error, -v_error))
+    bounds = joint_bounds(
+        w.q_m, w.qd_m, robot.q_limits, qd_limits, gains.position_rate, gains.velocity_rate
+    )
+    if for_arm:
         bounds = torque_reachable_bounds(
             w.M,
             w.h,
@@ -491,7 +489,7 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
             w.u_max,
             gains.torque_rate,
             bounds,
-            robot.qd_limits - w.qd_m,
+            qd_limits - w.qd_m,
             times(robot.J_m_inv, w.a_base_meas),
             qdd_ext,
         )
@@ -503,13 +501,9 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     for k in range(count):
         i = rows[k]
         d_min = w.d_b[()] if link_buffers and k >= robot.n_convex_mob else gains.d_min
-        error = math.sqrt((w.J[i, n_b:] ** 2 * v_error**2).sum())
+        d_dot = w.d_dot[i] - speed_error(w.J[i, robot.n_b :], v_error)
         least[k] = barrier_bound(
-            w.Jdqd[i],
-            w.d_dot[i] - error,
-            w.d[i] - d_min,
-            gains.barrier_rate,
-            gains.max_separation_speed,
+            w.Jdqd[i], d_dot, w.d[i] - d_min, gains.barrier_rate, gains.max_separation_speed
         )
     distances = slice(2 * n_m, 2 * n_m + count)
     distance_rows(w.J, least, rows, qdd_ext, w.C[distances], w.l[distances], w.u[distances])

@@ -29,8 +29,10 @@ from app.strict import Array
 FEWEST = 8
 """Samples of the noise before the filter starts."""
 _CLEAR = 0.01  # [-] share of a top speed beyond which a change from a reading to the next is clear
-_PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
-SMALL = 1e-11, 1e-5  # [rad², rad²/s²] variances below which all samples are plausible
+_PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its variance
+_MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
+SMALL = 1e-11
+"""[rad²] variance of positions below which all samples are plausible."""
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
 
@@ -91,9 +93,9 @@ def estimate_arm(
     last: Array,
     samples: Array,
     known: Array,
-    q: Array,
-    qd: Array,
+    read: Array,
     qd_max: Array,
+    v_error: Array,
     gains: Any,
 ) -> bool:
     """Update the estimate (x, P) by one reading of positions and velocities.
@@ -110,15 +112,16 @@ def estimate_arm(
         samples: () number of samples of the noise; updated.
         known: (k, n_m) accelerations by `predicted_joint_acceleration` in each of the k periods
             since the last reading; no rows after a gap.
-        q: (n_m,) [rad or m] positions.
-        qd: (n_m,) [rad/s or m/s] velocities; NaN without a reading.
+        read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN without a velocity.
         qd_max: (n_m,) joint speed limits.
+        v_error: (n_m,) recent errors of velocities that were predicted over several periods; the
+            process noise of the external acceleration is at least as large as they imply.
         gains: `GAINS`.
 
     Returns:
         Whether the arm cannot have moved to the reading.
     """
-    steps, dt = len(known), gains.dt
+    steps, dt, q, qd = len(known), gains.dt, read[0], read[1]
     jumped = steps > 0 and _jumped(x, q, qd_max, steps, dt)
     continued = steps > 0 and not jumped
     if continued:
@@ -130,7 +133,11 @@ def estimate_arm(
             last[2, i] = math.nan
     trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
     if continued and samples[()] >= FEWEST:
-        _follow(x, P, known, q, qd, trusted, gains.external_drift, dt)
+        drift = np.full(len(q), gains.external_drift)
+        for i in range(len(q) if steps > 1 else 0):
+            implied = v_error[i] * math.sqrt(3.0 / (steps * dt) ** 3)
+            drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
+        _follow(x, P, known, q, qd, trusted, drift, dt)
         return jumped
     _begin_at(x, P, trusted, last, known if continued else known[:0], q, qd, qd_max, gains)
     return jumped
@@ -162,7 +169,7 @@ def _learn(
     both readings. For the reading between two intervals, each interval implies a velocity; the
     difference of the two, times the duration, is the unexplained second difference of the
     positions. An outlier counts only as the largest plausible sample of one period: it is a delay,
-    a stop, or the external force during a gap, not noise.
+    a stop, or an external force during a gap, not noise.
 
     Args:
         variances: (2, n_m) noise of positions and velocities; updated.
@@ -186,15 +193,13 @@ def _learn(
         unknown = steps * dt * (begin - last[0, i])
         of_q = (unknown - last[2, i]) ** 2 / 20.0
         last[0, i], last[1, i], last[2, i] = begin + gained, q[i], unknown
-        of_qd = (qd[i] - last[0, i]) ** 2
-        for k in range(2):
-            sample = of_q if k == 0 else of_qd
-            if math.isnan(sample):
-                continue
-            weight, largest = share, _PLAUSIBLE * max(variances[k, i], SMALL[k])
-            if samples[()] >= FEWEST and sample > largest:
-                weight, sample = -math.expm1(-dt / window), largest
-            variances[k, i] += weight * (sample - variances[k, i])
+        if not math.isnan(qd[i]):
+            variances[1, i] += share * ((qd[i] - last[0, i]) ** 2 - variances[1, i])
+        if not math.isnan(of_q):
+            weight, largest = share, _PLAUSIBLE * max(variances[0, i], SMALL)
+            if samples[()] >= FEWEST and of_q > largest:
+                weight, of_q = -math.expm1(-dt / window), largest
+            variances[0, i] += weight * (of_q - variances[0, i])
 
 
 @compiled()
@@ -240,7 +245,7 @@ def _follow(
     q: Array,
     qd: Array,
     variances: Array,
-    change: float,
+    drift: Array,
     dt: float,
 ) -> None:
     """Predict each joint since the last reading, and correct it by its position and its velocity.
@@ -254,7 +259,7 @@ def _follow(
         q: (n_m,) positions.
         qd: (n_m,) velocities; NaN has no effect.
         variances: (2, n_m) noise of positions and velocities.
-        change: Process noise of the external acceleration, in one second.
+        drift: (n_m,) process noise of the external acceleration, in one second.
         dt: [s]
     """
     advance(x, known, dt)
@@ -267,7 +272,7 @@ def _follow(
             for j in range(3):
                 p[j, 1] += dt * p[j, 2]
                 p[j, 0] += dt * p[j, 1]
-            p[2, 2] += change**2 * dt
+            p[2, 2] += drift[i] ** 2 * dt
         _correct(x[:, i], p, 0, q[i], variances[0, i])
         if not math.isnan(qd[i]):
             _correct(x[:, i], p, 1, qd[i], variances[1, i])

@@ -68,14 +68,14 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 
 
 @compiled()
+def speed_error(J: Array, v_error: Array) -> float:
+    """[m/s] error of J q̇ by independent errors (n_m,) of the joints' speeds."""
+    return math.sqrt((J**2 * v_error**2).sum())
+
+
+@compiled()
 def joint_bounds(
-    q: Array,
-    qd: Array,
-    q_limits: Array,
-    qd_limits: Array,
-    position_rate: float,
-    speed_rate: float,
-    v_error: Array,
+    q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
     """(2, n_m) lower and upper bounds on q̈_m, from the position limits and the velocity limits.
 
@@ -86,11 +86,11 @@ def joint_bounds(
     for i in range(len(q)):
         lower = max(
             position_bound(q[i], qd[i], q_limits[0, i], position_rate),
-            velocity_bound(qd[i] - v_error[i], qd_limits[0, i], speed_rate),
+            velocity_bound(qd[i], qd_limits[0, i], speed_rate),
         )
         upper = min(
             position_bound(q[i], qd[i], q_limits[1, i], position_rate),
-            velocity_bound(qd[i] + v_error[i], qd_limits[1, i], speed_rate),
+            velocity_bound(qd[i], qd_limits[1, i], speed_rate),
         )
         found[0, i], found[1, i] = min(lower, upper), max(lower, upper)
     return found

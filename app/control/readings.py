@@ -247,9 +247,8 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     Each possible lag predicts the deviation of the newest reading from the parabola through the
     three readings before it. A lag gains evidence if its prediction is far better than the
     prediction of the present lag, and far better than a prediction of 0; otherwise it loses
-    evidence (these are the sums of a CUSUM test).
-    A single reading adds at most 1, so no single event can decide. More readings are necessary if
-    the intervals between them are short.
+    evidence (these are the sums of a CUSUM test). A single reading adds at most 1, so no single
+    event can decide. More readings are necessary if the intervals between them are short.
 
     Noise of the positions hides the effect of an acceleration, which grows with the square of the
     interval between the readings. Thus the interval grows with the root of the noise.
@@ -462,24 +461,26 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
 
 
 @compiled()
-def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> None:
+def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     """Change the lag if a different one explains a new reading q, qd (n_m,) far better.
 
     The positions are compared with those predicted for the last periods. Thus a delay that begins
     or ends during a motion is known at once; `_find_lag` finds the other delays. A robot that stops
     is not mistaken for a delay, because its velocities differ from the past velocities. Readings
-    without velocities are not compared. `w.age` becomes negative if the reading is older than the
-    last one.
+    without velocities are not compared.
+
+    Returns:
+        Whether the reading is older than the last one; then `w.age` is negative.
     """
     count, lag = int(min(w.known[()], _MOST_LAG + 1.0)), int(w.lag[()])
     if w.samples[()] < FEWEST or lag >= count or w.ratio[()] != 1.0:
-        return
+        return w.age[()] < 0.0
     time = w.age[()] * gains.dt
     x, errors, alike = w.x_est.copy(), np.zeros(count), np.zeros(count, np.bool_)
     for k in range(count):
         difference = speed = 0.0
         for i in range(len(q)):
-            variance = max(w.noise_var[0, i], SMALL[0]) + (time * w.v_error[i]) ** 2
+            variance = max(w.noise_var[0, i], SMALL) + (time * w.v_error[i]) ** 2
             errors[k] += (q[i] - x[0, i]) ** 2 / variance
             difference += (qd[i] - x[1, i]) ** 2
             speed += x[1, i] ** 2
@@ -487,12 +488,13 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> None:
             x[1, i] -= gains.dt * (w.history[(int(w.periods[()]) - k) % HISTORY, i] + x[2, i])
         alike[k] = difference < _ALIKE * speed
         if k == lag and errors[k] < _CLEARLY**2 * len(q):
-            return
+            return w.age[()] < 0.0
     best = int(np.argmin(errors))
     if alike[best] and errors[lag] > _CLEARLY**2 * (errors[best] + len(q)):
         w.lag[()] = best
         w.age[()] += lag - best
         fill(w.evidence, 0.0)
+    return w.age[()] < 0.0
 
 
 @compiled()
@@ -555,20 +557,15 @@ def take_readings(
         velocity = _usable_velocity(robot, gains, w, base_velocity, first)
     _remember(robot, gains, w, velocity, not lost)
     advance(w.x_est, _recall(w, 0, 1), gains.dt)
-    predicted = w.x_est[1].copy()
     if not (lost or first):
-        _match_lag(w, q, qd, gains)
-        lost = w.age[()] < 0.0
+        lost = _match_lag(w, q, qd, gains)
     if lost:
         w.age[()] += 1.0
     else:
         w.age[()] += _rested(w, q, qd, gains.dt, first)
-        _take_new(robot, gains, w, q, qd.copy(), first)
-        put(w.reading[0], q)
-        put(w.reading[1], qd)
+        _take_new(robot, gains, w, q, qd, first)
         _take_base(robot, gains, w, base_pose.copy(), velocity, first)
         put(w.v_read, base_velocity)
-        _learn_v_error(gains, w, predicted)
         w.age[()] = 0.0
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
     _estimate_load(gains, w)
@@ -580,8 +577,8 @@ def take_readings(
 
 @compiled()
 def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) -> None:
-    """Update the estimate with new readings q and qd (n_m,); unusable velocities become NaN."""
-    age = int(w.age[()])
+    """Update the estimate with new readings q and qd (n_m,); unusable velocities have no effect."""
+    age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
     if first:
         _begin(gains, w, q, qd)
     else:
@@ -589,26 +586,20 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
         _find_period(w, q, qd, age + 1, gains)
     for i in range(len(qd)):
         if w.no_velocity[()] != 0.0 or not abs(qd[i]) <= _FARTHEST * robot.qd_max[i]:
-            qd[i] = math.nan
+            read[1, i] = math.nan
             w.faults[VELOCITY] = 1.0
     lag = int(w.lag[()])
     steps = age + 1 if w.known[()] >= age + 1 + lag else 0
-    jumped = estimate_arm(
-        w.x_read,
-        w.P_est,
-        w.noise_var,
-        w.q_last,
-        w.samples,
-        _recall(w, lag, steps),
-        q,
-        qd,
-        robot.qd_max,
-        gains,
-    )
+    known = _recall(w, lag, steps)
+    memory = w.x_read, w.P_est, w.noise_var, w.q_last, w.samples
+    jumped = estimate_arm(*memory, known, read, robot.qd_max, w.v_error, gains)
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
         put(w.q_posture, q)
-        _measure_from(w, q, qd)
+        _measure_from(w, q, read[1])
     put_rows(w.x_est, w.x_read)
     if lag > 0:
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)
+    _learn_v_error(gains, w, predicted)
+    put(w.reading[0], q)
+    put(w.reading[1], qd)

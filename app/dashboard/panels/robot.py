@@ -68,7 +68,7 @@ class RobotPanel(Panel):
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()
         self._choose(shared.model.description.name)
-        EditPanel(viewer)
+        self.edit = EditPanel(viewer)
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
