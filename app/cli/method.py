@@ -255,7 +255,7 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        no_border: Do not measure the sampling of a new border, which takes minutes.
+        no_border: Leave out the measurement of the sampling of a new border, which takes minutes.
         seed: Seed of all random numbers: of the simulated paths, the synthetic borders, and the QP
             of the direct calls.
     """

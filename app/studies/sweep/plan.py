@@ -148,7 +148,7 @@ class SweepPlan:
     wheel_axis: bool = True
     """Include paths along the wheel axis."""
     above: bool = False
-    """Include paths down onto the base, at the points of a grid."""
+    """Include vertical paths down onto the base, one at each point of a grid over the base."""
     above_spacing: float = 0.15
     """[m] largest spacing of this grid, for --above."""
     length: float = 0.2
