@@ -106,9 +106,11 @@ def main(
     only: tuple[str, ...] = (),
     json: Json = False,
 ) -> None:
-    """Cause faults in commands; the status is 1 if something remains or is lost.
+    """Cause faults in commands, and count the remains.
 
-    A signal to end also prints the counts so far, with status 1.
+    The status is 1 if a process, an open port or an incomplete file remains, if a result is lost,
+    or if a command ends with a wrong status. A signal ends the program early, with status 1; the
+    program then prints the counts up to this time.
 
     Args:
         tries: Largest number of tries.

@@ -214,7 +214,7 @@ def _renamed(new: str) -> Change:
 
 
 def _encoded(code: str, declared: str | None = None) -> Change:
-    """The file in another encoding, with a comment that contains such characters."""
+    """The file in another encoding, with a comment of characters that differ in this encoding."""
     word = {"gbk": "机器人", "shift_jis": "ロボット"}.get(code, "Grün")
     stated = code if declared is None else declared
     head = f'<?xml version="1.0" encoding="{stated}"?>' if stated else '<?xml version="1.0"?>'
@@ -227,7 +227,7 @@ def _encoded(code: str, declared: str | None = None) -> Change:
 
 
 def _of_all(path: str, key: str, change: Callable[[str], str]) -> Change:
-    """A change of an attribute in all elements of a path."""
+    """A change of the attribute `key` in all elements that the XML path `path` finds."""
 
     def changed(robot: Element, _: random.Random) -> None:
         for element in robot.iterfind(path):
@@ -248,7 +248,7 @@ def _moments_in_mm(robot: Element, _: random.Random) -> None:
 
 
 def _above(kind: str) -> Change:
-    """Another root link, connected to the former one by a joint of a kind."""
+    """A new root link `odom`, connected to the original root link by a joint of a kind."""
 
     def change(robot: Element, _: random.Random) -> None:
         children = {str(j.get("link")) for j in robot.iterfind("joint/child")}

@@ -13,7 +13,11 @@ WEIGHT = np.array([0.0, 0.0, -2.0 * 9.81])  # [N]
 
 
 def main() -> tuple[float, float]:
-    """Returns the estimated load [kg], and the speed [m/s] of the end-effector at the end."""
+    """Hang a load on a guided arm that nobody holds, and compensate it once the loop reports it.
+
+    Returns:
+        The estimated load [kg], and the speed [m/s] of the end-effector at the end.
+    """
     model = RobotModel(load_robot("husky_panda"))
     loop, robot, found = ControlLoop(model), make_physics("kinematic", model), 0.0
     for _ in range(1500):

@@ -61,7 +61,7 @@ TRUST = {
 
 
 MUTANTS = ("--count", "50", "--json")
-"""Options of a part of the 200 mutants."""
+"""Options of one of the four commands that together test 200 mutants."""
 
 
 class ResultSet(NamedTuple):
@@ -71,8 +71,8 @@ class ResultSet(NamedTuple):
         runs: Arguments after `python -m` of a command that prints JSON, by the name of the row.
         keep: Selects the stored numbers from the output.
         table: Markdown of the numbers by the names of their rows; some rows may be missing.
-        default: Whether the set is measured by default, because it needs no browser and no package
-            index.
+        default: Whether the set is measured if no set is named. It is False for a set that needs a
+            browser or a package index.
     """
 
     runs: Mapping[str, Sequence[str]]

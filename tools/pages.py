@@ -99,7 +99,10 @@ def quantities() -> str:
 
 
 def study_range() -> str:
-    """The random intervals of `dbb study`, from the record of app/studies/pulls/parameters.py."""
+    """The table of the intervals from which `dbb study` draws random quantities, by option.
+
+    The rows are the fields of the record `StudyRange` in app/studies/pulls/parameters.py.
+    """
     rows = []
     for name, field in fields_of(StudyRange):
         unit, _, text = field.help.removeprefix("[").partition("]")

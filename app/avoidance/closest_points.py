@@ -1,6 +1,7 @@
-"""FindClosestPoints: signed distances of all link pairs, with a normal that keeps its sign.
+"""FindClosestPoints: signed distances, closest points and normals of all link pairs.
 
-The closest point of a pair moves continuously, also if a link turns parallel to a face.
+The normal points from `a` to `b`, also in penetration. The closest points of a pair move
+continuously, also if a link turns parallel to a face.
 """
 
 import math
@@ -146,9 +147,9 @@ class SmoothPoints:
 
 class _Body(NamedTuple):
     shapes: Shapes
-    """A body in the frame of its joint."""
+    """The body's shapes in the frame of the joint that moves the body."""
     nodes: Array
-    """(K, 4) [m] points of its core in that frame, with the radius around each."""
+    """(K, 4) [m] points of the body's core in that frame, each with the radius around the core."""
 
     @classmethod
     def of(cls, model: RobotModel, name: str) -> Self:
@@ -191,7 +192,7 @@ def _mean_nearest(
 ) -> None:
     """Write p_a, p_b, n and core of one row of `Nearest` into `found` (4, 3).
 
-    `a` has all shapes of l_a, or one convex part; the other arrays all nodes or shapes of a body.
+    `a`: all shapes or one part of l_a, `corners`: nodes of l_a, `b` and `nodes`: all of l_b.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
@@ -280,8 +281,9 @@ def mean_nearest(
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
-    """Points of a shape's core; the core's point nearest to a flat object is one of them, or
-    between them.
+    """Points of a shape's core.
+
+    The point of the core that is nearest to a flat object is one of them, or lies between them.
 
     Returns:
         (K, 3) [m] these points, in the frame of the joint that moves the shape; and [m] the radius

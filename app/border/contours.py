@@ -100,11 +100,11 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """Search the corners, where the visible part of one ring ends and that of another begins, for a
-    nearer point.
+    """Search the corners of the contour for a point that is nearer than `best`.
 
-    These two points of a corner differ by the interpolation error; the segment between them belongs
-    to the contour. At a corner the tangent is perpendicular to the line to p.
+    At a corner, the visible part of one ring ends, and the visible part of another ring begins. End
+    and beginning differ by the interpolation error; the segment between them belongs to the
+    contour. At a corner the tangent is perpendicular to the line to p.
     """
     met = np.zeros(len(corners), np.bool_)
     for at, t, begins in corners:
@@ -156,9 +156,10 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 
 @compiled()
 def _shown_part(start: float, end: float) -> tuple[float, float]:
-    """The interval of fractions along an edge, within [0, 1], with a nonnegative linear value.
+    """The part of an edge on which a linear function is not negative, as fractions in [0, 1].
 
-    `start` and `end` are the values at the ends of the edge; the interval can be empty.
+    `start` and `end` are the values of the function at the ends of the edge. If both are negative,
+    the first fraction is larger than the second.
     """
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0
@@ -169,7 +170,7 @@ def _shown_part(start: float, end: float) -> tuple[float, float]:
 
 @compiled()
 def _square(p: complex, foot: complex, along: complex) -> complex:
-    """The unit vector perpendicular to the line from p to `foot`, in the sense of `along`."""
+    """The unit vector perpendicular to the line from p to `foot`, on the side of `along`."""
     way = p - foot
     length = abs(way)
     if length < _TOUCHING:

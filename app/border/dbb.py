@@ -1,4 +1,7 @@
-"""Algorithm 1: P_i, points of an arm's body around the mobile robot, and the border within P_i."""
+"""Algorithm 1: P_i, and the border DBB_i, which is a subset of P_i.
+
+P_i are sampled points that a body of the arm can reach around the mobile robot.
+"""
 
 from dataclasses import dataclass
 

@@ -91,11 +91,11 @@ def nearest_sample(
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     """The border's point nearest to p (3,) [m] at the height of p, and the unit tangent there.
 
-    It is one of the pair's sampled points if the border consists of points and has some at this
-    height. Otherwise it belongs to the surface, the exact offset of l_m, which is the same for all
-    pairs. The tangent at a sampled point is perpendicular to the line from p; if p is within ε of
-    the point, it is the surface's tangent there. The tangent at a point of the surface is that of
-    the contour. Point and tangent are NaN if l_m has no border at all.
+    If the border consists of points and has points at this height, the result is one of the pair's
+    sampled points. Its tangent is perpendicular to the line from p; if p is within ε of the point,
+    the tangent of the surface replaces it. Otherwise the result is a point of the surface, which is
+    the exact offset of l_m for all pairs, with the tangent of the contour. Point and tangent are
+    NaN if l_m has no border at all.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]

@@ -52,8 +52,8 @@ class OffsetContours:
     def contours(self, z: float) -> list[Array]:
         """The contour at height z [m] as polygons (K, 2) [m].
 
-        A ring that the other shapes hide in part is divided into its visible pieces. A shape
-        without a ring at z is left out.
+        If a part of a ring is inside of another shape's offset, only the remaining, visible pieces
+        of the ring belong to the contour. A shape without a ring at z is left out.
         """
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
@@ -74,7 +74,10 @@ class OffsetContours:
 
 
 def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The visible pieces (K, 2) [m] of a closed ring; the arguments are rows of a `Table`."""
+    """The pieces (K, 2) [m] of a closed ring that are outside of the other shapes' offsets.
+
+    `ring` and `shown` are one row of the fields `vertices` and `shown` of a `Table`.
+    """
     if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
     turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex

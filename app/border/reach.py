@@ -116,8 +116,9 @@ def _moving_joints(model: RobotModel, body: str) -> list[int]:
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
     """Pinocchio's index of the joint that moves a body's reference frame, and the frame's pose.
 
-    The pose is in the joint's frame. The reference frame is the end-effector's for the body that
-    carries it, otherwise that of the body's first shape.
+    The pose is in the joint's frame. The reference frame of the body that carries the end-effector
+    is the end-effector's frame. The reference frame of another body is the frame of its first
+    shape.
     """
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]
@@ -192,8 +193,8 @@ def sample_reach_map(
 ) -> ReachMap:
     """Compute the density of solutions of a body's pose in the arm's whole workspace.
 
-    The positions form a lattice in a ball around the mount that contains the whole workspace. The
-    Jacobian of the area formula is that of the joints that are not fixed.
+    The positions form a lattice in a ball around the mount that contains the whole workspace. In
+    the area formula, J has a column for each joint of the chain that is not fixed.
 
     Args:
         model: The robot.

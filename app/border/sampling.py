@@ -306,7 +306,10 @@ class _Flood:
         return _rows(seen, fresh)
 
     def _expand(self, seen: Witnesses, round_: int) -> Witnesses:
-        """Make one step towards each open neighbouring voxel, from the first pose next to it."""
+        """Make one step into each open voxel that is a neighbour of the closest point of a pose.
+
+        If several poses are next to a voxel, the first of them makes the step.
+        """
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - seen.p_b[:, None]
@@ -336,9 +339,10 @@ class _Flood:
 
 
 def _damped(J: Array, step: Array, free: Array) -> Array:
-    """ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ): the damped joint step for s with the self-motion of ξ.
+    """Joint steps (N, n_m) that move a point by about `step`, near the joint steps `free`.
 
-    J is (N, 3, n_m), s is `step` (N, 3), and ξ is `free` (N, n_m).
+    The result is ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ), the damped least-squares solution, with J
+    (N, 3, n_m), s = `step` (N, 3) [m] and ξ = `free` (N, n_m) [rad or m].
     """
     J_T = J.transpose(0, 2, 1)
     missing = step[:, :, None] - J @ free[:, :, None]

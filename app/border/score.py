@@ -27,7 +27,7 @@ _FEWEST = 20  # [-] smallest number of values in a shell whose mean can be the p
 
 @dataclass(frozen=True)
 class ScoreField:
-    """The score for one robot and one body of its arm; points are (…, 3) [m]."""
+    """The score 𝒮 of points (…, 3) [m] in the base's frame, for one body of a robot's arm."""
 
     base: BaseKind
     """The kind of base, which defines the signed measure that replaces the determinant of (7)."""
@@ -201,7 +201,7 @@ class ReachFit(NamedTuple):
     """[-] share of the variance of the shells' means that (9) explains; each mean is weighted by
     the number of positions in the shell."""
     rms: float
-    """[-] root mean square of the residuals of the shells' means, weighted likewise."""
+    """[-] root mean square of the residuals of the shells' means, with the same weights."""
     r_squared_positions: float
     """[-] share of the variance of single positions that (9) explains. The other causes of the
     variance are the sampling and the direction of a position."""

@@ -119,7 +119,7 @@ def spec_of_scenario(
 
 
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
-    """The run of a case; a controller or plant in `setup` replaces that of the case.
+    """The run of a case; a controller or plant in `setup` replaces the one in the case.
 
     The `differences` of the case are printed. `others` are further options that a case already
     sets; `word` is the origin of the case, as in `check_no_others`.

@@ -133,8 +133,8 @@ def study(
     inside: Annotated[
         options.Flag,
         tyro.conf.arg(
-            help="Narrow the ranges to the envelope that the project states "
-            "(docs/safety_study.md); a range completely outside is an error."
+            help="Narrow the ranges of the random quantities to the envelope that the project "
+            "states (docs/safety_study.md); a range completely outside the envelope is an error."
         ),
     ] = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,

@@ -129,17 +129,18 @@ def reach(
 ) -> None:
     """Compute the arm's reachability R, and fit (9) to R (§2.3.2).
 
-    Positions p form a lattice around the arm's mount. For the body lEE, p is the end-effector's
-    origin and the pose is the end-effector's pose. For another body, p is the centre of the body's
-    first shape, and the pose is this point with the direction of the shape's axis. If too
-    few joints move the body for this, the pose has fewer coordinates: position and direction for
-    five joints, the position for three or four. R is the density of inverse kinematics
-    solutions within the joint limits and without self-collision. It follows from random joint
-    positions by the area formula: R is the sum of |det J| of the joint positions that lead to a
-    cell of the lattice. J is the square Jacobian of the pose, without redundant joints. R is scaled
-    to a mean of 100 in the best shell of ρ = ‖p − p_base‖, and (9) is fitted where the shells'
-    means are at least 5. A depends on the end-effector's frame, the scale and the range of the fit;
-    the paper does not state these.
+    R is computed for each position p of a lattice around the arm's mount. For the body lEE, p is
+    the end-effector's origin, and the pose is the end-effector's pose. For another body, p is the
+    centre of the body's first shape, and the pose is this point with the direction of the shape's
+    axis. If fewer than six joints move the body, the pose has fewer coordinates: position and
+    direction for five joints, only the position for three or four joints. R is the density of
+    inverse kinematics solutions within the joint limits and without self-collision. It is computed
+    from random joint positions by the area formula: R is the sum of |det J| over the joint
+    positions that lead to a cell of the lattice. J is the square Jacobian of the pose, without
+    redundant joints. Then the mean of R is computed in spherical shells around the mount, each for
+    an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of these means is 100, and (9)
+    is fitted to the shells with a mean of at least 5. The fitted A depends on the end-effector's
+    frame, on this scale, and on the lower bound 5; the paper does not state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
@@ -254,7 +255,7 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        no_border: Do not measure the sampling of a new border, which takes minutes.
+        no_border: Leave out the measurement of the sampling of a new border, which takes minutes.
         seed: Seed of all random numbers: of the simulated paths, the synthetic borders, and the QP
             of the direct calls.
     """

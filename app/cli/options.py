@@ -95,7 +95,7 @@ def from_record(
     names: Mapping[str, str] | None = None,
     positional: str = "",
 ) -> Any:
-    """The annotation in `Annotated[Given, …]` by which a command gets an option for each field.
+    """The annotation in `Annotated[Given, …]` of a command that has an option for each field.
 
     The command gets a dictionary that has only the options that the user set.
 
@@ -220,7 +220,7 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
         else:
             kind, usual = str, about.default
             text = f"{about.help.rstrip('.')}: {about.allowed}"
-        found[name] = Field(kind, f"{usual}, or the robot's own", text)
+        found[name] = Field(kind, f"{usual}, unless the robot has another value", text)
     return from_fields(found)
 
 

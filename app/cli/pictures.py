@@ -1,4 +1,4 @@
-"""`dbb screenshot`, `film`, `replay` and `report`: pictures of a scenario, pages of a log."""
+"""`dbb screenshot` and `film`: pictures of a scenario; `replay` and `report`: HTML of a log."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Filming:
     span: tuple[float, float] | None = None
     """[s] part of the scenario; default: the whole scenario."""
     side_by_side: bool = False
-    """Draw the robot of each controller of --beside in a separate picture at the left, and not as a
+    """Draw the robot of each controller of --beside in a separate picture to the left, not as a
     ghost."""
     codec: str = ""
     """h264 or h265 for .mp4, vp9 or vp8 for .webm; default: h264 and vp9."""

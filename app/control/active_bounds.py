@@ -39,7 +39,7 @@ class Bound(NamedTuple):
 
 
 def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bound]:
-    """The active limits of a step, those of the arm first."""
+    """The active limits of a step: first the limits of the arm, then the limits of the base."""
     n_m = model.n_m
     low, high = met(w)
     joints = model.description.arm.joints
@@ -88,7 +88,7 @@ def met(w: ControlStep) -> tuple[Array, Array]:
 def _joint_kind(
     model: RobotModel, w: ControlStep, config: Config, joint: int, upper: bool
 ) -> BoundKind:
-    """The tighter bound of a joint's acceleration: that of position or of velocity."""
+    """Whether the position limit or the velocity limit gives the tighter acceleration bound."""
     at, rates = int(upper), config.limit
     q, qd = w.q_m[joint], w.qd_m[joint]
     position = position_bound(q, qd, model.q_limits[at, joint], rates.position_rate)

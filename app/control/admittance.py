@@ -54,7 +54,7 @@ def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Arr
     """The feasible command (n_b,) nearest to `command`, within the largest commands `v_max`.
 
     If the axes of a base depend on each other, the nearest feasible command can exceed the largest
-    command of an axis. Then all axes are scaled down alike, so that the direction stays the same.
+    command of an axis. Then all axes are multiplied by the same factor, which keeps the direction.
     `before` (n_b,) is the previous command.
     """
     found = base.admissible(command, before)
@@ -73,9 +73,10 @@ def virtual_damping(base: BaseKind, config: AdmittanceConfig) -> Array:
 
 
 def response(base: BaseKind, config: AdmittanceConfig) -> tuple[Array, Array]:
-    """The law's mean response over a command period to an acceleration a: gain (a − drag ν).
+    """Gain and drag of the law's mean response over a command period to an acceleration a.
 
-    The response has this form while the law's limits are not active.
+    The response is gain · (a − drag · ν), where ν is the velocity at the period's start. It has
+    this form while the law's limits are not active.
 
     Returns:
         (n_b,) the gain [-], and (n_b,) the drag [1/s]; ν is the velocity at the period's start.

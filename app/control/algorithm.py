@@ -31,8 +31,8 @@ Base and arm are computed one after the other, because the base follows its comm
 compete with them, (29). It is subject to its limits, for the present acceleration of the base
 (`assume_base`). The torques follow from q̈, (26).
 
-The compared method `hqp` solves neither of these problems: its q̈ is that of the paper's hierarchy,
-which `app.control.hqp` solves.
+The compared method `hqp` solves neither of these problems: its q̈ is the solution of the paper's
+hierarchy (`app.control.hqp`).
 """
 
 import math
@@ -211,8 +211,8 @@ def algorithm_2(
 def activate_pairs(gains: Any, w: Any) -> None:
     """The activation of each pair, a function of its distance alone, not of time (Fig. 10).
 
-    `w.d_b` is the buffer distance in force, which approaches a new d_b at `BUFFER_RATE`; the border
-    is that of the new d_b at once.
+    `w.d_b` is the buffer distance of this step. If the configured d_b changes, `w.d_b` approaches
+    it at the rate `BUFFER_RATE`, but the border belongs to the new d_b at once.
     """
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
@@ -360,7 +360,7 @@ def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
 
 @compiled()
 def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
-    """T_sca: the base's rows, those between links, and T_rep of the compared method."""
+    """T_sca: the base's rows, the rows between links, and the task T_rep of method `repulsive`."""
     n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
     b_r, beta_r = link_accelerations(robot, gains, w), np.zeros(links)
     if gains.link_rows:
@@ -529,9 +529,10 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """Set up the QP of a_free: base and arm together, without the base's rows.
 
     Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖², with the rows between links as
-    springs; b_ee and these rows have slow gains. Subject to −τ_max ≤ u(q̈) ≤ τ_max, the bounds of
-    the joints at their full rates, and |J_m q̈_b| ≤ a_max. A method whose base takes part in the
-    barriers moves its base to rest in place of T_ee, and has the barriers of all pairs.
+    springs; b_ee and these rows have slow gains. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the
+    bounds of the joints at their full rates, and |J_m q̈_b| ≤ a_max. A method whose base takes part
+    in the barriers has a task that brings the base to rest instead of T_ee, and has the barriers of
+    all pairs.
 
     Returns:
         The number of its limits.
@@ -559,8 +560,8 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
     """A base acceleration near a_des that drags the end-effector along as little as possible.
 
-    Minimise (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖², `limit_ee_drag`, with a_des
-    clipped to a_max before; at β_m = 0 it is a_des.
+    First a_des is clipped to ±a_max. Then `limit_ee_drag` minimises
+    (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². At β_m = 0 the result is a_des.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -581,11 +582,11 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
     Minimise ‖q̈ − q̈_0‖ in the metric H, with q̈_0 the optimum of the cost for the base's response
     to its present command: the smallest change with which the arm fulfils T_ee within its limits.
-    The cost is that of base and arm, with a far higher weight of T_ee, and with the base's rows in
-    proportion to their activation. Subject to all constraints of the arm above T_ee: torques,
-    joints, and for methods with a lookahead the distances of L_m and the buffers of the arm's
-    links. Their approach rates match the base's slow response, so the base reacts early: a wrist
-    that nears its limit turns the base in time.
+    The cost is the sum of the tasks of base and arm, with a far higher weight of T_ee, and with the
+    base's rows in proportion to their activation. The constraints are all constraints of the arm
+    above T_ee: torques, joints, and for methods with a lookahead the distances of L_m and the
+    buffers of the arm's links. The approach rates of these constraints match the base's slow
+    response, so the base reacts early: it turns in time if a wrist joint comes near its limit.
 
     Returns:
         The number of its limits.
@@ -605,10 +606,10 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     """Set up the QP of the arm, for the base's assumed acceleration.
 
-    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. Subject
-    to the torques of this step, the bounds of the joints and the barriers of distances. There is no
-    slack variable: the slack of a task or a row is its demand minus the result
-    (`explanation.row_slacks`). Torques are hard limits, the others are soft.
+    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. The
+    torque limits of this step are hard; the bounds of the joints and the barriers of distances are
+    soft. There is no slack variable: the slack of a task or a row is its demand minus the result
+    (`explanation.row_slacks`).
 
     Returns:
         The number of its limits.

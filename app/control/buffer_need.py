@@ -133,7 +133,7 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b with which the distance of arm and base stays at least the reserve.
 
-    The docstring of the module lists the assumptions. The delay and the slip are those of the
+    The docstring of the module lists the assumptions. Delay and slip are read from the
     configuration; the configured d_b has no influence.
 
     Returns:
@@ -169,8 +169,8 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
     """(k,) [m] lower bound of the arm's smallest distance to the base, for each d_b (k,) [m].
 
-    Each d_b must be larger than d_full. The bound is minus infinity if the base does not reach the
-    approach speed at any distance.
+    Each d_b must be larger than d_full. The bound is minus infinity if the base cannot retreat as
+    fast as the arm approaches (`approach.v`) at any distance.
     """
     ways = list(_ways(approach, base, config))
     return np.array([max(_bound(each, *way) for way in ways) for each in d_b])
@@ -192,7 +192,7 @@ def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[
 
 
 def dead_time(base: BaseKind, config: Config) -> float:
-    """[s] from a demand of the controller to the base's motion."""
+    """[s] time from a demand of the controller to the base's motion."""
     return config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
 
 

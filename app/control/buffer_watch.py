@@ -40,12 +40,12 @@ class BufferReading(NamedTuple):
 class BufferWatch:
     """Evaluates the pairs of L_m step by step, and computes the required d_b.
 
-    The speed is that of the arm's closest point relative to the floor along -n. With the base at
-    rest this is the arm's own speed; while the base retreats, it is still the speed of the
-    end-effector in the world. An approach counts while the arm's motion reduces the distance, if
-    the distance is below the present d_b or below the d_b that the approach requires: an
-    end-effector that is farther away can still slow down. From above the arm resists by itself, and
-    no d_b helps the base: such approaches do not count.
+    The approach speed is the speed of the arm's closest point along -n, relative to the floor, also
+    while the base retreats: the speed relative to the base would be smaller. An approach counts
+    while the arm's motion reduces the distance, if the distance is below the present d_b or below
+    the d_b that the approach requires: an end-effector that is farther away can still slow down. An
+    approach from above does not count, because no motion of the base helps, and the arm alone
+    resists.
     """
 
     def __init__(self, config: Config) -> None:

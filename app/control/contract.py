@@ -98,8 +98,9 @@ class JointOrder:
     def __call__(
         self, position: Sequence[float] | Array, velocity: Sequence[float] | Array | None = None
     ) -> tuple[Array, Array]:
-        """(n_m,) positions and velocities in the arm's own order; velocities are NaN without
-        readings.
+        """(n_m,) positions and (n_m,) velocities in the order of the description's `arm.joints`.
+
+        Velocities without readings are NaN.
 
         Raises:
             MeasurementError: The number of values differs from the number of names.

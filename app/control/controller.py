@@ -205,9 +205,10 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
-        """As `step`, but the base's acceleration is that of its drive's model for the last command.
+        """Execute a step as `step` does, with the base acceleration from the model of the drive.
 
-        `v_cmd` of the returned step is the new velocity command.
+        The model computes this acceleration from the last velocity command. `v_cmd` of the returned
+        step is the new velocity command.
         """
         if not self._own_drive:
             return self._step(measurement, reference, DRIVE_MODEL)

@@ -69,7 +69,7 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; a clear change of the velocity is an external acceleration.
 
-    The arguments are those of `estimate_arm`; `trusted` (2, n_m) are variances.
+    `estimate_arm` explains the arguments; `trusted` (2, n_m) are variances.
     """
     steps, dt = len(known), gains.dt
     for i in range(len(q)):
@@ -101,8 +101,8 @@ def estimate_arm(
     """Update the estimate (x, P) by one reading of positions and velocities.
 
     After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading.
-    Until the noise has enough samples, the position and velocity are those of the reading, and only
-    a clear change of the velocity changes the external acceleration.
+    Until the estimate of the noise has enough samples, position and velocity are copied from the
+    reading, and only a clear change of the velocity changes the external acceleration.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.

@@ -99,8 +99,8 @@ class Explanation(NamedTuple):
     chain: tuple[str, ...]
     """Names of all bodies, the mobile robot first, then outwards."""
     near: tuple[NearPair, ...]
-    """Pairs inside a buffer or at the bound of their barrier: first those of L_m, each group with
-    the most active first."""
+    """Pairs inside a buffer or at the bound of their barrier: first the pairs of L_m, then the
+    pairs within the arm; in both groups the most active pair is first."""
     nearest: tuple[str, str, float]
     """Body names and distance [m] of the nearest pair of L_m, inside a buffer or not."""
     axes: tuple[Axis, ...]
@@ -121,7 +121,7 @@ class Explanation(NamedTuple):
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:
-        """Forces on the base, that of the most active pair first."""
+        """Forces on the base; the force of the most active pair is first."""
         return tuple(pair.force for pair in self.near if pair.force is not None)
 
     @property
@@ -185,8 +185,8 @@ def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
 def objective_slack(H: Array, c: Array, qdd: Array, n_b: int) -> Array:
     """(n_m,) [rad/s² or m/s²] the arm's acceleration minus the one that minimises an objective.
 
-    The minimum is that of this objective alone, for the same acceleration of the base, the first
-    n_b entries of `qdd` (n,).
+    The objective ½ q̈ᵀ H q̈ + cᵀ q̈ is minimised without limits and other tasks. The base keeps its
+    acceleration, which is the first n_b entries of `qdd` (n,).
     """
     return qdd[n_b:] + np.linalg.solve(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd[:n_b])
 

@@ -84,7 +84,7 @@ def gravity_compensation(w: ControlStep) -> Task:
 
 
 def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
-    """q̈ (n,) with T_sca above the tasks below, whose own solution is q̈_2*.
+    """q̈ (n,) of the hierarchy with T_sca on top; q̈_2* is the solution of the other tasks alone.
 
     J_sca q̈ + J̇_sca q̇ + w_sca* = B ẍ_sca + (I − B) (J_sca q̈_2* + J̇_sca q̇).
 
@@ -97,7 +97,9 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 def cascade(levels: list[Task]) -> Array:
     """q̈ (n,): min ‖w‖ level by level, without changing the slacks of higher levels.
 
-    Paper: Eq. (26), (29), the latter with T_sca on top.
+    T_sca is on top as in (29).
+
+    Paper: Eq. (26), (29).
     """
     qdd = np.zeros(levels[0].J.shape[1])
     above = np.empty((0, len(qdd)))
@@ -108,7 +110,10 @@ def cascade(levels: list[Task]) -> Array:
 
 
 def least_slack(level: Task, above: Array, qdd: Array) -> Array:
-    """q̈ (n,) that minimises ‖J q̈ − b‖ and has the same product `above` q̈ (k,) as the given q̈.
+    """q̈ (n,) that minimises ‖J q̈ − b‖ without changing the results of higher levels.
+
+    The rows `above` (k, n) of the higher levels have the same product with the new q̈ as with the
+    given q̈.
 
     Raises:
         NoSolutionError: ProxQP finds no solution.

@@ -77,9 +77,10 @@ def speed_error(J: Array, v_error: Array) -> float:
 def joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
-    """(2, n_m) lower and upper bounds on q̈_m: the tighter ones of position and velocity.
+    """(2, n_m) lower and upper bounds on q̈_m, from the position limits and the velocity limits.
 
-    If a lower bound exceeds the upper bound of the same joint, the two are exchanged.
+    For each joint and side, the tighter one of the two bounds counts. If a lower bound exceeds the
+    upper bound of the same joint, the two are exchanged.
     """
     found = np.empty((2, len(q)))
     for i in range(len(q)):
@@ -108,7 +109,7 @@ def torque_reachable_bounds(
     qdd_b: Array,
     qdd_ext: Array,
 ) -> Array:
-    """Bounds (2, n_m) on q̈_m, relaxed to the range of each joint's own torque.
+    """Bounds (2, n_m) on q̈_m, relaxed so that each joint can satisfy them by its torque alone.
 
     No joint demands more than its own torque achieves in this step with the other torques in the
     middle of their ranges. If one joint demanded more, the other torques would switch between their

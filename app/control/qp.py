@@ -82,7 +82,7 @@ def dot(a: Array, b: Array) -> float:
 
 @compiled()
 def times(A: Array, x: Array) -> Array:
-    """A x, with sums in a fixed order, because those of BLAS depend on memory addresses."""
+    """A x, with sums in a fixed order; the order of BLAS depends on memory addresses."""
     found = np.empty(len(A))
     for i in range(len(A)):
         found[i] = dot(A[i], x)
@@ -153,9 +153,10 @@ def _activate_row(
 def compliances(slack_weight: Array, length: Array) -> Array:
     """(m,) compliances of the rows, which are scaled to unit length.
 
-    Before this scaling, soft rows of the same slack weight have the same compliance, that of the
-    shortest soft row. Thus a slack s costs s² times the same factor in each of them. If the cost
-    depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
+    Before this scaling, all soft rows of the same slack weight have the same compliance. Its value
+    follows from the shortest soft row. Thus a slack s costs s² times the same factor in each of
+    these rows. If the cost depended on the row, a light wrist would accelerate strongly to brake a
+    heavy shoulder.
 
     Args:
         slack_weight: (m,) [-] softness of each row; a row with 0 is hard.

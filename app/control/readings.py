@@ -13,8 +13,8 @@ are estimated from the readings themselves:
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
-  if no joint or base can have them. Positions replace those of joints, and the model of the drive
-  replaces those of the base.
+  if no joint or base can have them. Then the joint velocities are computed from the positions, and
+  the base's velocity from the model of the drive.
 """
 
 import math
@@ -74,7 +74,7 @@ _LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola; smaller ones 
 
 @compiled()
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
-    """The positions (n_m,) without jumps by full turns, if the limits (2, n_m) of the joint allow
+    """The positions (n_m,) without jumps by full turns, if the limits (2, n_m) of the joints allow
     it.
 
     Some drivers wrap the position of a joint without limits to ±π. The result is the position
@@ -245,10 +245,10 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     """Estimate `w.lag`, the delay of the readings in periods.
 
     Each possible lag predicts the deviation of the newest reading from the parabola through the
-    three readings before it. A lag gains evidence if its prediction is far better than that of the
-    present lag and than a prediction of 0; otherwise it loses evidence (the sums of a CUSUM test).
-    A single reading adds at most 1, so no single event can decide. More readings are necessary if
-    the intervals between them are short.
+    three readings before it. A lag gains evidence if its prediction is far better than the
+    prediction of the present lag, and far better than a prediction of 0; otherwise it loses
+    evidence (these are the sums of a CUSUM test). A single reading adds at most 1, so no single
+    event can decide. More readings are necessary if the intervals between them are short.
 
     Noise of the positions hides the effect of an acceleration, which grows with the square of the
     interval between the readings. Thus the interval grows with the root of the noise.
@@ -325,9 +325,9 @@ def _divided(way: float, integral: float) -> float:
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
-    The joint is the one with the largest displacement. A driver's filter can make velocities
-    up to 0.01 s late; each delay within this range implies a ratio. `w.ratio` is the ratio that is
-    nearest to 1. If it is outside of 0.1 to 10, no plausible period explains it: then
+    The joint with the largest displacement is used. A driver's filter can delay velocities by up to
+    0.01 s. Each possible delay implies a ratio, and `w.ratio` becomes the ratio nearest to 1. If
+    this ratio is outside of 0.1 to 10, no plausible period explains the readings: then
     `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Successive ratios that differ from 1, and
     agree for 0.05 s, set the fault `period`.
     """
@@ -465,9 +465,9 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     """Change the lag if a different one explains a new reading q, qd (n_m,) far better.
 
     The positions are compared with those predicted for the last periods. Thus a delay that begins
-    or ends during a motion is known at once; `_find_lag` finds the other delays. A stop is no
-    delay: its velocities differ from those of the past. Readings without velocities are not
-    compared.
+    or ends during a motion is known at once; `_find_lag` finds the other delays. A robot that stops
+    is not mistaken for a delay, because its velocities differ from the past velocities. Readings
+    without velocities are not compared.
 
     Returns:
         Whether the reading is older than the last one; then `w.age` is negative.
@@ -501,7 +501,8 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
 def _learn_v_error(gains: Any, w: Any, predicted: Array) -> None:
     """Update `w.v_error` after a new reading, from the velocities (n_m,) predicted without it.
 
-    It is the largest recent error of a prediction, which decays with the window of the noise.
+    `w.v_error` is the largest recent error of a prediction. Older errors decay with the time
+    constant of the noise estimate.
     """
     steps = 1.0 + w.age[()]
     decay = math.exp(-steps * gains.dt / gains.noise_window)

@@ -19,8 +19,8 @@ def insert_rows(
 ) -> tuple[Array, Array]:
     """The tasks below (H, c) with rows of T_sca above them, each in proportion to its activation.
 
-    Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇, with a compliance of
-    (1 − β_i)/β_i times that of the tasks below, J_i H⁻¹ J_iᵀ. Without other rows, row i yields
+    Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇. Its compliance is (1 − β_i)/β_i times
+    J_i H⁻¹ J_iᵀ, the compliance of the tasks below along this row. Without other rows, row i yields
 
         J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
 
@@ -120,12 +120,13 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
 def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag: Array) -> Array:
     """The base acceleration nearest to the desired one that does not drag the end-effector along.
 
-    The minimum of (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖²: like a mass on the
-    end-effector where the arm does not compensate. Where the arm compensates, D = 0 and a = a_des.
+    The result a minimises (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖². The second term acts
+    like a mass m on the end-effector along directions in which the arm does not compensate the
+    base's motion. Along all other directions D is 0, and a equals a_des.
 
     Args:
         desired: (n_b,) [m/s² or rad/s²] a_des.
-        hold: (n_b,) a_hold, the base acceleration at which the end-effector fulfils its own task.
+        hold: (n_b,) a_hold, the base acceleration at which the end-effector fulfils its task.
         inertia: (n_b,) [kg or kg m²] diagonal of I, the base's inertia.
         mass: [kg] m.
         drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.

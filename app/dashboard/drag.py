@@ -54,7 +54,7 @@ class Grip:
         self._by_keys = False
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
-        """Pull the held point to a target (3,) [m] in the world, or above it if z is negative."""
+        """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0."""
         if self._held is None:
             return
         self._moved = monotonic()

@@ -51,7 +51,7 @@ class Explorer:
     def respond(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
         """Return a snapshot of the robot in `posture`, with joint positions within their limits.
 
-        Parameters and controller are those of `snapshot`, and so are times, scenario and scores.
+        Parameters, controller, times, scenario and scores are copied from `snapshot`.
         """
         request = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
         if request != self._request:

@@ -252,18 +252,19 @@ class Gate:
 
 
 class _Connection(ServerConnection):
-    """A connection that also answers HTTP requests of other versions and methods.
+    """A connection that answers every HTTP request, not only GET requests of HTTP/1.1.
 
-    Of a request with another method than GET or HEAD, only the first line is read. websockets reads
-    only GET requests of HTTP/1.1, and closes the connection without an answer after others. Proxies
-    send HTTP/1.0, and checks of a server's health send HEAD.
+    The library `websockets` reads only GET requests of HTTP/1.1; after any other request it closes
+    the connection without an answer. But proxies send requests of HTTP/1.0, and programs that check
+    a server's health send HEAD requests. If the method is neither GET nor HEAD, this class reads
+    only the first line of the request.
     """
 
     method = "GET"
     """Method of the request."""
 
     def data_received(self, data: bytes) -> None:
-        """Read the first data of a request as those of a GET request of HTTP/1.1."""
+        """Replace the first line of a request by that of a GET request of HTTP/1.1, and read it."""
         if self.method not in _METHODS:  # the answer is on its way: ignore the request's content
             return
         if self.request is None and (line := _REQUEST.match(data)):

@@ -122,7 +122,11 @@ class Event(NamedTuple):
 
 
 class Strip:
-    """Data of the time line: least distance and largest β of each bin, events, and snapshots."""
+    """Data of the dashboard's time line.
+
+    The simulated time is divided into bins of `BIN` seconds. Each bin has the least distance and
+    the largest β of its snapshots; every two bins store the snapshot with the least distance.
+    """
 
     def __init__(self, chain: Sequence[str]) -> None:
         """Create an empty history; `chain` has the names of the robot's bodies, the base first."""

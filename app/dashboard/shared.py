@@ -42,7 +42,8 @@ class Tuning:
     ) -> None:
         """Start with the configuration of the simulation `sink`, which gets each change.
 
-        `usual` is the configuration with the robot's defaults, by default those of the program.
+        `usual` is the configuration with the robot's defaults; without it, the program's defaults
+        are used.
         `clock` returns the time [s].
         """
         self._sink, self._clock = sink, clock

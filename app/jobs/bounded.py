@@ -38,7 +38,7 @@ class Budget(NamedTuple):
 
     @classmethod
     def of(cls, size: int) -> Budget:
-        """The budget for data of a size [bytes], which is sufficient for every valid file."""
+        """Enough time and memory for reading any valid file of a size [bytes]."""
         return cls(2.0 + size / 1e6, 300 * 10**6 + 50 * size)
 
     def __str__(self) -> str:

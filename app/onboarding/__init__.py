@@ -15,8 +15,9 @@ SIDES = ("guiding-lateral", "guiding-front")
 def helpers(processes: int | None = None) -> Workers:
     """Worker processes for `app.onboarding.new_robot.finish`.
 
-    Their number is `processes`, or that of the usable cores, but not more than one for each side.
-    The workers import that module when the `with` statement begins, which takes seconds.
+    Their number is `processes`, by default the number of usable cores; it is limited to one for
+    each scenario of `SIDES`. When the `with` statement begins, the workers import that module,
+    which takes seconds.
     """
     prepare = partial(import_module, "app.onboarding.new_robot")
     return Workers(prepare, min(processes or usable_cores(), len(SIDES)))

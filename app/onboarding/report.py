@@ -51,9 +51,10 @@ class Pictures(NamedTuple):
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """The pictures of a robot and its border, for a worker process.
+    """Draw a robot and its border, in a worker process.
 
-    They do not depend on the lines for guiding.
+    The pictures do not show the lines for guiding. Therefore a worker can draw them while another
+    worker still searches for a line.
     """
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)

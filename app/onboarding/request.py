@@ -75,8 +75,9 @@ class Request:
     source: str | None = None
     """Displayed source of the robot; default: `urdf`."""
     package: tuple[str, ...] = ()
-    """Folders of ROS packages, as NAME=FOLDER. The program searches for other packages beside
-    and above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed packages."""
+    """Folders of ROS packages, as NAME=FOLDER. The program searches for packages that this option
+    does not name beside and above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among
+    installed packages."""
     xacro: tuple[str, ...] = ()
     """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
 

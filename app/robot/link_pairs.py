@@ -41,22 +41,23 @@ class ClosestPoints(NamedTuple):
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] point of the core of `b` that belongs to p_b: from p_b, by the radius of `b` along
-    n; p_b itself where `b` is not round, and in the results of `PairDistances`."""
+    """(3,) [m] point of the core of `b` below p_b: it is p_b, moved along n by the radius of `b`
+    around its core. It equals p_b where `b` is not round, and in the results of `PairDistances`."""
     parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 
 
 def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
-    """A pair's closest points together with those of its parts."""
+    """The closest points of a pair, with the closest points of its parts in the field `parts`."""
     return closest._replace(parts=parts) if parts else closest
 
 
 def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
-    """Closest points to single convex parts of the bodies `a`, with continuous normals.
+    """The closest points to each single convex part of the bodies `a`.
 
-    These are the closest points of each part of `a` if there are several, otherwise those of the
-    pair. In a concave corner of `a`, the pair's normal is between the normals of two near faces.
+    If `a` has only one part, they are the closest points of the pair. The normals of single parts
+    are continuous. In a concave corner of an `a` with several parts, the normal of the pair is
+    between the normals of two near faces.
     """
     return [part for pair in pairs for part in pair.parts or (pair,)]
 
@@ -128,12 +129,12 @@ class PairDistances:
             parts = [range(k, k + each) for k in whole[::each]]
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
         self._placed = geometry_data(self._geometry)
-        # References to pinocchio's own results, because reading them again costs more than
-        # computing.
+        # References to pinocchio's result objects: requesting these objects again at each step
+        # would take longer than computing the distances.
         results = self._placed.distanceResults
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
-        """For each pair: the results of all its shapes, then those of each part of its body `a` if
-        there are several."""
+        """For each pair a list: first the results of all pairs of shapes of `a` and `b`, then, if
+        `a` has several parts, the results of each part with the shapes of `b`."""
         by_part = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
         self._order = np.concatenate([np.arange(0), *by_part])
         self._firsts = np.cumsum([0, *map(len, by_part)])
@@ -160,8 +161,8 @@ class PairDistances:
         return tuple(rows[: len(self.pairs)].tolist())
 
     def write_distances(self, into: Array) -> None:
-        """Write the distances [m] of all pairs into an array; then those of each part of the bodies
-        `a` with several parts.
+        """Write distances [m] into an array: first the distances of all pairs, then the distances
+        of each part of the bodies `a` that have several parts.
         """
         _write_least(self._signed, self._order, self._firsts, into)
 

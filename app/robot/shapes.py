@@ -118,7 +118,7 @@ class ConvexMesh(_Placed):
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
 
     def hull(self) -> trimesh.Trimesh:
-        """The hull, in the shape's own frame.
+        """The convex hull of the mesh's scaled vertices, in the shape's frame (see `placement`).
 
         Raises:
             AssetError: The file is missing, or reading it takes more time or memory than a valid
@@ -179,8 +179,9 @@ class Superquadric(_Placed):
 def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
-    It is 0.1 mm thick if the points are only three, or on a line. trimesh would correct the winding
-    of slivers with networkx, which is possibly not installed.
+    If scipy finds no hull with a volume, for example of three points or of points on a line, the
+    hull gets a thickness of 0.1 mm. trimesh's own correction of inward triangles is not used,
+    because it needs networkx, which is possibly not installed.
     """
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError

@@ -435,11 +435,11 @@ class RobotState:
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
-        """Use other masses and inertias of the arm from the next update on.
+        """Multiply the masses and inertias of the arm by a factor, from the next update on.
 
-        The factor [-] applies to each mass, and to each inertia about the same centre of mass; 1 is
-        the model's. Links fixed to the base, including the arm's first link, do not change, nor
-        does the shared model.
+        The centres of mass stay the same. The factor 1 [-] restores the values of the model. Links
+        that are fixed to the base do not change; the arm's first link is one of them. Other states
+        of the same model do not change either.
         """
         self._factor = factor
         self._compile()

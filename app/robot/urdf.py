@@ -1,4 +1,7 @@
-"""Elements of a URDF as numbers, poses, triangles and colours, read alike by all parts."""
+"""Functions that read elements of a URDF: numbers, poses, triangles and colours.
+
+All parts of the program use these functions, so they all read an element in the same way.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +89,8 @@ def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[flo
 def rgba(material: Element) -> list[float] | None:
     """Red, green, blue and opacity [0, 1] of a material; None where it states none.
 
-    Colours up to 255 and without opacity are read as meant; others that are none do not count.
+    Values up to 255, commas and a missing opacity are common mistakes and are accepted. The result
+    is None if there are not three or four finite numbers.
     """
     found = material.find("color")
     stated = "" if found is None else found.get("rgba", "").replace(",", " ")

@@ -141,11 +141,10 @@ def filmed(
     times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
-    """Execute a run up to the last of some times, and return its snapshots.
+    """Execute a run up to the last of some simulated times, and return its snapshots.
 
-    The snapshots are those at 50 Hz and those at `times` [s], as simulated times; a time after the
-    end of the run means the last step. The other arguments and the errors are those of
-    `run_from_spec`.
+    There are snapshots at 50 Hz, and additional ones at `times` [s]; a time after the end of the
+    run means the last step. `run_from_spec` documents the other arguments and the errors.
     """
     scenario, snapshots = run.scenario, []
     last = round(scenario.duration / DT) - 1

@@ -257,8 +257,8 @@ class Session:
     ) -> tuple[RobotState, tuple[float, ...]]:
         """The robot's true state, and the distances [m] of all pairs.
 
-        Without sensor errors both come from the controller's estimate at no extra cost; the
-        estimate deviates by hundredths of a millimetre from the truth.
+        Without sensor errors both are taken from the controller's estimate, which saves a second
+        computation; the estimate deviates by hundredths of a millimetre from the truth.
         """
         if sensed is truth:
             self.state = self.controller.state

@@ -89,9 +89,10 @@ def _template() -> Template:
 
 
 def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
-    """Tables of measured numbers: one of single numbers, one with a column for each mapping.
+    """Two tables of measured numbers; a table without rows is left out.
 
-    A table without rows is left out.
+    The first table has the values of `measured` that are single numbers. The second table has a
+    column for each value that is a mapping, and a row for each key of these mappings.
     """
     single = {k: v for k, v in measured.items() if not isinstance(v, Mapping)}
     cases = {k: flattened(v) for k, v in measured.items() if isinstance(v, Mapping)}

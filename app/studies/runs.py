@@ -62,7 +62,7 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
 
 
 def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> None:
-    """Write rows as `write_table` does, with a column for each key, those of `first` first."""
+    """Write rows as `write_table` does, with a column for each key; the keys `first` come first."""
     names = dict.fromkeys([*first, *(name for row in rows for name in row)])
     write_table(path, {name: [row.get(name) for row in rows] for name in names})
 

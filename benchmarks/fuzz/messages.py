@@ -240,7 +240,7 @@ class _Fuzz:
         return plain.get(hint, None if hint is type(None) else {})
 
     def _look(self, seen: Callable[[], bool]) -> None:
-        """Check that the server works and the parameters are in their ranges; end started work."""
+        """Cancel all jobs; check that the server works and that all parameters are in range."""
         for job in self._jobs():  # not awaited, because a picture can take half a minute
             job.cancel()
         t = self._loop.latest().t

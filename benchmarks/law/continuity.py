@@ -1,8 +1,9 @@
 """Jumps of the base's commanded acceleration along smooth motions inside the buffer.
 
-With a smaller step the change at a slope becomes smaller, but the change at a jump does not. The
-step is refined around the places with the largest changes, and the limit at a step of zero is the
-jump.
+The change of the acceleration in one step is large if the acceleration is steep, or if it jumps. A
+smaller step reduces the change of a steep acceleration, but not that of a jump. Therefore the step
+is refined around the places with the largest changes. The limit of the change at a step of zero is
+the jump.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any
     for axis, (name, unit) in enumerate((("linear", "mps2"), ("angular", "radps2"))):
         change = np.array([each[axis].change for each in worst])
         kink = np.array([each[axis].kink for each in worst])
-        # The steepest places and those unlike their neighbours: a jump is both.
+        # At a jump the change is large, and differs from the changes before and after it (kink).
         chosen = {(int(k), worst[k][axis].t) for k in np.argsort(-change)[:refined]}
         chosen |= {(int(k), worst[k][axis].t_kink) for k in np.argsort(-kink)[:refined]}
         places = [Refinement(paths[k], t) for k, t in sorted(chosen)]
@@ -143,7 +144,8 @@ def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any
 def jumps_of(by_step: Array) -> Array:
     """(k,) limits of changes (k, steps) for a step of zero; each step is half of the previous one.
 
-    The change at a slope halves with the step, so its limit is 0; the change at a jump stays.
+    The change of a steep acceleration halves with the step, so its limit is 0. The change of an
+    acceleration that jumps does not depend on the step.
     """
     return np.maximum(2 * by_step[:, -1] - by_step[:, -2], 0.0)
 
@@ -167,7 +169,10 @@ class Worst(NamedTuple):
 
 
 def _worst(path: Path) -> tuple[Worst, Worst]:
-    """Changes of the base's linear and angular acceleration along a path, in steps of 1 ms."""
+    """The `Worst` of the base's linear acceleration, and that of its angular acceleration.
+
+    The acceleration is evaluated along a path, in steps of 1 ms.
+    """
     times = np.arange(0.0, path.duration, _STEP)
     changes = _changes(path, times, _STEP)
     found = []
@@ -183,7 +188,8 @@ def _refined(place: Refinement) -> list[list[float]]:
     found = []
     for share in (1.0, *_FINER):
         h = share * _STEP
-        # All steps share the instants of the longest one. Earlier instants fill the law's memory.
+        # Each sequence of instants includes the instants of the longest step. The first instants
+        # are not evaluated: they only fill the law's memory.
         begin = max(place.t - 4 * _WINDOW * _STEP, 0.0)
         times = np.arange(begin, place.t + (_WINDOW + 1) * _STEP + 0.5 * h, h)
         inside = times[1:] > place.t - _WINDOW * _STEP

@@ -1,8 +1,9 @@
 """The second derivative of a pair's distance, compared with differences of the library's distance.
 
-A row of the law states d̈ = J q̈ + J̇ q̇. Distances of the bodies along exact motions show the
-error of this formula, and the error of the formula with |v_across|²/d, the term of two fixed
-points.
+A row of the law states d̈ = J q̈ + J̇ q̇. The bodies move along motions with known q̇ and q̈, and
+differences of their distances give the true d̈. The formula's error is compared with the errors of
+two formulas for closest points that are fixed to their bodies, without and with the term
+|v_across|²/d.
 """
 
 from __future__ import annotations
@@ -126,7 +127,11 @@ def _samples(pose: Pose) -> list[Sample]:
 
 
 def _fixed_points(state: RobotState, closest: ClosestPoints) -> tuple[float, float]:
-    """nᵀ(J̇_b - J̇_a) q̇ [m/s²] of the closest points, and their squared speed [m²/s²] across n."""
+    """Terms of d̈ for closest points that are fixed to their bodies.
+
+    Returns:
+        nᵀ(J̇_b - J̇_a) q̇ [m/s²], and the square [m²/s²] of the points' relative speed across n.
+    """
     model, n = state.model, closest.n
     a, b = model.body_joints[closest.pair.a], model.body_joints[closest.pair.b]
     bias = state.point_bias(b, closest.p_b) - state.point_bias(a, closest.p_a)

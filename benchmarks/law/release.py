@@ -29,7 +29,13 @@ _REST = 10.0  # [s] time after the release
 
 
 class Release(NamedTuple):
-    """A pull with a release `inside_s` after the end-effector has entered the buffer."""
+    """A pull and its release.
+
+    Attributes:
+        pull: The pull.
+        inside_s: [s] time from the end-effector's entry into the buffer to the release.
+        after_s: [s] duration of the measurement after the release.
+    """
 
     pull: Pull
     inside_s: float
@@ -41,9 +47,11 @@ def release(options: Options, count: int = 12, seconds: float = 15.0, first: int
 
     Args:
         options: See `Options`.
-        count: Number of random releases, in addition to eight at four named places.
+        count: Number of random releases. In addition there are eight releases at the four `NAMED`
+            places, two at each place.
         seconds: [s] duration of the measurement after the release.
-        first: Number of the first random release; the named ones run only with 0.
+        first: Number of the first random release. The releases at named places run only if this is
+            0.
     """
     cases = []
     for name, (start, move) in NAMED.items() if first == 0 else ():

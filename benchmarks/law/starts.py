@@ -104,12 +104,12 @@ def posture(
 
 
 def kept(robot: str, asked: list[Any], search: Callable[[], Any]) -> Any:
-    """The result of a search, cached in a folder.
+    """The result of a search, from the cache if a former call has stored it.
 
     Args:
         robot: Name of the robot.
-        asked: The key of the search, as a JSON value.
-        search: Returns the result as a JSON value.
+        asked: All other inputs of the search, as JSON values; they determine the cache's file.
+        search: Executes the search, and returns the result as a JSON value.
     """
     key = hashlib.sha256(json.dumps([_digest(robot), *asked]).encode()).hexdigest()[:24]
     path = _folder() / f"{key}.json"

@@ -35,8 +35,8 @@ class CommonModel(NamedTuple):
 
     Attributes:
         planar: The URDF with base joints x, y and yaw, for libraries with equality rows.
-        unicycle: The URDF with base joints yaw and x, for the others: with both joints at zero its
-            Jacobian is that of a base that cannot move sideways.
+        unicycle: The URDF with base joints yaw and x, for the other libraries. If both joints are
+            at zero, its Jacobian equals the Jacobian of a base that cannot move sideways.
         joints: Joints of the arm, from the base outwards.
         pairs: The two links of each pair, those of L_m first.
         body_pairs: The same pairs by the names of the bodies.

@@ -260,7 +260,10 @@ def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServ
 
 
 def send_barrier(server: viser.ViserServer, number: int) -> None:
-    """Send a number after all previous messages; the page reads it from the node `BARRIER`."""
+    """Send a number after all previous messages, as the x coordinate of the node `BARRIER`.
+
+    As soon as the page has this number, it has all previous messages too.
+    """
     server.scene.add_frame(BARRIER, show_axes=False, position=(float(number), 0.0, 0.0))
     server.flush()
 

@@ -42,7 +42,11 @@ class Viewer:
         shared: SharedState,
         before: Viewer | None = None,
     ) -> None:
-        """Create the parts; `before` has those of the client's closed page of another robot."""
+        """Create the parts of a page.
+
+        If the robot was changed, `before` has the parts of the client's page of the former robot.
+        Choices, camera and files are taken from them.
+        """
         self.client, self.notifier, self.shared = client, notifier, shared
         self.panels: list[Panel] = []
         """All panels, in the order of their creation."""

@@ -121,7 +121,7 @@ class ExplorerPanel(Panel):
         self._target = np.array(place)
 
     def _read(self) -> None:
-        """Read the posture from the sliders; values beyond their ranges are clipped."""
+        """Read the posture from the sliders; each value is clipped to the range of its slider."""
         if self.posture is None:
             return
         values = np.array([min(max(s.value, s.min), s.max) for s in self._sliders])

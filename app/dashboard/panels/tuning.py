@@ -179,9 +179,10 @@ def _widgets(
 
 
 def _value_of(power: float) -> float:
-    """Return 10 to the power, with three digits; ±inf or NaN for powers beyond those of a float.
+    """Return 10 to the power, with three digits.
 
-    The range of the parameter then refuses the value.
+    If the power is too large for a float, the result is ±inf or NaN, which is outside of the range
+    of each parameter and is therefore refused.
     """
     return float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
 

@@ -50,14 +50,18 @@ class ColouredCloud(NamedTuple):
 
 
 class _Probe(NamedTuple):
-    """A point of the border with its values in words, and the effect of an arm near it."""
+    """A point of the border, and the base's response if the arm were there.
+
+    `text` has the values of the point in words. For the response, the arm is assumed at the
+    distance `_INSIDE` d_b from the base.
+    """
 
     p: Array
     """(3,) [m] the point in the base's frame, as `p_act`."""
     p_act: Array
-    """(3,) [m] acting point for an arm there, at the distance `_INSIDE` d_b from the base."""
+    """(3,) [m] acting point for the assumed arm, in the base's frame."""
     acceleration: Array
-    """(n_b,) [m/s² or rad/s²] acceleration of the base by this arm, (16)."""
+    """(n_b,) [m/s² or rad/s²] acceleration (16) of the base for the assumed arm."""
     text: str
 
 

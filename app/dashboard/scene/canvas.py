@@ -109,9 +109,9 @@ def set_apart(
 class Canvas:
     """Shows the objects that were drawn in the last picture, and hides all others.
 
-    A scene node is sent when it is drawn for the first time; later, viser sends only changes.
-    Positions of objects are in the frame of the parent node in their names; those of labels must be
-    in the world.
+    A scene node is sent when it is drawn for the first time; later, viser sends only changes. The
+    name of an object states its parent node, as in `parent/object`, and the object's position is in
+    the frame of this parent node. Only the position of a label is in the world.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:

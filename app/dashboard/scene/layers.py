@@ -84,8 +84,8 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    Pairs inside the buffer d_b [m], or those outside if `inside` is False, keep their length; the
-    segments of all others have length zero.
+    If `inside` is True, the segment of a pair outside the buffer d_b [m] has length zero; if it is
+    False, that of a pair inside the buffer.
     """
     ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
     hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
@@ -136,9 +136,10 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) of the base over its `top` [m], as children of a scene node.
+    """Draw an acceleration (n_b,) of the base, as children of the scene node `node`.
 
-    The linear part is a straight arrow, ω̇ an arc.
+    The linear part is a straight arrow, the angular part ω̇ an arc with a head. Both are slightly
+    above the height `top` [m] of the base.
     """
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + _MOTION_LIFT])

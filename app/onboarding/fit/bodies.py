@@ -44,8 +44,8 @@ class FittedBody(NamedTuple):
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
-    There are only as many shapes, and as many polytopes instead of boxes, as save contacts of l_m
-    in poses in which no links touch.
+    l_m has one box if possible. Each further shape, and each polytope instead of a box, must save
+    `_SAVES` contacts of l_m with the arm per pose, in poses in which no links touch.
     """
     units, base = meetings.units, meetings.units[0]
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -64,9 +64,10 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[Array]]:
-    """Groups of parts: one group, two groups, up to four groups; each has the corners of its hull.
+    """Divisions of the parts into one group, into two groups, and so on, up to four groups.
 
-    From one division to the previous one, the two groups are merged whose hull grows the least.
+    Each group is represented by the corners of its hull. From a division, the one with one group
+    less is made by merging two groups, such that the volume of their hulls grows the least.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, tuple[Array, float]]] = {}  # growth and merged hull
@@ -118,8 +119,9 @@ class ArmFitter:
     def bodies(self, grouping: Sequence[Sequence[int]]) -> list[FittedBody]:
         """The bodies l_1 … l_EE for groups of units, from the base outwards.
 
-        Each body encloses the points that units of other bodies can reach, except neighbours; if
-        there are none, or too few for a volume, it encloses its links completely.
+        A body encloses those points of its links that units of other bodies can reach; neighbouring
+        bodies do not count. If there are no such points, or if their swept volume is tiny, the body
+        encloses its links completely.
 
         Raises:
             RobotFileError: The links of a group have no shapes.
@@ -198,11 +200,17 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] circle's radius, relative to the dista
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """Corners (N, 3) [m] and volume [m³] of the hull that points sweep, in the frame of each joint.
+    """The volumes that the points on a chain of joints sweep, as seen from each joint of the chain.
 
-    `points` are points (N, 3) [m] by the number of the joint in whose frame they are; the numbers
-    are consecutive. All frames on one side of a joint see the same sweep of the points beyond this
-    joint, so each joint is passed only once in each direction.
+    Seen from the frame of one joint, the points on other joints move if the joints between them
+    move. For each joint, the result is the hull of all places of all points in the joint's frame:
+    corners (N, 3) [m], and volume [m³]. The sweep of the points beyond a joint is the same for all
+    frames before this joint, so the sweep over each joint is computed only once in each direction.
+
+    Args:
+        model: The robot.
+        points: (N, 3) [m] points in the frame of each joint, by the joint's number; the numbers are
+            consecutive.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
@@ -217,10 +225,11 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
 
 @kept_per_model(_PASSED)
 def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
-    """Corners of the sweep of points beyond a joint over its positions, in the frame before it.
+    """Corners (M, 3) [m] of the hull that points sweep while one joint moves through its range.
 
-    If `outwards` is False, the points are before the joint, and the result is in its own frame.
-    `data` are the bytes of the points (N, 3): results are cached for other groupings.
+    With `outwards`, the points are in the frame of the joint, and the result is in the frame of the
+    joint before it; otherwise the reverse. `data` are the bytes of the points (N, 3) [m]: they are
+    a key for the cache, because other groupings need the same results.
     """
     points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))
@@ -239,7 +248,11 @@ def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Arra
 
 
 def _grown(points: Array, axis: Array) -> Array:
-    """Points moved away from an axis through the origin: chords of its circles become tangents."""
+    """Points (N, 3) [m], moved away from an axis (3,) through the origin by the factor `_SAGITTA`.
+
+    A sweep samples the positions of a joint in steps of `_STEP`. The sampled positions of a point
+    are corners of a polygon. With the factor, this polygon encloses the point's circular path.
+    """
     along = np.outer(points @ axis, axis)
     return along + (points - along) * _SAGITTA
 

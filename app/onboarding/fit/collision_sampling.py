@@ -113,9 +113,10 @@ def sample_meetings(
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random poses.
 
-    There are `samples` poses, then more until `enough` poses have a collision, up to 40,000. With
-    `points`, `met` of the result has the points of surfaces that other units reach. `stopped` means
-    that joint limits prevent the collisions of the pairs in `apart`; these are then not close.
+    First `samples` poses are drawn, then further poses until `enough` of them have a collision, up
+    to 40,000 poses. With `points`, the field `met` of the result has the points of surfaces that
+    other units reach. `stopped` means that joint limits prevent the collisions of the pairs in
+    `apart`; then these pairs are not in `close`.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -152,9 +153,10 @@ def sample_meetings(
 def _built_near(
     units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
-    """`close` and `apart` of `Meetings`, and the columns of the close pairs that are not nested.
+    """The fields `close` and `apart` of `Meetings`, and columns of `distances` (N, pairs) [m].
 
-    A pose in which a pair of these columns touches is impossible.
+    The columns belong to the close pairs that are not nested. The real robot cannot take a pose in
+    which one of these pairs touches.
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
@@ -294,7 +296,7 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
 
 
 def _reached(points: Array, unit: Unit) -> Array:
-    """(N,) whether points in the frame of a unit are within `MARGIN` of one of its hulls."""
+    """(N,) whether points (N, 3) [m] in a unit's frame are within `MARGIN` of one of its hulls."""
     along = points @ directions(2).T
     inside = np.zeros(len(points), dtype=bool)
     for part in unit.parts:

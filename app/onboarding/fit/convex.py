@@ -38,8 +38,9 @@ class Fit(NamedTuple):
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
     """The shape with the smallest weighted volume around points (N, 3) [m].
 
-    `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull. If the
-    points are the corners of their hull, `volume` is its volume [m³], otherwise None.
+    `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull. If all
+    points are corners of their convex hull, `volume` is the known volume of this hull [m³];
+    otherwise it is None.
     """
     corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -110,7 +111,8 @@ def fit_capsule(points: Array) -> Capsule:
 def fit_box(points: Array) -> Box:
     """A small box that has an edge along an axis of the frame or a main axis of the points.
 
-    A rotated box replaces the best box before it only if it saves a tenth of the volume.
+    First the box along the axes of the frame is the best one. A rotated box replaces the best box
+    only if its volume is at least a tenth smaller.
     """
     straight = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]

@@ -92,7 +92,7 @@ def find_grouping(
     """The best grouping of the robot's units into bodies.
 
     The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If the
-    pairs then miss more than 0.1 % of its collisions, as for a mast, it belongs to l_m.
+    pairs then miss more than 0.1 % of the unit's collisions, as for a mast, it belongs to l_m.
 
     `count` is the number of bodies of the arm. None means four as in the paper or, if four are not
     sufficient, the best number from two to six. Four are not sufficient if `Verdict.always` or
@@ -264,9 +264,9 @@ def unseen_collisions(
 ) -> Unseen:
     """The collisions of links in random poses, and those that the bodies of a description miss.
 
-    Contacts that are allowed by design (`neighbours`) do not count, nor those of links of the arm
-    that are within d_b [m] of each other by design. A link that is within d_b of the base by design
-    counts if it can meet the base. `workers` share the random poses.
+    Contacts that are allowed by design (`neighbours`) do not count. Contacts of two links of the
+    arm that are within d_b [m] of each other by design do not count either. A contact of the base
+    with a link that is within d_b of the base by design counts. `workers` share the random poses.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -370,10 +370,10 @@ def _ranked(
     mobile: Sequence[int],
     slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
-    """All divisions of the chain into groups with shapes, with lower bounds of their costs.
+    """All divisions of the chain into groups with shapes, each with a lower bound of its cost.
 
-    The cost of ideal bodies, which overlap exactly if their links do, determines the order.
-    `slides` are the units on prismatic joints of the arm.
+    The order is by the cost that a division would have with ideal bodies: two ideal bodies overlap
+    exactly if links of both overlap. `slides` are the units on prismatic joints of the arm.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

@@ -276,10 +276,10 @@ def line_from(
     job: tuple[str, RobotModel, BorderData, bool],
     on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
-    """The result of `find_place` with the condition `gives_way`, for a worker process.
+    """Execute `find_place` with the condition `gives_way`, in a worker process.
 
-    The job is the scenario, the robot, its border, and `anyway`. The search for lines and each
-    possible run have equal shares of the progress.
+    `job` has the name of the scenario, the robot, its border data, and the argument `anyway`. In
+    the reported progress, the search for lines and each possible run have equal shares.
     """
     name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
@@ -507,8 +507,8 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
     """Starts of lines towards the sides of the base: left before right.
 
-    Their x is that of the mount, or is near the front or the rear end of the base, because a base
-    without sideways motion hardly avoids a line towards its axle.
+    Their x is the x of the arm's mount, or is near the front or the rear end of the base. The ends
+    are tried because a base without sideways motion hardly avoids a line towards its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):

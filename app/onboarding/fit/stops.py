@@ -84,11 +84,11 @@ def with_stops(
 
 
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
-    """[m] the largest buffer distance with which pairs see the collisions that no limit prevents.
+    """A buffer distance [m] with which pairs of bodies see the collisions that no limit prevents.
 
-    Links are monitored if they are outside of the buffer in enough poses. The result is `d_b`, or
-    less in steps of 0.01 m; it is within the bounds of `border.d_b`. The text states the reason of
-    a smaller distance.
+    Two links can be monitored if they are outside of the buffer in enough poses. The result is the
+    largest such distance: `d_b`, or less in steps of 0.01 m, within the bounds of `border.d_b`. The
+    second result is the reason of a smaller distance, or an empty text.
     """
     least, why = d_b, ""
     free = (meetings.random.distances > 0.0).all(axis=1)

@@ -17,12 +17,12 @@ _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 def filled(
     tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
 ) -> dict[str, LinkGeometry]:
-    """Geometry in nearly convex pieces; those of moving links outside of the arm's chain cover
-    their motion.
+    """The links' geometry in nearly convex pieces, extended by the motion of some links.
 
-    These are the links beyond the chain's last link (fingers), the other parts of telescopes, and
-    the links on joints that mimic a joint of the arm. `chain` has the joints of the arm. The shapes
-    are in the frames of the links at rest.
+    For moving links outside of the arm's chain, the pieces cover all places that the link can
+    reach. Such links are the links beyond the chain's last link (fingers), the other parts of
+    telescopes, and the links on joints that mimic a joint of the arm. `chain` has the joints of the
+    arm. The shapes are in the frames of the links at rest.
     """
     pieces = {
         name: each._replace(shapes=tuple(p for shape in each.shapes for p in in_pieces(shape)))

@@ -38,8 +38,9 @@ class Unit(NamedTuple):
     """Links that move as one rigid body."""
 
     index: int
-    """In `make_units`: 0 for the base, 1 for links that are fixed to the base below the arm, then
-    one or two for each joint of the arm: the unit beside the arm, if any, then that of the arm."""
+    """In `make_units`, 0 is the base, and 1 the links that are fixed to the base below the arm.
+    Then each joint of the arm has one or two units: the unit beside the arm, if any, and the unit
+    of the arm."""
     frame: str
     """Link whose frame is that of the joint; the floor point for the first two units."""
     links: tuple[str, ...]
@@ -130,9 +131,9 @@ def moved(points: Array, T: pin.SE3) -> Array:
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether contacts of two units are allowed by design.
 
-    They are if the units are on the same joint, if a single joint separates them and both belong to
-    the arm's chain (`beside` is False), or if only parallel prismatic joints separate them, as in a
-    telescope.
+    Contacts are allowed if the units are on the same joint, if a single joint separates them and
+    both belong to the arm's chain (`beside` is False), or if only parallel prismatic joints
+    separate them, as in a telescope.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):

@@ -151,10 +151,14 @@ def _unexpanded(robot: Element) -> str:
 
 
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
-    """The address of a mesh: `package://…` if its package is installed, otherwise its path.
+    """The address of a mesh for the new URDF.
 
-    `reference` is its address in a URDF in `folder`, in one of the forms of `spellings`; `packages`
-    are folders of ROS packages by name.
+    It is `package://…` if the file belongs to an installed package, otherwise the file's path.
+
+    Args:
+        reference: Address of the mesh in a URDF. Each of its `spellings` is tried.
+        folder: The folder of that URDF.
+        packages: Folders of ROS packages by name.
 
     Raises:
         RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
@@ -174,7 +178,11 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
 
 
 def spellings(reference: str) -> list[str]:
-    """Meanings of an address: unchanged, unescaped, with slashes, in normal forms NFD and NFC."""
+    """Possible spellings of an address in the file system, without repetition.
+
+    These are the unchanged address, the address without URL escapes (`%20`), and the address with
+    slashes instead of backslashes; and each of them in the Unicode normal forms NFD and NFC.
+    """
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
     meant = (plain, unquote(plain), slashed, unquote(slashed))

@@ -37,9 +37,10 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
 
 
 def _telescopes(chain: list[Joint]) -> Iterator[tuple[list[Joint], list[Joint]]]:
-    """All joints from the first to the last of each telescope, and the telescope's own joints.
+    """For each telescope: all joints from its first to its last part, and the joints of its parts.
 
-    These are consecutive prismatic joints that one of them leads.
+    The joints of the parts are prismatic and parallel. One of them leads, and the others follow it.
+    Only fixed joints can be between them.
     """
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
@@ -73,7 +74,7 @@ def _sums(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
 def _followers(tree: Tree, parts: Sequence[Joint], leader: str, total: float) -> Iterator[Joint]:
     """Joints outside a telescope that follow one of its parts.
 
-    They follow the leader afterwards, whose new position is `total` times the former one.
+    In the new tree they follow the leader, whose new position is `total` times its former position.
     """
     own = {joint.name: joint.mimic or (leader, 1.0, 0.0) for joint in parts}
     for joint in tree.joints.values():

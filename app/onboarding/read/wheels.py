@@ -72,9 +72,10 @@ class _Wheel(NamedTuple):
 
 
 def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> Arm:
-    """An arm with the links on wheel suspensions among the rigid links of its base.
+    """The arm, with the links on wheel suspensions added to `rigid_links`.
 
-    A suspension is a slide with a travel below `_TRAVEL` of the radius of each wheel on it.
+    A suspension is a prismatic joint that carries wheels. Its travel is less than `_TRAVEL` times
+    the radius of each of these wheels.
     """
     rigid = list(arm.rigid_links)
     for link in rigid:
@@ -133,9 +134,10 @@ def _lowest(
 
 
 def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> bool:
-    """Whether the arm's fixed part reaches as low as the base, so that it belongs to the base.
+    """Whether the links before the arm's first joint reach as low as the links of the base.
 
-    This holds if --base is a frame on the floor, and the link with wheels and arm is above it.
+    Then these links belong to the base. An example is a robot whose --base is a frame on the floor,
+    and whose link with wheels and arm is a child of this frame.
     """
     low = _lowest(tree, arm, geometry, arm.segments[0])
     floor = _lowest(tree, arm, geometry, arm.base_links)

@@ -211,7 +211,7 @@ class Ensemble:
     ) -> None:
         """Move the robot and its ghosts to the start of a setting.
 
-        Without `comparison`, the compared controllers are those of the last comparison.
+        Without `comparison`, the controllers of the last comparison are compared again.
         """
         comparison = comparison or self.comparison
         check_posture(setting.model, setting.q_m)  # before any session changes

@@ -75,7 +75,10 @@ class RobotSpec:
             self.allow(group, self.geoms(a), self.geoms(b))
 
     def geoms(self, *parts: str) -> list[str]:
-        """Names of the geoms of parts: links, the floor, or bodies if these replace the links."""
+        """Names of the MuJoCo geoms of some parts.
+
+        A part is a link or the floor. If convex bodies replace the links, a part is a body.
+        """
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:

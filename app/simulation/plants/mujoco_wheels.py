@@ -32,8 +32,9 @@ from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point
 _LOAD_RESERVE = 2.0
-"""[-] factor of the friction of two wheels, because casters carry a part of the weight. With more
-wheels, ratio of each motor's torque limit to an equal share of the traction limit's torque."""
+"""[-] for a base with casters, factor of the wheels' friction, because the casters carry a part of
+the weight. For a base that stands on its wheels alone, factor of each motor's torque limit,
+relative to the torque of an equal share of the traction limit."""
 _SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and sliding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
 """A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
@@ -41,7 +42,7 @@ stiffer contacts and faster friction, MuJoCo lifts sliding parts: the wheels wou
 would turn in jerks."""
 _AT_FLOOR = 0.01  # [m] height below which a part of the base touches the floor
 _GEOM = mujoco.mjtGeom
-_MIN_MASS = 0.005  # [-] mass of a wheel that has none in the URDF, relative to the base's mass
+_MIN_MASS = 0.005  # [-] assumed mass of a wheel without a mass, relative to the base's mass
 _SETTLING_TIME = 0.3  # [s] time in which the base sinks onto its wheels after a reset
 _FROZEN = 1e6  # [kg m²] armature that fixes the arm's joints
 _TURNING = 1.0  # [s] duration of the calibrating turn; the second half is evaluated

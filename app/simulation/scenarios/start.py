@@ -328,9 +328,10 @@ class _GraspSearch:
         return room
 
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
-        """[-] number of further door angles that the arm can follow, plus the smallest `_room`.
+        """[-] number of further door angles that the arm can reach, plus the smallest margin.
 
-        As in the controller, the arm stays near its starting posture in the task's null space.
+        The margin is the result of `_room` in each of these postures. As in the controller, the arm
+        stays near its starting posture in the task's null space.
         """
         q_m, followed = q_start, 0
         for turned in _AHEAD:
@@ -345,7 +346,11 @@ class _GraspSearch:
         return followed + room
 
     def _backed_off(self, angle: float) -> Array:
-        """(3,) pose of the base, moved back if the door's free edge is within d_b of its front."""
+        """(3,) x, y [m] and heading [rad] of the base, moved back from the opening door.
+
+        If the free edge of the door would be within d_b of the base's front, the base is moved back
+        along its heading, so that the distance is d_b.
+        """
         door = self._door
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         x, y, heading = self._base_pose
@@ -356,7 +361,10 @@ class _GraspSearch:
         )
 
     def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
-        """(n_m,) the posture after one step to the target and, in the null space, to `q_start`."""
+        """(n_m,) the posture after one step towards the target pose.
+
+        In the null space of the end-effector's pose, the step leads towards `q_start`.
+        """
         error, J = self._search.linearised(q_m, target)
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)

@@ -213,7 +213,7 @@ def number(
 def numbers(template: str, take: Take, *, often: bool = True, optional: bool = False) -> Quantity:
     """A quantity of an array (k,), by default recorded at each control step.
 
-    `template` is that of `column_names`; the other arguments are those of `number`.
+    `column_names` explains `template`, and `number` explains the other arguments.
     """
 
     def columns(meta: TraceMeta) -> Sequence[Column]:

@@ -201,7 +201,10 @@ def _check_times(times: np.ndarray) -> None:
 
 
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
-    """The cells of a column for a file; None, and not-a-number if optional, become empty cells."""
+    """The cells of a column for a file.
+
+    None becomes an empty cell. In an optional column, not-a-number becomes an empty cell too.
+    """
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):
         return pa.array(values, kind, from_pandas=column.optional)

@@ -292,8 +292,8 @@ FIGURES: dict[str, Figure] = {
         "Largest ratio of a joint's speed to its limit.", _joint_speed_share
     ),
     "joint_speed_share_unsaturated_max": Figure(
-        "The same, except while a torque is at its limit and for 0.1 s afterwards, because the arm "
-        "cannot resist then.",
+        "Largest ratio of a joint's speed to its limit, except while a torque is at its limit and "
+        "for 0.1 s afterwards, because the arm cannot resist then.",
         _unsaturated_speed_share,
     ),
     "clear_since_s": Figure(

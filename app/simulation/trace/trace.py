@@ -117,7 +117,9 @@ class Trace:
         return self.table[:, self._layout.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) a quantity of the table by its name, which is a field of `Snapshot`.
+        """(N,) or (N, k) values of a quantity, one row for each row of the table.
+
+        `quantity` is the name of a field of `Snapshot`.
 
         Raises:
             LogError: The run is from an older log, which does not have this quantity.

@@ -66,7 +66,10 @@ def millimetres(distance: float) -> str:
 
 
 def kept(least: float, *, touched: bool) -> str:
-    """The outcome and the smallest distance [m], as in "no contact, least distance 105 mm"."""
+    """A text with the outcome of a run, as in "no contact, least distance 105 mm".
+
+    `least` is the smallest distance [m]; a negative one is an overlap of the convex bodies.
+    """
     if least < 0.0:
         overlap = f"bodies overlap by {millimetres(-least)}"
         return f"contact, {overlap}" if touched else overlap

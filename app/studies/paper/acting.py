@@ -89,9 +89,10 @@ def deepest(sources: Sources) -> int:
 
 
 def turning(sources: Sources) -> Force:
-    """The force at the instant of the run along the wheel axis that shows both components best.
+    """The force in a row of the run along the wheel axis in which both its components are large.
 
-    Of every 20th row in the buffer, this is the row in which the smaller component is largest.
+    In each row the smaller component counts. Every 20th row in the buffer is compared, and the row
+    in which the smaller component is largest is chosen.
     """
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]
@@ -143,8 +144,8 @@ def figure_7(sources: Sources) -> drawing.Drawing:
 def figure_8(sources: Sources) -> drawing.Drawing:
     """(a) The method starts at p_n, the border point nearest to the end-effector, and steps along
     the tangent towards a better score, to p_t. The acting point is the border point nearest to p_t.
-    (b) If the step is too large, the force may have no component along the line between the
-    end-effector and the border. Therefore the step is bounded.
+    (b) If the step is too large, the acting point can be so far away that the force has no
+    component along the line between the end-effector and the border. Therefore the step is bounded.
     """
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}

@@ -186,9 +186,10 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
     """Times (N,) [s], every `dt` [s], and closest points of L_m(1) in the lateral guiding.
 
-    They are those of the longest stay of L_m(1) in its buffer, cut to `LONGEST` [s]. The points are
-    on a spline through the closest points of the recorded rows. Points from the collision library
-    at each step would have errors of about 0.3 mm, which is more than the motion in a step.
+    The times cover the longest interval in which L_m(1) is in its buffer, cut to `LONGEST` [s]. The
+    points are on a spline through the closest points of the recorded rows. Points from the
+    collision library at each step would have errors of about 0.3 mm, which is more than the motion
+    in a step.
     """
     run = sources.runs[LATERAL].trace
     outside = sources.distances(LATERAL) >= sources.config.border.d_b
@@ -211,8 +212,8 @@ def acting_path(
     """Table with a row for each time (N,) [s] of a path.
 
     The columns are the time, the closest point p_b on the end-effector, the acting point, the
-    distance of the acting point from that of the previous row (NaN in the first row), and the base
-    acceleration that the force causes.
+    distance between the acting points of this row and the previous row (NaN in the first row), and
+    the base acceleration that the force causes.
     """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]

@@ -47,8 +47,8 @@ number of the paper's form; the number of the project's form."""
     "departures", "(26) to (29) as printed and here", *AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS
 )
 def figure_departures(sources: Sources) -> drawing.Drawing:
-    """The paper solves a hierarchy of strict levels (26) and inserts rows by (29), with the same
-    reference q̈_2* for all rows; the control input is continuous.
+    """The paper solves a hierarchy of strict levels (26). It inserts rows by (29), with the same
+    reference q̈_2* for all rows. According to the paper, the control input is continuous.
     """
     rows = [*_of_states(sources), *_of_runs(sources)]
     table = drawing.table_of(("departure", "number", "printed", "here"), rows)

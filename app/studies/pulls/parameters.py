@@ -130,7 +130,8 @@ class StudyParameters(Strict):
     """The parameters that determine each case of a study; the number of cases is not one."""
 
     seed: int = 0
-    """Seed of the random quantities; those of case k depend only on seed, k, robot and ranges."""
+    """Seed of the random quantities. The quantities of case k depend only on the seed, k, the robot
+    and the ranges."""
     robot: str = "husky_panda"
     controller: str = "dbb"
     physics: str = Field(default_factory=default_plant)

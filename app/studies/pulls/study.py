@@ -50,9 +50,10 @@ def study(
 ) -> dict[str, Any]:
     """Run the missing cases of a study, and write its results into an existing folder.
 
-    If the folder has fewer cases, the others run; if it has more, the results are those of the
-    first cases. The cases run on the workers of a dask `scheduler`, which is given by its address,
-    or else in processes of this machine. `on_progress` gets the number of finished cases.
+    If the folder has fewer than `cases` finished cases, the missing ones run. If it has more, the
+    results are computed from the first `cases` of them. The cases run on the workers of a dask
+    `scheduler`, which is given by its address; without a scheduler, they run in processes of this
+    machine. `on_progress` gets the number of finished cases.
 
     Returns:
         The content of `study.json`.

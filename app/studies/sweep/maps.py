@@ -59,8 +59,9 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan at which a value's bar ends; for a value below a lower limit, that of
-        the limit.
+        """[m] radius in plan at which the bar of a value ends.
+
+        If larger values are better, and the value is below the limit, this is the limit's radius.
         """
         if self.more_is_better and self.limit is not None:
             value = max(value, self.limit)
@@ -84,7 +85,7 @@ class Quantity(NamedTuple):
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
     """Final error, smallest distance, and time.
 
-    The scales of distance and time include all rows of paths; that of the error is fixed.
+    The scales of distance and time cover the values of all rows; the scale of the error is fixed.
     """
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)

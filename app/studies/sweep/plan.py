@@ -97,7 +97,7 @@ def point_of(p: Array) -> Point:
 
 
 def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
-    """Paths of the kind `side` from all directions, every `step` [deg], at each height [m]."""
+    """Paths of the kind `side`, at each height [m] from all directions, `step` [deg] apart."""
     for height, k in product(heights, range(round(360.0 / step))):
         yield Approach("side", height, k * step)
 
@@ -148,7 +148,7 @@ class SweepPlan:
     wheel_axis: bool = True
     """Include paths along the wheel axis."""
     above: bool = False
-    """Include paths down onto the base, at the points of a grid."""
+    """Include vertical paths down onto the base, one at each point of a grid over the base."""
     above_spacing: float = 0.15
     """[m] largest spacing of this grid, for --above."""
     length: float = 0.2
