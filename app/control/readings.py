@@ -326,10 +326,11 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
     The joint with the largest displacement is used. A driver's filter can delay velocities by up to
-    0.01 s. Each possible delay implies a ratio, and `w.ratio` becomes the ratio nearest to 1. If
-    this ratio is outside of 0.1 to 10, no plausible period explains the readings: then
-    `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Successive ratios that differ from 1, and
-    agree for 0.05 s, set the fault `period`.
+    0.01 s, and rare readings seem to delay them by half an interval. Each possible delay implies a
+    ratio, and `w.ratio` becomes the ratio nearest to 1. If this ratio is outside of 0.1 to 10, no
+    plausible period explains the readings: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1.
+    At least three successive ratios that differ from 1, and agree for 0.05 s, set the fault
+    `period`.
     """
     if steps > HISTORY:
         _measure_from(w, q, qd)
@@ -347,7 +348,8 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         return
     way, integral = q[far] - w.travel[0, far], w.travel[1, far]
     change = qd[far] - w.travel[2, far]
-    ratio, late = _divided(way, integral), _divided(way, integral + _FILTER * change)
+    delay = _FILTER + 0.5 * steps * gains.dt
+    ratio, late = _divided(way, integral), _divided(way, integral + delay * change)
     low, high = min(ratio, late), max(ratio, late)
     if low < 0.0 < high or (low < _RIGHT and high > 1.0 / _RIGHT):
         found = 1.0
@@ -358,8 +360,9 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         found = 1.0
     elif found != 1.0:
         agrees = abs(found - w.ratio[()]) < 0.15 * found
-        w.agreed[()] = w.agreed[()] + found * w.travel_time[()] if agrees else 0.0
-        w.faults[PERIOD] = 1.0 if w.agreed[()] >= _AGREED else 0.0
+        time = found * w.travel_time[()]
+        w.agreed[()] = w.agreed[()] + time if agrees else 0.0
+        w.faults[PERIOD] = 1.0 if w.agreed[()] >= max(_AGREED, 1.5 * time) else 0.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = found
     _measure_from(w, q, qd)
