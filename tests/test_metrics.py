@@ -13,6 +13,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
+from app.errors import AssetError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.plants.interface import Contacts
@@ -229,7 +230,7 @@ KINDS = {"rad": ("rad", "radps", "nm"), "m": ("m", "mps", "n")}
 def test_each_quantity_has_the_unit_of_its_joint_or_base(name: str, base: list[str], lifts: int):
     try:
         model = RobotModel(load_robot(name))
-    except Exception as error:  # an optional package
+    except AssetError as error:  # an optional package
         pytest.skip(str(error))
     meta = TraceMeta.of(model, {"lm-lEE": True}, Config())
     columns = {c.name: c for q in QUANTITIES.values() for c in q.columns(meta)}

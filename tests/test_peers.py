@@ -26,7 +26,7 @@ from benchmarks.peers.drivers.capsules import without_capsules
 from benchmarks.peers.evaluator import Evaluator, slips
 from benchmarks.peers.model import HAND, UNICYCLE, CommonModel, common_model
 from benchmarks.peers.names import PEERS, Peer, chosen
-from benchmarks.peers.paths import AXIS_OFFSETS, PATHS, axis_name, hand_paths
+from benchmarks.peers.paths import PATHS, axis_name, hand_paths
 from benchmarks.peers.picture import draw
 from benchmarks.peers.plan import DT, arrays_of, run_name, write_plan
 from benchmarks.peers.quick import pink_step
@@ -221,11 +221,6 @@ def test_a_path_on_the_wheel_axis_starts_with_its_closest_point_there(
     nearest = min((reader.closest(i) for i in range(len(reader.pairs))), key=lambda c: c.d)
     assert nearest.p_b[0] == pytest.approx(0.010, abs=1e-6)
     np.testing.assert_allclose(line.move, [0.0, -0.2, 0.0])
-
-
-def test_the_names_of_the_paths() -> None:
-    assert PATHS == ("side", "front", "axis-0mm", "axis-1mm", "axis-10mm", "axis-50mm")
-    assert AXIS_OFFSETS == (0.0, 0.001, 0.010, 0.050)
 
 
 # The drivers --------------------------------------------------------------------------------------

@@ -194,7 +194,6 @@ def test_meeting_two_buffers_adds_no_energy() -> None:
     ours = [run_into_walls(soft_blend, seed, 0.0) for seed in range(4)]
     printed = [run_into_walls(printed_blend, seed, 0.0) for seed in range(4)]
     changes = [max(abs(after / before - 1.0) for before, after in each) for each in (ours, printed)]
-    print(changes)
     assert changes[0] < 0.01 < 0.05 < changes[1]
     for seed in range(4):
         before, after = run_into_walls(soft_blend, seed, 30.0)
