@@ -31,8 +31,7 @@ FEWEST = 8
 _CLEAR = 0.01  # [-] share of a top speed beyond which a change from a reading to the next is clear
 _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its variance
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
-SMALL = 1e-11
-"""[rad²] variance of positions below which all samples are plausible."""
+_SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
 
@@ -196,7 +195,7 @@ def _learn(
         if not math.isnan(qd[i]):
             variances[1, i] += share * ((qd[i] - last[0, i]) ** 2 - variances[1, i])
         if not math.isnan(of_q):
-            weight, largest = share, _PLAUSIBLE * max(variances[0, i], SMALL)
+            weight, largest = share, _PLAUSIBLE * max(variances[0, i], _SMALL)
             if samples[()] >= FEWEST and of_q > largest:
                 weight, of_q = -math.expm1(-dt / window), largest
             variances[0, i] += weight * (of_q - variances[0, i])

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from app.compiled import compiled
-from app.control.estimate import FEWEST, SMALL, advance, estimate_arm, predicted_joint_acceleration
+from app.control.estimate import FEWEST, advance, estimate_arm, predicted_joint_acceleration
 from app.control.qp import times
 from app.strict import Array
 from app.structs import fill, put, put_rows
@@ -60,6 +60,7 @@ _RIGHT = 1.1  # [-] largest ratio, or its inverse, that counts as 1
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
 _CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
+_UNEXPECTED = 30.0  # [rad/s²] acceleration that a prediction over one period can miss
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
 _PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at longer intervals
 _INTERVALS = 3.0, 16.0  # [periods] shortest and longest of these intervals
@@ -478,12 +479,12 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     count, lag = int(min(w.known[()], _MOST_LAG + 1.0)), int(w.lag[()])
     if w.samples[()] < FEWEST or lag >= count or w.ratio[()] != 1.0:
         return w.age[()] < 0.0
-    time = w.age[()] * gains.dt
+    time, unexpected = w.age[()] * gains.dt, _UNEXPECTED * gains.dt**2
     x, errors, alike = w.x_est.copy(), np.zeros(count), np.zeros(count, np.bool_)
     for k in range(count):
         difference = speed = 0.0
         for i in range(len(q)):
-            variance = max(w.noise_var[0, i], SMALL) + (time * w.v_error[i]) ** 2
+            variance = w.noise_var[0, i] + unexpected**2 + (time * w.v_error[i]) ** 2
             errors[k] += (q[i] - x[0, i]) ** 2 / variance
             difference += (qd[i] - x[1, i]) ** 2
             speed += x[1, i] ** 2
