@@ -333,7 +333,7 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     At least three successive ratios that differ from 1, and agree for 0.05 s, set the fault
     `period`.
     """
-    if steps > HISTORY:
+    if steps > HISTORY or (steps == 1 and w.known[()] == 0.0):  # a gap of unknown duration
         _measure_from(w, q, qd)
         return
     far, most = -1, 1.0
