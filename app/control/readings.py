@@ -359,11 +359,11 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     w.no_velocity[()] = 0.0 if 0.1 < found < 10.0 else 1.0  # NaN too
     if w.no_velocity[()] != 0.0:
         found = 1.0
-    agrees = w.ratio[()] != 1.0 and abs(found - w.ratio[()]) < 0.15 * found
-    time = found * w.travel_time[()]
-    w.agreed[()] = w.agreed[()] + time if agrees and found != 1.0 else 0.0
-    w.faults[PERIOD] = 1.0 if w.agreed[()] >= max(_AGREED, 1.5 * time) else 0.0
-    if found != 1.0:
+    elif found != 1.0:
+        agrees = abs(found - w.ratio[()]) < 0.15 * found
+        time = found * w.travel_time[()]
+        w.agreed[()] = w.agreed[()] + time if agrees else 0.0
+        w.faults[PERIOD] = 1.0 if w.agreed[()] >= max(_AGREED, 1.5 * time) else 0.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = found
     _measure_from(w, q, qd)
