@@ -199,7 +199,7 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
     folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(4)}"
     lock = _claimed(folder)
     holder = {folder}  # `finalize` also removes the folder when the process exits
-    remove = weakref.finalize(holder, shutil.rmtree, folder, ignore_errors=True)
+    remove = weakref.finalize(holder, _remove, folder)
     try:
         for left in folder.iterdir():  # remains of a killed process
             shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
@@ -207,6 +207,15 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
     finally:
         remove()
         os.close(lock)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, to which programs that are about to end may write for a second."""
+    end = time.monotonic() + _PATIENCE
+    shutil.rmtree(folder, ignore_errors=True)
+    while folder.exists() and time.monotonic() < end:
+        time.sleep(_LOOK_EVERY)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _claimed(folder: Path) -> int:

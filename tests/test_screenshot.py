@@ -202,31 +202,39 @@ def _line(process: psutil.Process) -> list[str]:
 
 
 _KILLED = """
-import os, tempfile
+import os, sys, tempfile
 from contextlib import suppress
 from pathlib import Path
 import psutil
 from app.dashboard.export.browser import chromium
-with suppress(Exception), chromium():  # playwright's, of any kind: its browser has gone
-    print(*Path(tempfile.gettempdir()).rglob("playwright_chromium*"))
-    for process in psutil.Process().children(recursive=True):
-        with suppress(psutil.Error):
-            if "--headless" in " ".join(process.cmdline()):
-                process.kill()
+from app.errors import BrowserError
+try:
+    with chromium() as browser:
+        print(*Path(tempfile.gettempdir()).rglob("playwright_chromium*"))
+        for process in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):
+                if sys.argv[1] in process.cmdline():
+                    process.kill()
+        browser.new_context()
+except BrowserError:
+    print("reported")
 """
 
 
 @pytest.mark.browser
-def test_temporary_files_of_a_killed_browser_are_removed():
-    """The test runs in a separate process, because the browser of other tests must survive."""
+@pytest.mark.parametrize("word", ["--headless", "run-driver"])
+def test_killed_browser_is_reported_and_its_temporary_files_are_removed(word: str) -> None:
+    """The browser or playwright's driver is killed. The test runs in a separate process, because
+    the browser of other tests must survive."""
     with tempfile.TemporaryDirectory() as short:  # the path of a browser's socket has a limit
         found = subprocess.run(
-            [sys.executable, "-c", _KILLED],
+            [sys.executable, "-c", _KILLED, word],
             cwd=PROJECT,
             env={**os.environ, "TMPDIR": short},
             capture_output=True,
             text=True,
             timeout=120,
         )
-        assert len(found.stdout.split()) == 1, found.stderr
+        *folders, last = found.stdout.split()
+        assert len(folders) == 1 and last == "reported", found.stderr
         assert list(Path(short).iterdir()) == []

@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -107,7 +107,8 @@ def chromium() -> Iterator[Browser]:
                 reason = str(error).strip().splitlines()[0]
                 raise BrowserError(f"the browser has failed: {reason}") from None
             finally:
-                browser.close()
+                with suppress(Error):  # it has ended already
+                    browser.close()
     except KeyboardInterrupt:
         # The signal also ends playwright's driver; asyncio would log each interrupted call.
         logging.getLogger("asyncio").setLevel(logging.CRITICAL)
