@@ -117,10 +117,10 @@ since | | | 1 | | readings | memory: number of readings in the integral of `trav
 travel_time | | | s | | readings | memory: duration of this integral
 load | m | | kg | | readings |
     memory: mass at the end-effector whose weight best explains the external torques
-load_first | | | kg | | readings |
-    memory: `load` before the force; from 0.03 s after its beginning on, `load` of that instant
-loaded | | | s | | readings |
-    memory: time during which `load` explains these torques well; −∞ after a change of the mass
+loaded | | | kg | | readings | memory: mass of the reported load; 0 without one
+torques | | 8 n_m | N m, N | joints | readings |
+    memory: external torques at intervals of 0.02 s, the newest first
+torques_age | | | s | | readings | memory: time since the newest row of `torques`
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: present position, velocity and external acceleration q̈_ext
 x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |

@@ -24,7 +24,7 @@ import numpy as np
 
 from app.compiled import compiled
 from app.control.estimate import FEWEST, advance, estimate_arm, predicted_joint_acceleration
-from app.control.qp import times
+from app.control.qp import dot, times
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
@@ -41,7 +41,7 @@ FAULTS = {
     "lag": "the readings are older than stated: an age of up to 24 periods is compensated",
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
     "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
-    "load": "a constant vertical force acts on the end-effector: set `payload.mass` to the mass of "
+    "load": "a vertical force suddenly acts on the end-effector: set `payload.mass` to the mass of "
     "the load",
 }
 """The possible faults of readings, by name, in the order of `ControlStep.faults`."""
@@ -66,9 +66,11 @@ _PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at 
 _INTERVALS = 3.0, 16.0  # [periods] shortest and longest of these intervals
 _CONVINCING = 1.2, 10.5  # evidence for a change of the lag: readings, and periods
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
-_LOAD_BEGINS = 0.03  # [s] time within which a load reaches its mass
-_LOAD_TIME = 0.15  # [s] time from the beginning of a load after which a constant mass is reported
-_LOAD_CHANGES = 0.05  # [-] largest relative change of a constant mass
+_SAMPLED = 0.02  # [s] interval between samples of the external torques
+_SIGNIFICANT = 2.0  # [-] smallest reported load in standard deviations of the estimate
+_VERTICAL = 0.9  # [-] smallest share of a load's squared change that a vertical force explains
+_QUIET = 0.4  # [-] largest change in an interval before a load, relative to the load's
+_ENDED = 0.2  # [-] largest further growth in the interval after a load, relative to the load's
 _GRAVITY = 9.81  # [m/s²]
 _LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola; smaller ones show no lag
 
@@ -409,40 +411,58 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 
 
 @compiled()
+def _sudden_mass(torques: Array, lift: Array, variance: float) -> float:
+    """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
+
+    The weight of a load changes the external torques within 0.04 s, and only as a vertical force
+    does, while they change little before and after. A person's force turns, or grows longer.
+
+    Args:
+        torques: (8, n_m) external torques at intervals of 0.02 s; the newest is first.
+        lift: (n_m,) torques of a vertical force of 1 N.
+        variance: Variance of the product of `lift` and a row of `torques`.
+    """
+    change, after = torques[1] - torques[3], torques[0] - torques[1]
+    along, size, total = dot(change, lift), dot(lift, lift), dot(change, change)
+    least = max(_LEAST_LOAD * _GRAVITY * size, _SIGNIFICANT * math.sqrt(variance))
+    if along**2 < _VERTICAL * total * size or abs(along) < least:
+        return 0.0
+    for k in range(3, len(torques) - 1):
+        before = torques[k] - torques[k + 1]
+        if dot(before, before) > _QUIET**2 * total:
+            return 0.0
+    if dot(after, lift) / along > _ENDED or dot(after, after) > total:
+        return 0.0
+    return -along / size / _GRAVITY
+
+
+@compiled()
 def _estimate_load(gains: Any, w: Any) -> None:
     """Estimate the mass at the end-effector whose weight best explains the external torques.
 
-    The fault `load` reports a mass that appears within 0.03 s, or a stated mass that disappears
-    within 0.03 s, and then stays constant until 0.15 s.
-    A person's force, in contrast, grows slowly and changes while the hand moves.
+    The fault `load` reports a load that suddenly begins or ceases to act, as long as at least half
+    of its weight is present.
     """
     n_b = len(w.g) - len(w.q_m)
-    torque, lift = times(w.M[n_b:, n_b:], w.x_est[2]), w.J_ee[2, n_b:]
-    along, size, total = 0.0, 0.0, 0.0
-    for i in range(len(torque)):
-        along += torque[i] * lift[i]
-        size += lift[i] ** 2
-        total += torque[i] ** 2
+    M, lift, variance = w.M[n_b:, n_b:], w.J_ee[2, n_b:], 0.0
+    torque, size = times(M, w.x_est[2]), dot(lift, lift)
     if size == 0.0 or w.samples[()] < FEWEST:
         return
-    w.load[()] = -along / size / _GRAVITY
-    sign = math.copysign(1.0, w.load[()])
-    if not (along**2 > 0.8 * total * size and sign * w.load[()] > _LEAST_LOAD):
-        w.loaded[()], w.load_first[()] = 0.0, w.load[()]
-        return
-    began = w.loaded[()] > _LOAD_BEGINS
-    w.loaded[()] += gains.dt
-    if began:
-        changed = abs(w.load[()] - w.load_first[()]) > _LOAD_CHANGES * abs(w.load_first[()])
-    elif w.loaded[()] > _LOAD_BEGINS:
-        # An earlier or slowly growing force is a person's.
-        changed = sign * w.load[()] < 2.0 * sign * w.load_first[()]
-        w.load_first[()] = w.load[()]
-    else:
-        changed = False
-    if changed:
-        w.loaded[()] = -math.inf
-    w.faults[LOAD] = 1.0 if w.loaded[()] > _LOAD_TIME else 0.0
+    w.load[()] = -dot(torque, lift) / size / _GRAVITY
+    w.torques_age[()] += gains.dt
+    if w.torques_age[()] > _SAMPLED - 0.5 * gains.dt:
+        w.torques_age[()] = 0.0
+        for k in range(len(w.torques) - 1, 0, -1):
+            put(w.torques[k], w.torques[k - 1])
+        put(w.torques[0], torque)
+        for i in range(len(lift)):
+            variance += dot(M[i], lift) ** 2 * w.P_est[i, 2, 2]
+        sudden = _sudden_mass(w.torques, lift, variance)
+        if sudden != 0.0:
+            w.loaded[()] = sudden
+        elif w.load[()] * w.loaded[()] <= 0.5 * w.loaded[()] ** 2:
+            w.loaded[()] = 0.0
+    w.faults[LOAD] = 1.0 if w.loaded[()] != 0.0 else 0.0
 
 
 @compiled()
