@@ -62,7 +62,9 @@ def starts(robot: RobotModel, border_data: BorderData) -> dict[tuple[float, ...]
 
 @pytest.fixture(scope="module")
 def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run]:
-    """Return a function that runs a loop; `degrade` changes the readings."""
+    """Return a function that runs a loop; `degrade` changes the readings, `driven` the base's
+    commands.
+    """
 
     def run(
         degrade: Degradation = lambda k, m: m,
@@ -73,6 +75,7 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
         start: Any = FRONT,
         pull: Array = PULL,
         reference: Callable[[float, pin.SE3], Reference] | None = None,
+        driven: Callable[[Array], Array] = lambda v: v,
         **options: Any,
     ) -> Run:
         loop = ControlLoop(robot, border_data, dt=stated, **options)
@@ -90,7 +93,7 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
                 faults.setdefault(name, k * real)
             seen.update_kinematics(sent)
             hand.append(seen.p_ee.copy())
-            plant.step(command.u_a, command.base_velocity, pull)
+            plant.step(command.u_a, driven(np.asarray(command.base_velocity)), pull)
         sent = plant.measure()
         return Run(sent.base_pose, share, nearest, faults, np.array(hand), sent)
 
@@ -261,6 +264,16 @@ def test_base_velocity_in_another_unit_is_reported_without_contact(run) -> None:
     found = run(lambda k, m: m._replace(base_velocity=1000 * m.base_velocity))
     assert "velocity" in found.faults
     assert found.share < 1.5
+    assert found.nearest > 0.02
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.4, -1.0])
+def test_base_that_does_not_follow_its_commands_is_reported_without_contact(
+    run, factor: float
+) -> None:
+    """A blocked base, a slow one, and one that is driven backwards."""
+    found = run(driven=lambda v: factor * v)
+    assert set(found.faults) == {"base"}
     assert found.nearest > 0.02
 
 

@@ -225,7 +225,8 @@ except BrowserError:
 @pytest.mark.parametrize("word", ["--headless", "run-driver"])
 def test_killed_browser_is_reported_and_its_temporary_files_are_removed(word: str) -> None:
     """The browser or playwright's driver is killed. The test runs in a separate process, because
-    the browser of other tests must survive."""
+    the browser of other tests must survive.
+    """
     with tempfile.TemporaryDirectory() as short:  # the path of a browser's socket has a limit
         found = subprocess.run(
             [sys.executable, "-c", _KILLED, word],
@@ -236,5 +237,5 @@ def test_killed_browser_is_reported_and_its_temporary_files_are_removed(word: st
             timeout=120,
         )
         *folders, last = found.stdout.split()
-        assert len(folders) == 1 and last == "reported", found.stderr
+        assert (len(folders), last) == (1, "reported"), found.stderr
         assert list(Path(short).iterdir()) == []

@@ -90,7 +90,7 @@ twists | | n_j 6 | m/s, rad/s | world | |
 biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings | 1 if the readings are usable, else 0
-faults | | 10 | 1 | | readings |
+faults | | 11 | 1 | | readings |
     1 for each fault of this step's readings, in the order of `readings.FAULTS`
 age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in periods
@@ -102,6 +102,8 @@ rested | | | 1 | | readings | memory: number of equal readings while the robot r
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
 pose_last | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
+astray | | n_b | m/s, rad/s | axes | readings |
+    memory: recent changes of the base's velocity that the model of its drive does not explain
 history | | 128 n_m | rad/s² | joints | readings |
     memory: predicted joint accelerations of the last periods, as a ring buffer
 periods | | | 1 | | readings | memory: index of the newest row of `history`

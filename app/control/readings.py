@@ -43,10 +43,14 @@ FAULTS = {
     "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
     "load": "a vertical force suddenly acts on the end-effector: set `payload.mass` to the mass of "
     "the load",
+    "base": "the base does not follow its commands: check its brakes, its driver, the sign of its "
+    "velocity, and its `drive_time_constant_s`",
 }
 """The possible faults of readings, by name, in the order of `ControlStep.faults`."""
 
-INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION, LOAD = range(10)
+INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION, LOAD, BASE = (
+    range(11)
+)
 
 HISTORY = 128
 """Largest age of a reading in periods over which the motion can be predicted."""
@@ -65,6 +69,8 @@ _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to t
 _PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at longer intervals
 _INTERVALS = 3.0, 16.0  # [periods] shortest and longest of these intervals
 _CONVINCING = 1.2, 10.5  # evidence for a change of the lag: readings, and periods
+_FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive's model
+_ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
 _SAMPLED = 0.02  # [s] interval between samples of the external torques
 _SIGNIFICANT = 2.0  # [-] smallest reported load in standard deviations of the estimate
@@ -395,7 +401,11 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Store the readings of the base, and detect a jump of its pose; predict a missing pose."""
+    """Store the readings of the base, and detect a jump of its pose; predict a missing pose.
+
+    The fault `base` reports that the model of the drive does not explain the changes of velocity:
+    `w.astray` is the unexplained change, which decays.
+    """
     if not math.isfinite(pose.sum()):
         _drive_on(robot, w, w.pose_last, 0.0 if first else (1.0 + w.age[()]) * gains.dt)
         put(pose, w.pose_last)
@@ -405,6 +415,14 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
         moved = math.hypot(pose[0] - w.pose_last[0], pose[1] - w.pose_last[1])
         turned = abs((pose[2] - w.pose_last[2] + math.pi) % (2.0 * math.pi) - math.pi)
         w.faults[LOCALISATION] = 1.0 if moved > far or turned > 2.0 * far else 0.0
+    if not math.isnan(w.v_last[0]):
+        steps = 1.0 + w.age[()]
+        decay = math.exp(-steps * gains.dt / _FOLLOWS)
+        for i in range(robot.n_b):
+            explained = steps * gains.dt * w.a_base_meas[i]
+            w.astray[i] = decay * (w.astray[i] + velocity[i] - w.v_last[i] - explained)
+            if abs(w.astray[i]) > _ASTRAY * gains.largest_command[i]:
+                w.faults[BASE] = 1.0
     put(w.pose_last, pose)
     put(w.v_last, velocity)
     put(w.base_velocity, velocity)
