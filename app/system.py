@@ -210,7 +210,7 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder, to which programs that are about to end may write for a second."""
+    """Remove a folder. Programs that are about to end may write to it for another second."""
     end = time.monotonic() + _PATIENCE
     shutil.rmtree(folder, ignore_errors=True)
     while folder.exists() and time.monotonic() < end:
