@@ -92,7 +92,7 @@ class Chain:
 
     @property
     def ranges(self) -> tuple[Array, Array]:
-        """The joint limits (k,) [rad or m], lower and upper, reduced to one turn of a joint."""
+        """Lower and upper ends (k,) [rad or m] of the joints' ranges, at most one turn each."""
         turned = np.minimum(self.upper, self.lower + 2 * np.pi)
         return self.lower, np.where(self.turns, turned, self.upper)
 
