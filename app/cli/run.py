@@ -71,7 +71,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     rest.remove(scenario.name)
     for name in map(_field, rest):
         if name in _OF_SCENARIOS and name not in scenario.options:
-            raise scenario.without(name)
+            raise scenario.unknown_option(name)
     return scenario.name, command_of(scenario), rest
 
 

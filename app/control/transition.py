@@ -125,7 +125,7 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
 
     Args:
         desired: (n_b,) [m/s² or rad/s²] a_des.
-        hold: (n_b,) [m/s² or rad/s²] a_hold, at which the end-effector fulfils its task.
+        hold: (n_b,) [m/s² or rad/s²] a_hold: with it the end-effector fulfils its task.
         inertia: (n_b,) [kg or kg m²] diagonal of I, the base's inertia.
         mass: [kg] m.
         drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.
