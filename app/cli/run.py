@@ -134,7 +134,7 @@ def run_case(
 ) -> None:
     """Repeat a case: the same robot, scenario, parameters and seed.
 
-    The results are the same too, unless an option or a newer version changes the run.
+    The results are the same too, unless an option or a different version changes the run.
 
     Args:
         case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.
