@@ -198,7 +198,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Joints that are fixed in the model: suspensions, and joints of another arm, a head or legs.
+    """Warnings of joints that the model fixes: suspensions, joints of another arm, a head or legs.
 
     Joints of the base without limits, such as wheels and casters, are not reported.
     """
