@@ -192,10 +192,7 @@ def objective_slack(H: Array, c: Array, qdd: Array, n_b: int) -> Array:
 
 
 def row_slacks(w: ControlStep) -> Array:
-    """(n_s,) slack of each row of T_sca: its demand, the blend of (29), minus its result.
-
-    It is 0 if β = 0.
-    """
+    """(n_s,) slack of each row of T_sca: the blend of (29) minus the row's result; 0 if β = 0."""
     without = w.qdd.copy()
     without[w.n_b :] -= objective_slack(w.H, w.c, w.qdd, w.n_b)
     blend = w.B * w.b_sca + (1.0 - w.B) * (w.J_sca @ without)

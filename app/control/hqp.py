@@ -97,12 +97,9 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 def cascade(levels: list[Task]) -> Array:
     """q̈ (n,): min ‖w‖ level by level, without changing the slacks of higher levels.
 
-    The first level has the highest priority.
+    The first level has the highest priority. The errors are those of `least_slack`.
 
     Paper: Eq. (26), (29).
-
-    Raises:
-        NoSolutionError: ProxQP finds no solution of a level.
     """
     qdd = np.zeros(levels[0].J.shape[1])
     above = np.empty((0, len(qdd)))

@@ -128,11 +128,7 @@ MOVES_BASE = frozenset(name for name, terms in METHODS.items() if terms.get("mov
 
 
 def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Any:
-    """`ROBOT` of a robot, its link pairs, and their closest points.
-
-    Raises:
-        DescriptionError: As for `ScoreField.of`.
-    """
+    """`ROBOT` of a robot, its link pairs, and their closest points; errors of `ScoreField.of`."""
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile
     rows = [parts or [whole] for whole, *parts in smooth.rows]

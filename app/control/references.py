@@ -80,10 +80,7 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
 
 @compiled()
 def _leaps(way: Array, v: Array, dt: float) -> bool:
-    """Whether the velocity v (6,) does not explain the motion `way` (6,) since the last reference.
-
-    dt [s] is the control period.
-    """
+    """Whether v (6,) does not explain the motion `way` (6,) in the period dt [s]."""
     leaps = False
     for i in range(6):
         leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2

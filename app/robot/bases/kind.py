@@ -37,14 +37,11 @@ def acceleration_symbol(axis: Axis) -> str:
 
 
 class Planar(NamedTuple):
-    """A motion of the base in its own frame: forward, to the left, and turning left.
-
-    The units are those of the motion, for example m/s, m/s and rad/s.
-    """
+    """A motion in the base's frame, in the units of its values, such as m/s, m/s and rad/s."""
 
     forward: float
     left: float
-    turn: float
+    turn: float  # positive to the left
 
 
 def planar(axes: Sequence[Axis], values: Sequence[float] | Array) -> Planar:

@@ -103,11 +103,7 @@ class RefrigeratorScenario(Scenario):
         return np.array([at[0], at[1], door.yaw])
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """The start of the run; the door is the last body of the controller's robot.
-
-        Raises:
-            UnreachableError: No configuration of the arm reaches the handle.
-        """
+        """The start of the run; the door is the last body of the controller's robot."""
         # Imported here: scipy would delay the start of every command.
         from app.simulation.plants.door import OpenDoor, with_door
         from app.simulation.scenarios.start import find_grasp
