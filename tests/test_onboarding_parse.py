@@ -156,7 +156,7 @@ def test_the_option_for_wheels_requires_wheels_of_the_base(tmp_path: Path) -> No
     for given, why in (
         (("lift", "right_axle"), "not on the base"),
         (("nothing", "right_axle"), "no joint or link 'nothing'"),
-        (("left_axle", "left_axle"), "not two equal wheels across"),
+        (("left_axle", "left_axle"), "not two equal wheels on one axle"),
     ):
         assert why in refused(tmp_path, TOY, wheels=given)
 
@@ -231,7 +231,7 @@ def test_a_chain_of_20_000_links_is_read_in_linear_time() -> None:
         ('xyz="0.15 0 0.1"', 'xyz="${x} 0 0.1"', "${x} 0 0.1 is unexpanded xacro"),
         (BOX, '<mesh filename="$(find a)/m.stl"/>', "$(find a)/m.stl is unexpanded xacro"),
         (BOX, '<mesh filename="m.glb"/>', "m.glb: there is no file"),
-        (BOX, "<mesh/>", "link 'hand': a mesh has no filename; name its file, or take"),
+        (BOX, "<mesh/>", "link 'hand': a mesh has no filename; name its file, or remove"),
         (f"<geometry>{BOX}</geometry>", "", "'hand': a collision has no geometry; add a geometry"),
         (
             "</robot>",
