@@ -64,7 +64,7 @@ class DistanceMonitor:
         """The closest points of every pair, from the collision library.
 
         Paper: Algorithm 2, lines 4 and 9. The direction is the library's signed normal, not p_b −
-        p_a, whose sign changes in penetration, so that it would turn repulsion into attraction.
+        p_a, whose sign changes in penetration: repulsion would become attraction.
         """
         self._distances.update_from(self._state.data)
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]

@@ -297,7 +297,7 @@ def nearest_of(
 
 @compiled()
 def is_round(row: Array) -> bool:
-    """Whether a point nearest to a flat object is always a node of the core of the shape `row`."""
+    """Whether the shape in a row (16,) of `Shapes` has no flat face: a capsule or a sphere."""
     return bool(row[0] == _CAPSULE)
 
 

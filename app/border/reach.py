@@ -168,7 +168,7 @@ class ReachMap:
     that carries it, the centre of the first shape for other bodies."""
     found: Array
     """(N,) [-] mean number of solutions of a pose at each position, within the joint limits and
-    without self-collision; the mean is taken over orientations and fixed joints."""
+    without self-collision; it is the mean over orientations and fixed joints."""
     samples: int
     """Number of joint positions."""
     reach: Array

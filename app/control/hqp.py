@@ -1,7 +1,7 @@
 """The paper's controller as printed (§3.4): strict levels, (26), and their transition, (29).
 
-This is the compared method `hqp`. The cascade below follows the paper, with only those corrections
-without which it does not work:
+This is the compared method `hqp`. The cascade below follows the paper, with only the necessary
+corrections:
 
 - The reference of (29) is on the right, with J̇_sca q̇: only then does (29) become (26) at B = 0.
 - (26) leaves q̈ open if T_2 has fewer rows than the robot has axes. A lowest level completes it:

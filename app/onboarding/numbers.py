@@ -64,7 +64,7 @@ class Limits(NamedTuple):
 
 
 def read_limits(arm: Arm) -> Limits:
-    """The limits in the URDF, or assumed ones; an effort of 0 means that it is missing.
+    """The limits in the URDF, or assumed ones; an effort of 0 means a missing effort.
 
     Raises:
         RobotFileError: Position limits are missing (prismatic joint), empty, or probably in another

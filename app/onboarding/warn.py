@@ -39,7 +39,7 @@ _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not com
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
-_OFTEN = 0.25  # [-] share of poses above which a warning is given
+_OFTEN = 0.25  # [-] share of poses above which there is a warning
 
 
 def warnings_of(robot: NewRobot) -> list[str]:

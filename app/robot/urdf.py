@@ -78,7 +78,7 @@ def without_commas(words: str) -> str:
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
     """Red, green, blue and opacity [0, 1] of a visual; None if the URDF states no colour.
 
-    If the visual's material has no colour of its own, the material of the same name in the robot's
+    If the visual's material states no colour, the material with the same name in the robot's
     `materials` counts.
     """
     if (material := visual.find("material")) is None:

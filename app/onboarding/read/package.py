@@ -51,8 +51,8 @@ def unpack(archive: Path, folder: Path) -> list[str]:
     """Write the URDFs, meshes and licences of a zip into a folder; returns the names of all files.
 
     Raises:
-        RobotFileError: The zip cannot be read, is too large, or contains a path that leads out of
-            it, a link, a password, a duplicate name or a compression other than deflate.
+        RobotFileError: The zip cannot be read, is too large, or contains a path out of the zip, a
+            link, a password, a duplicate name or a compression other than deflate.
     """
     where = archive.name
     _check_size(archive)

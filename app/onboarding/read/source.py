@@ -224,7 +224,7 @@ def _missing(reference: str, folder: Path, packages: Packages) -> str:
             return _nowhere(package, path, folder)
         where = f"no such file in the package {package!r}: {', '.join(map(str, roots))}"
         near = next(filter(None, (_near(root, path) for root in roots)), "")
-        return f"{where}{near}; if another folder is meant, set --package {package}=FOLDER"
+        return f"{where}{near}; if this is the wrong folder, set --package {package}=FOLDER"
     if scheme not in ("file", ""):
         return "an address of the web or of another tool; name a file, relative to the URDF"
     if re.match("/?[A-Za-z]:", path):

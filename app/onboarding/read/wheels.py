@@ -98,8 +98,8 @@ def find_drive(
 ) -> Wheels:
     """Find the driven wheels of a base, and the steering of a car-like one.
 
-    A base without wheels in its URDF stands on the lowest point of its shapes and faces the x axis
-    of its link.
+    Without wheels in the URDF, the floor is at the lowest point of the base's shapes, and the base
+    faces the x axis of its link.
 
     Raises:
         RobotFileError: The URDF lacks wheels or steering; the message names an option that helps.

@@ -1,6 +1,6 @@
 """A base with a driven rear axle and steered front wheels (Ackermann): it moves along arcs.
 
-The frame's origin is the middle of the rear axle on the floor, the front axle is L ahead of it. The
+The frame's origin is the middle of the rear axle on the floor; the front axle is L ahead. The
 velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w_x and ω = w_y / L.
 The front wheels point along this velocity, so it is in the double cone |w_y| ≤ tan δ_max |w_x|: the
 curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.

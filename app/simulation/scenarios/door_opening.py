@@ -179,7 +179,7 @@ def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver
     """The driver that opens a door with the adaptive controller and the sensors of a session.
 
     Args:
-        door: The held door.
+        door: The door that the end-effector holds.
         session: The session, which is at its start.
         rate: [deg/s] desired rotation rate of the door.
         guess: [deg] error of the initial estimate of the direction to the hinge.
