@@ -48,7 +48,7 @@ class Table(NamedTuple):
 
 @compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
-    """[m] the height nearest to z [m] at which a shape has a ring; z if there are no shapes."""
+    """[m] the height nearest to z at which a shape of a `Table` has a ring; z without shapes."""
     best, distance = z, np.inf
     for j in range(len(firsts) - 1):
         at = min(max(z, heights[firsts[j]]), heights[firsts[j + 1] - 1])

@@ -276,8 +276,8 @@ class _Flood:
     def run(self, sources: Array) -> tuple[Array, Array]:
         """Flood the open voxels from starting poses (N, n_m) [rad or m].
 
-        A batch of poses is tried again for open neighbouring voxels; each time, the batch's first
-        pose next to a voxel makes a step.
+        As long as voxels next to a batch of poses are open, the batch makes steps into them in up
+        to `retries` + 1 rounds; in each round, one pose makes a step into each of these voxels.
 
         Returns:
             The accepted poses (N, n_m) float32 [rad or m], including sources in open voxels, and

@@ -37,7 +37,7 @@ class ForceSplit(NamedTuple):
     turn_acceleration: ByAxis
     """[m/s² or rad/s²] acceleration (16) by `turn` alone, times β_m."""
     determinant: float
-    """Absolute measure of the base at p_act; for a differential base det(J_c J_cᵀ) of (7)
+    """Absolute value of the base's measure at p_act; for a differential base det(J_c J_cᵀ) of (7)
     [m⁴/rad⁴]."""
     reachability: float
     """[-] R of (9) at p_act."""

@@ -7,11 +7,11 @@ acceleration of the reference. It ends at the sample after two mean intervals, w
 velocity, or with the mean velocity since the previous sample if the own velocity is 0 or does not
 match the poses. Thus a steady motion stays steady, and jitter has no effect. Without a further
 sample the reference comes to rest at the last sample. A sample that requires more than the
-correction speed, or a higher acceleration than `_LEAP`, is approached within both: the first sample
-after a pause, an outlier, noise. Then each polynomial ends at rest on the way to the sample, and
-each step starts a new one. The first reference and references without jumps are used unchanged: the
-law itself limits the correction speed. A repeated reference is no sample, and counts as a reference
-at rest: a velocity is valid only while the poses move.
+correction speed, or a higher acceleration than `_LEAP`, is approached within these two limits; it
+can be the first sample after a pause, an outlier or noise. Then each polynomial ends at rest on the
+way to the sample, and each step starts a new one. The first reference and references without jumps
+are used unchanged: the law itself limits the correction speed. A repeated reference is no sample,
+and counts as a reference at rest: a velocity is valid only while the poses move.
 """
 
 import math

@@ -274,7 +274,7 @@ def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Arra
 
 
 def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """(…, 3) [m] where the rays from the centre through points (…, 3) meet the surface."""
+    """(…, 3) [m] points at which the rays from the centre through p (…, 3) meet the surface."""
     scaled = np.asarray(p) / np.abs(np.asarray(p) / np.asarray(semi_axes)).max(-1, keepdims=True)
     return scaled * implicit(scaled, semi_axes, e1, e2)[..., None] ** (-e1 / 2)
 

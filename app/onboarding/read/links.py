@@ -316,7 +316,7 @@ def read_inertias(
     moving = [link for segment in arm.segments[1:] for link in segment]
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(
-            "no link of the arm has a mass: torques cannot be computed; add <inertial>, or give "
+            "no link of the arm has a mass: torques cannot be computed; add <inertial>, or set "
             f"--assume-inertia to assume {ARM_DENSITY:g} kg/m³ in the hulls of its links"
         )
 

@@ -141,7 +141,7 @@ class BaseKind(Sourced, ABC):
     @property
     @abstractmethod
     def J_m(self) -> Array:
-        """(n_b, n_b) from q̇_b to ν, invertible and constant."""
+        """(n_b, n_b) map from q̇_b to ν; it is invertible and constant."""
 
     @property
     @abstractmethod
