@@ -155,5 +155,5 @@ def closest(name: str, choices: Iterable[str]) -> str:
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for the `closest` choice, or empty."""
+    """The text ` (did you mean 'x'?)` with the `closest` choice; empty if no choice is close."""
     return f" (did you mean {close!r}?)" if (close := closest(name, choices)) else ""

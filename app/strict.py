@@ -291,7 +291,7 @@ def check_range(option: str, value: float, low: float, high: float, unit: str = 
     """Check that a number is within [low, high], all in the same unit.
 
     Raises:
-        ConfigError: The number is outside, or is not-a-number; the message names the option and the
+        ConfigError: The number is outside, or is NaN; the message names the option and the
             range.
     """
     if not low <= value <= high:

@@ -138,7 +138,7 @@ def test_robot_with_more_than_200_joints_is_refused_before_modelling(monkeypatch
     (mine / "robot.toml").write_text(text.replace('"husky_panda"', '"mine"'), encoding="utf-8")
     monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
     (entry,) = [each for each in robot_entries() if each.name == "mine"]
-    assert "201 moving joints; at most 200" in str(entry.problem)
+    assert "201 moving joints; the limit is 200" in str(entry.problem)
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     "backslash": ({"..\\toy.urdf": TOY}, "leads out of the zip"),
     "control": ({"toy/a\nb.urdf": TOY}, "no name of a file"),
     "long name": ({"a" * 300 + ".urdf": TOY}, "no name of a file"),
-    "bomb": ({"toy.urdf": TOY, "m.stl": bytes(2_000_000)}, "expands to 2 MB; at most 1 MB"),
+    "bomb": ({"toy.urdf": TOY, "m.stl": bytes(2_000_000)}, "expands to 2 MB; the limit is 1 MB"),
     "many": ({f"{i}.urdf": "" for i in range(30)}, "a list of 30 files"),
     "file and folder": ({"toy.urdf": TOY, "a.stl": b"", "a.stl/b.stl": b""}, "not a zip that can"),
     "nothing": ({"readme.txt": "hello"}, "no .urdf in it"),
@@ -235,7 +235,7 @@ def test_invalid_or_manipulated_zip_is_refused(case: str, why: str, tmp_path: Pa
 def test_zip_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = zipped(tmp_path, {"toy.urdf": TOY})
     monkeypatch.setattr(unpacking, "LARGEST_ARCHIVE", path.stat().st_size - 1)
-    assert "a zip may have" in refused(tmp_path, path)
+    assert "MB; the limit is" in refused(tmp_path, path)
 
 
 @pytest.mark.parametrize(

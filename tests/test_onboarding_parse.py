@@ -156,7 +156,7 @@ def test_the_option_for_wheels_requires_wheels_of_the_base(tmp_path: Path) -> No
     for given, why in (
         (("lift", "right_axle"), "not on the base"),
         (("nothing", "right_axle"), "no joint or link 'nothing'"),
-        (("left_axle", "left_axle"), "not two equal wheels across"),
+        (("left_axle", "left_axle"), "not two equal wheels on one axle"),
     ):
         assert why in refused(tmp_path, TOY, wheels=given)
 
@@ -231,8 +231,8 @@ def test_a_chain_of_20_000_links_is_read_in_linear_time() -> None:
         ('xyz="0.15 0 0.1"', 'xyz="${x} 0 0.1"', "${x} 0 0.1 is unexpanded xacro"),
         (BOX, '<mesh filename="$(find a)/m.stl"/>', "$(find a)/m.stl is unexpanded xacro"),
         (BOX, '<mesh filename="m.glb"/>', "m.glb: there is no file"),
-        (BOX, "<mesh/>", "link 'hand': a mesh has no filename; name its file, or take"),
-        (f"<geometry>{BOX}</geometry>", "", "'hand': a collision has no geometry; give it one"),
+        (BOX, "<mesh/>", "link 'hand': a mesh has no filename; name its file, or remove"),
+        (f"<geometry>{BOX}</geometry>", "", "'hand': a collision has no geometry; add a geometry"),
         (
             "</robot>",
             2 * '<link name="floor_point"/>' + "</robot>",
@@ -247,9 +247,9 @@ def test_a_chain_of_20_000_links_is_read_in_linear_time() -> None:
         (
             'type="continuous"',
             'type="fixed"',
-            "no joint turns without end); give --wheel-radius and",
+            "no joint turns without limits); set --wheel-radius and",
         ),
-        ('0.05 -0.2 -0.05"', '0.3 -0.2 -0.05"', "left_axle, right_axle: no two across from each"),
+        ('0.05 -0.2 -0.05"', '0.3 -0.2 -0.05"', "left_axle, right_axle: no two are on one axle"),
     ],
 )
 def test_common_faults_of_a_urdf_are_refused_with_a_remedy(
@@ -378,7 +378,7 @@ def test_a_xacro_is_expanded(tmp_path: Path, ending: str) -> None:
 
 @pytest.mark.parametrize(
     ("radius", "helps"),
-    [("$(arg r)", "give it by --xacro NAME=VALUE"), ("${r}", "mend it until xacro FILE takes it")],
+    [("$(arg r)", "set it by --xacro NAME=VALUE"), ("${r}", "correct it, and try: xacro FILE")],
 )
 def test_only_a_missing_xacro_argument_is_requested(
     radius: str, helps: str, tmp_path: Path
@@ -411,7 +411,7 @@ def test_an_unknown_package_of_a_xacro_is_requested_with_its_folder(
     )
     path = write(tmp_path, text, "toy.urdf.xacro")
     options = Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made")
-    with pytest.raises(RobotFileError, match=r"give --package no_such_arm=FOLDER$"):
+    with pytest.raises(RobotFileError, match=r"set --package no_such_arm=FOLDER$"):
         parse(options)
     (tmp_path / "arm").mkdir()
     write(tmp_path / "arm", robot([*cart(), *arm()]), "arm.xacro")

@@ -121,8 +121,8 @@ def test_contents_of_a_zip_are_listed_before_the_robot_is_made(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("links", "joints", "words"),
     [
-        (5_000, 4_999, "it has 5000 links; . to 500 are taken"),
-        (2, 9_000, "it has 9000 joints; . to 500 are taken"),
+        (5_000, 4_999, "it has 5000 links; . to 500 are valid"),
+        (2, 9_000, "it has 9000 joints; . to 500 are valid"),
         (60_000, 59_999, "more than 30,000 elements"),
     ],
 )

@@ -138,8 +138,8 @@ def test_common_forms_of_mesh_addresses_are_read(tmp_path: Path, address: str) -
         ("hand.stl", "(did you mean 'Hand.STL'?)"),
         ("Meshes/m.stl", "(did you mean 'meshes/M.STL'?)"),
         (f"{300 * 'a'}/m.stl", "there is no file"),
-        ("package://__main__/m.stl", "give --package __main__=FOLDER"),
-        ("package://test/m.stl", "give --package test=FOLDER"),
+        ("package://__main__/m.stl", "set --package __main__=FOLDER"),
+        ("package://test/m.stl", "set --package test=FOLDER"),
     ],
 )
 def test_the_error_of_a_wrong_mesh_address_states_the_cause(
@@ -246,7 +246,7 @@ def test_a_free_joint_above_the_base_is_removed(tmp_path: Path, kind: str) -> No
     text = TOY.replace("</robot>", ABOVE.format(kind) + "</robot>")
     made = parsed(tmp_path, text)
     assert "map" not in rebased_urdf(made, name="toy", header="")
-    with pytest.raises(RobotFileError, match="moves the whole base; give --base base"):
+    with pytest.raises(RobotFileError, match="moves the whole base; set --base base"):
         parsed(tmp_path, text, base="map")
 
 
@@ -274,7 +274,7 @@ def test_a_placeholder_of_size_0_is_removed_and_reported(tmp_path: Path, shape: 
     [
         ("m.usd", "are read; convert it to one"),
         ("none.stl", "there is no file"),
-        ("package://gone/m.dae", "give --package gone=FOLDER"),
+        ("package://gone/m.dae", "set --package gone=FOLDER"),
         ("pointer.dae", "a Git LFS pointer"),
         ("", "has no filename"),
     ],
@@ -362,7 +362,7 @@ OBJ = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
     [
         ("m.stl", re.sub(r"(\d)\.(\d)", r"\1,\2", ASCII).encode(), "have decimal commas"),
         ("m.obj", OBJ.replace(".", ",").encode(), "have decimal commas"),
-        ("m.stl", cube()[:-120], "states 12 triangles, which take 684 bytes, and has 564"),
+        ("m.stl", cube()[:-120], "states 12 triangles, which are 684 bytes, but it has 564"),
         ("m.obj", OBJ.replace("0.1 0 0", "nan 0 0").encode(), "not a finite number"),
         ("m.stl", cube()[:96] + b"\0\0\x80\x7f" + cube()[100:], "not a finite number"),
     ],

@@ -1,7 +1,7 @@
 """FindActingPoint (Algorithm 3), and the force at the acting point (§3.1).
 
-All points are in the base's frame. The border moves with the base, whose motion is planar, so only
-one point is transformed instead of fifty thousand.
+All points and normals are in the base's frame. The border moves with the base, so only the closest
+point is transformed, instead of fifty thousand points of the border.
 """
 
 import math
@@ -18,21 +18,21 @@ from app.strict import Array
 
 @compiled()
 def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: float) -> float:
-    """α = S_0 d / (|S(p_n)| + S_0/2), bounded below and above, in metres; S_0 is the gain.
+    """α = S_0 d / (|S(p_n)| + S_0/2) [m], within its bounds; S_0 is the gain.
 
-    If the base moves the point well, α is proportional to d/|S|. Near the wheel axis, where S
-    vanishes, that ratio would jump between its bounds within millimetres. The formula here is 2 d
-    there, which is enough for the force to turn the base, and changes smoothly.
+    For a large |S|, α is proportional to d/|S|. Near the wheel axis, where S vanishes, d/|S| would
+    jump from one bound to the other within millimetres. There the formula above approaches 2 d,
+    which is enough for the force to turn the base, and it changes smoothly.
 
-    Paper: Eq. (13). Bounds as in Figure 8b: with too large a step the force has no component
-    along the line between the end-effector and the border.
+    Paper: Eq. (13). The bounds are those of Figure 8b: after a step that is too large, the force
+    has no component along the line between the end-effector and the border.
 
     Args:
         d: [m] distance of the pair.
         score: S(p_n), divided by `BaseKind.score_unit`.
         gain: [-] S_0.
-        alpha_min: [m]
-        alpha_max: [m]
+        alpha_min: [m] lower bound.
+        alpha_max: [m] upper bound.
     """
     proportional = gain * max(d, 0.0) / max(abs(score) + gain / 2.0, 1e-12)
     return min(max(proportional, alpha_min), alpha_max)
@@ -49,10 +49,9 @@ def uphill(gradient: Array) -> Array:
 
 @compiled()
 def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
-    """α (∇S·t / ‖∇S‖) t, (3,) [m].
+    """α (∇S·t / ‖∇S‖) t, (3,) [m]: the step from p_n to p_t, for ∇S (3,), t (3,) and α [m].
 
-    Paper: Eq. (12). On the wheel axis ∇S = 0 and the quotient is 0/0; its limit from both sides is
-    the direction +e_x.
+    Paper: Eq. (12). On the wheel axis ∇S = 0; the limit of ∇S/‖∇S‖ from both sides is e_x.
     """
     return alpha * (uphill(gradient) * t).sum() * t
 
@@ -74,7 +73,7 @@ def find_acting_point(
 
     Args:
         border: `BORDER` of the robot.
-        pair: Number of the pair in L_m.
+        pair: Number of the pair in L_m, from 0.
         score: (9,) coefficients of the score of the pair's body, as `ScoreField.coefficients`.
         p_b: (3,) [m] closest point on the arm, in the base's frame.
         d: [m] distance of the pair.
@@ -102,10 +101,10 @@ def avoidance_force(
 ) -> Array:
     """f_m,i: from the acting point towards the closest point, larger at a smaller distance.
 
-    f = f_max (1 − d/d_b) ‖n_xy‖ (p_b − p_act) / ‖p_b − p_act‖. The magnitude is within [0, f_max].
-    The factor ‖n_xy‖ is our extension, the horizontal part of a force along n: over the base's flat
-    top, where no horizontal force helps, it vanishes, and from the side it is 1. At p_b = p_act the
-    direction is that of −n in the plane.
+    f = f_max (1 − d/d_b) ‖n_xy‖ (p_b − p_act) / ‖p_b − p_act‖, where 1 − d/d_b is limited to 0 … 1.
+    The factor ‖n_xy‖ is our extension: above the base's flat top, where no horizontal force helps,
+    it is 0; beside the base it is 1. At p_b = p_act the direction is that of the horizontal part of
+    −n. The force is 0 if this part is 0 too.
 
     Paper: Eq. (14).
 
@@ -114,7 +113,7 @@ def avoidance_force(
         p_act: (3,) [m] acting point, at the same height.
         d: [m] signed distance of the pair.
         n: (3,) unit normal of the pair from the base to the arm.
-        f_max: [N] force at contact.
+        f_max: [N] upper bound of the force.
         d_b: [m] buffer distance.
 
     Returns:
@@ -137,7 +136,7 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 
     Args:
         f: (k, 3) [N] forces.
-        p_act: (k, 3) [m] acting points; they count only for forces other than 0.
+        p_act: (k, 3) [m] acting points; for a force of 0 they can be NaN.
     """
     total = np.zeros(3)
     for i in range(len(f)):
@@ -150,13 +149,13 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 
 @compiled()
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
-    """ẍ_m = A_b f_m (n_b,): acceleration by the resultant force, along the base's axes.
+    """ẍ_m = A_b f_m (n_b,) [m/s² or rad/s²]: acceleration along the base's axes by the force f_m.
 
     Paper: Eq. (16).
 
     Args:
-        A_b: (n_b, 3) of the base's kind; (17) and (18) of a differential one.
-        f_m: (3,) of `resultant_force`.
+        A_b: (n_b, 3) of the base's kind; for a differential base (17) and (18).
+        f_m: (3,) [N, N, N m] of `resultant_force`.
     """
     xdd_m = np.zeros(len(A_b))
     for i in range(len(A_b)):

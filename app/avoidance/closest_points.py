@@ -1,7 +1,7 @@
 """FindClosestPoints: signed distances, closest points and normals of all link pairs.
 
-The normal points from `a` to `b`, also in penetration. The closest points of a pair move
-continuously, also if a link turns parallel to a face.
+The normal points from `a` to `b`, also in penetration. The closest points of `SmoothPoints` move
+continuously, also while a link turns parallel to a face.
 """
 
 import math
@@ -35,7 +35,7 @@ class Nearest(NamedTuple):
 
     pairs: Sequence[Pair]
     joints: Array
-    """(k, 2) joints that move `a` and `b`."""
+    """(k, 2) pinocchio's indices of the joints that move `a` and `b`."""
     rows: Sequence[Sequence[int]]
     """For each pair: its own row, then the rows of the parts of `a` if there are several."""
     d: Array
@@ -53,7 +53,7 @@ class DistanceMonitor:
     """Distances of a fixed set of link pairs at the robot's present state."""
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
-        """Prepare the pairs, in the order of the results; `state` is read at each call."""
+        """Prepare pairs, whose order is that of the results; each method reads `state` anew."""
         self._state = state
         self._distances = PairDistances(state.model, pairs)
         self._smooth = SmoothPoints(state, pairs)
@@ -63,16 +63,14 @@ class DistanceMonitor:
     def find_closest_points(self) -> list[ClosestPoints]:
         """The closest points of every pair, from the collision library.
 
-        Paper: Algorithm 2, lines 4 and 9. The direction is the library's signed normal, not
-        p_b - p_a, which flips in penetration and would turn repulsion into attraction.
+        Paper: Algorithm 2, lines 4 and 9. The direction is the library's signed normal, not p_b −
+        p_a, whose sign changes in penetration: repulsion would become attraction.
         """
         self._distances.update_from(self._state.data)
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]
 
     def find_nearest(self, blend: float) -> Nearest:
-        """Closest points of `SmoothPoints`, which move continuously, with the distances of the
-        collision library. `blend` [m] is τ.
-        """
+        """Points of `SmoothPoints` with distances of the collision library; `blend` [m] is τ."""
         self._distances.update_from(self._state.data)
         points = self._smooth.find(blend)
         d = np.empty(len(points))
@@ -91,17 +89,17 @@ class SmoothPoints:
     If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
     one end to the other as the capsule turns. With the weights exp((min d - d_k)/τ) of the nodes,
     the mean moves continuously instead, because every distance d_k is continuous. If one node is
-    clearly nearest, it is the result. If `a` has several convex parts, the normal is the mean of
-    the parts' normals at the resulting point, with weights of the same form for the distances of
-    the parts. It is the gradient of a smooth distance, and shorter than 1 in a corner between two
-    parts.
+    much nearer than the others, this node is the result. If `a` has several convex parts, the
+    normal is the mean of the parts' normals at the resulting point, with weights of the same form
+    for the distances of the parts. This normal is the gradient of a smooth distance, and shorter
+    than 1 in a corner between two parts.
 
-    Any point of a flat face can be the nearest. Therefore the points of a flat face of `b` that are
-    nearest to the corners of `a` are nodes too.
+    The nearest point of a flat face can be any of its points. Therefore the points of the flat
+    faces of `b` that are nearest to the corners of `a` are nodes too.
     """
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
-        """Prepare for the bodies of pairs; `state` is read each time."""
+        """Prepare for the bodies of pairs; `find` reads the present `state`."""
         model, oMi = state.model, state.data.oMi
         names = list(dict.fromkeys(body for pair in pairs for body in pair))
         bodies = [_Body.of(model, name) for name in names]
@@ -125,7 +123,7 @@ class SmoothPoints:
         """For each pair: its own row, then the rows of the parts of `a` if there are several."""
         joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
         self.joints = np.array(joints, dtype=int).reshape(-1, 2)
-        """(k, 2) joints that move `a` and `b` of each row."""
+        """(k, 2) pinocchio's indices of the joints that move `a` and `b` of each row."""
 
     def arrays(self) -> dict[str, Array]:
         """Arguments of `mean_nearest` except poses, by the names of `app.control.inputs.ROBOT`."""
@@ -140,7 +138,7 @@ class SmoothPoints:
         }
 
     def find(self, blend: float) -> Array:
-        """(k, 4, 3) of `Nearest`; `blend` [m] is τ."""
+        """`points` (k, 4, 3) of `Nearest`; `blend` [m] is τ."""
         placed = np.concatenate([np.empty((0, 3)), *self._placed])
         return mean_nearest(*self._shapes, self._nodes, self._firsts, self._sought, placed, blend)
 
@@ -166,9 +164,7 @@ class _Body(NamedTuple):
 
 @compiled()
 def _seen_by(T_a: Array, T_b: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and origin (3,) [m] of b in the frame of a, from their poses (4, 3) in the
-    world.
-    """
+    """Rotation (3, 3) and origin (3,) [m] of b in a's frame, from poses (4, 3) in the world."""
     R, p = np.empty((3, 3)), np.zeros(3)
     for i in range(3):
         for j in range(3):
@@ -257,7 +253,7 @@ def mean_nearest(
         triangles: (T, 4, 3) triangles of these shapes.
         nodes: (K, 4) [m] core points of all bodies, each with its radius.
         firsts: (bodies + 1, 2) index of the first shape and of the first node of each body.
-        sought: (k, 4) bodies `a` and `b`; first and end index of the relevant shapes of `a`.
+        sought: (k, 4) numbers of `a` and `b`; first and end index of the relevant shapes of `a`.
         placed: (4 bodies, 3) pose of each body in the world: three rows of R, then the origin [m].
         blend: [m] τ.
     """

@@ -133,14 +133,14 @@ def load_border_data(
 
     Args:
         model: The robot.
-        sampling: Parameters of the sampling; the default is that of the project's files.
+        sampling: Parameters of the sampling; default: those of the project's files.
         progress: Whether to draw a progress bar on standard error.
         processes: Number of processes; default: one for each usable core.
         on_progress: Called with the share of the work that is done, 0 to 1.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
-        DescriptionError: The mobile robot is too large for the file format.
+        DescriptionError: The mobile robot is too large for the stored points.
     """
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:

@@ -19,7 +19,7 @@ class SamplingConfig(Strict):
     d_high: float = Field(default=0.32, ge=0.05, le=0.6)
     """[m] largest distance d_m of P_i."""
     voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)
-    """[m] horizontal side of a voxel; P_i has one point in each voxel."""
+    """[m] horizontal side of a voxel; P_i has at most one point in each voxel."""
     voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)
     """[m] height of a voxel."""
     sectors: int = Field(default=16, ge=1, le=64)
@@ -28,7 +28,7 @@ class SamplingConfig(Strict):
     """[-] number of floods of a sector; the second and later floods start at the borders to the
     neighbouring sectors."""
     retries: int = Field(default=6, ge=0, le=16)
-    """[-] number of times that a batch of poses is tried again for open neighbouring voxels."""
+    """[-] number of further rounds in which a batch of poses makes steps into open voxels."""
 
 
 QUICK = SamplingConfig(

@@ -48,7 +48,7 @@ class Table(NamedTuple):
 
 @compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
-    """[m] the height nearest to z [m] at which any shape has a ring."""
+    """[m] the height nearest to z at which a shape of a `Table` has a ring; z without shapes."""
     best, distance = z, np.inf
     for j in range(len(firsts) - 1):
         at = min(max(z, heights[firsts[j]]), heights[firsts[j + 1] - 1])
@@ -59,7 +59,7 @@ def level(firsts: Array, heights: Array, z: float) -> float:
 
 @compiled()
 def _row(heights: Array, first: int, last: int, z: float) -> tuple[int, int, float]:
-    """Rows, from `first` to before `last`, of the rings around z; fraction to the second one."""
+    """The rows in [first, last) below and above z, and the fraction of z between their heights."""
     k = first + int(np.searchsorted(heights[first:last], z, side="right")) - 1
     if heights[k] == z or k + 1 == last:
         return k, k, 0.0
@@ -129,7 +129,7 @@ def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
 
 @compiled()
 def _nearer(best: Best, p: complex, at: complex, tangent: complex) -> Best:
-    """The nearer to p of the point `best` and the point `at`."""
+    """`best`, or the point `at` with its tangent if that is nearer to p."""
     away = abs(p - at)
     return (away, at, tangent / abs(tangent)) if away < best[0] else best
 
@@ -191,13 +191,13 @@ def nearest_point(
 ) -> Array:
     """The contour's point nearest to the point `at` (3,) [m]; the other arguments are a `Table`.
 
-    If there is no contour at the point's height, the nearest available height is used. At each
-    height of the table, at least one part of a ring is outside of all other shapes. Blocks of edges
-    are searched in the order of their distance, until the next block is farther than the nearest
-    point, so the cost hardly grows with the number of shapes.
+    If there is no contour at the point's height, the contour of the nearest available height is
+    used, at the point's height. At each height of the table, at least one part of a ring is outside
+    of all other shapes. Blocks of edges are searched in the order of their distance, until the next
+    block is farther than the nearest point, so the cost hardly grows with the number of shapes.
 
     Returns:
-        (2, 3) p and t of `Foot`; not-a-number if there are no contours.
+        (2, 3) p and t of `Foot`; NaN if there are no contours.
     """
     z, p = level(firsts, heights, at[2]), complex(at[0], at[1])
     shapes, blocks = len(firsts) - 1, spans.shape[1]

@@ -40,7 +40,7 @@ class Cloud:
 
 
 def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
-    """Make a cloud from points (N, 3) int16 and distances (N,) uint16 in any order."""
+    """Make a pair's cloud from points (N, 3) and distances (N,) as in `Cloud`, in any order."""
     x, y, z = points.astype(np.int64).T
     # A single sort key of height, y and x is several times faster than three keys.
     order = np.argsort((z << 32) + (y << 16) + x)
@@ -63,7 +63,7 @@ def _frozen(array: Array) -> Array:
     return array
 
 
-SAME_HEIGHT = 0.005  # [m] largest difference of equal heights
+SAME_HEIGHT = 0.005  # [m] heights whose difference is at most this count as the same
 
 
 @dataclass(frozen=True)
@@ -103,9 +103,9 @@ def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
 
     Paper: Eq. (3).
 
-    Stored distances are rounded. Therefore the selection is narrower by half of the resolution, so
-    that the exact distance of each point is also within ε. The border is empty if P_i has no such
-    points.
+    Stored distances are rounded. Therefore the range of selected distances is narrower by half of
+    the resolution on both sides, so that also the exact distances satisfy (3). The border is empty
+    if P_i has no such points.
     """
     slack = eps - DISTANCE_UNIT / 2
     low = int(np.ceil((d_b - slack) / DISTANCE_UNIT))

@@ -58,7 +58,7 @@ class ConvexPart:
             d_b: [m] distance of the offset from the shape.
 
         Returns:
-            (K,) [m] distances along the rays; minus infinity if a ray misses the offset.
+            (K,) [m] distances along the rays; −inf if a ray misses the offset.
         """
         s, ends, left = start.copy(), np.full(len(rays), -np.inf), np.arange(len(rays))
         for _ in range(_MAX_NEWTON):
@@ -297,7 +297,7 @@ def nearest_of(
 
 @compiled()
 def is_round(row: Array) -> bool:
-    """Whether the nodes of a shape's core include the nearest point to any flat object."""
+    """Whether the shape in a row (16,) of `Shapes` has no flat face: a capsule or a sphere."""
     return bool(row[0] == _CAPSULE)
 
 
@@ -312,7 +312,7 @@ def distances_and_normals(rows: Array, triangles: Array, points: Array) -> Array
 
 @compiled()
 def act(R: Array, p: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """R (x, y, z) + p."""
+    """R (x, y, z) + p, for a rotation R (3, 3) and a translation p (3,)."""
     return (
         p[0] + R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
         p[1] + R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,

@@ -1,10 +1,10 @@
 """The border for the search of the acting point: as a surface, or as points as in the paper.
 
 The surface is the exact offset of l_m; the points are its samples. The nearest point of the surface
-moves continuously with the query point, except where two points of the surface are equally near,
-and the time to find it does not depend on how densely the border is sampled. The surface is closed,
-so it also covers regions that the arm never reaches. The arm is never there, and near such regions
-the reachability in the score leads away from them.
+moves continuously with the query point, except where two points of the surface are equally near.
+The time of the search does not depend on the density of the samples. The surface is closed, so it
+also covers regions that the arm never reaches. No closest point is ever there, and near such
+regions the reachability in the score leads away from them.
 """
 
 import math
@@ -47,7 +47,7 @@ class Foot(NamedTuple):
     p: Array
     """(3,) [m] the point of the border."""
     t: Array
-    """(3,) horizontal unit tangent there, with l_m on its left."""
+    """(3,) horizontal unit tangent there; on the surface, l_m is on its left."""
 
 
 @compiled()
@@ -56,8 +56,8 @@ def nearest_sample(
 ) -> tuple[Array, Array, bool]:
     """FindSameHeight and FindMinDistancePoint for sampled border points.
 
-    The tangent is perpendicular to the line from p to the nearest point. If p is on the border,
-    within ε, this line has no direction.
+    The tangent is perpendicular to the line from p to the nearest point. If the horizontal distance
+    of the two is at most ε, the direction of this line is undefined.
 
     Paper: Algorithm 3, lines 1 to 4.
 
@@ -69,9 +69,9 @@ def nearest_sample(
         eps: [m] ε of (3).
 
     Returns:
-        The nearest point (3,) [m], moved to the height of p; the tangent (3,), NaN if the line has
-        no direction; and whether there are points at this height. Without points, the first two are
-        invalid.
+        The nearest point (3,) [m], moved to the height of p; the unit tangent (3,), NaN if it is
+        undefined; and whether there are points at this height. Without points, the first two
+        results are invalid.
     """
     low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
     heights = points[first:end, 2]
@@ -89,13 +89,13 @@ def nearest_sample(
 
 @compiled()
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
-    """The border's point nearest to p (3,) [m] at the height of p, and the unit tangent there.
+    """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and its tangent.
 
-    If the border consists of points and has points at this height, the result is one of the pair's
-    sampled points. Its tangent is perpendicular to the line from p; if p is within ε of the point,
-    the tangent of the surface replaces it. Otherwise the result is a point of the surface, which is
-    the exact offset of l_m for all pairs, with the tangent of the contour. Point and tangent are
-    NaN if l_m has no border at all.
+    All are in the base's frame; `pair` is the number of the pair in L_m. If the border consists of
+    points and has points of this pair at this height, the result is one of them, with the tangent
+    of `nearest_sample`; where this tangent is undefined, the tangent of the surface replaces it.
+    Otherwise the result is a point of the surface, which is the exact offset of l_m for all pairs,
+    with the tangent of the contour. Point and tangent are NaN if l_m has no border at all.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -130,8 +130,8 @@ class BorderSearch:
 
         Args:
             offset: The surface at the distance d_b around l_m.
-            borders: The sampled border of each pair, for the same d_b; empty means that the search
-                uses only the offset.
+            borders: The sampled border of each pair, for the same d_b; if empty, the search uses
+                only the surface.
         """
         table = Table(*map(np.ascontiguousarray, offset.table))
         points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
@@ -142,14 +142,16 @@ class BorderSearch:
         """The border as a struct `BORDER`."""
 
     def nearest(self, p: Array) -> Foot | None:
-        """The nearest border point of the first pair at the height of p (3,) [m], or None."""
+        """The nearest border point of the first pair at the height of p (3,) [m], in the base's
+        frame; None if l_m has no border.
+        """
         foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
         return None if math.isnan(foot.p[0]) else foot
 
 
 @kept_per_model(8)
 def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the clouds' pairs, as the configured kind; cached for each model."""
+    """The border of the clouds' pairs, of the configured kind; cached for each model."""
     offset = offset_contours(model, config.d_b)
     if config.kind == "surface":
         return BorderSearch(offset)

@@ -185,7 +185,7 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: Array) -> list[_Level] | None:
-        """Trace all heights from the shape's centre; None if it is outside of a slice."""
+        """Trace all heights from the shape's centre; None if the centre is outside of a slice."""
         found: list[_Level] = []
         ends: Array | None = None
         for z in heights:
@@ -231,7 +231,7 @@ class _Tracer:
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
-        """(RAYS,) [m] length of each ray, with estimates `start`; −inf if it misses the offset."""
+        """(RAYS,) [m] lengths of the rays, from estimates `start`; −inf for rays without a hit."""
         part = self._part
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))

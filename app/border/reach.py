@@ -92,7 +92,7 @@ class Chain:
 
     @property
     def ranges(self) -> tuple[Array, Array]:
-        """The joint limits (k,) [rad or m], lower and upper, reduced to one turn of a joint."""
+        """Lower and upper ends (k,) [rad or m] of the joints' ranges, at most one turn each."""
         turned = np.minimum(self.upper, self.lower + 2 * np.pi)
         return self.lower, np.where(self.turns, turned, self.upper)
 
@@ -168,7 +168,7 @@ class ReachMap:
     that carries it, the centre of the first shape for other bodies."""
     found: Array
     """(N,) [-] mean number of solutions of a pose at each position, within the joint limits and
-    without self-collision; the mean is taken over orientations and fixed joints."""
+    without self-collision; it is the mean over orientations and fixed joints."""
     samples: int
     """Number of joint positions."""
     reach: Array

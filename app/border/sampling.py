@@ -34,8 +34,8 @@ from app.strict import Array
 _SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the number of cores
 _BATCH = 2048  # [-] smallest number of poses in a batch, if there are enough poses
 _DAMPING = 0.03  # [m] damping of the pseudo-inverse; entries of an arm's Jacobian are around 0.5 m
-_FREE_STEP = 0.10  # [rad] self-motion or perturbation of the first retry; it grows with each retry
-_MAX_STEP = 0.25  # [rad] largest step of a joint for which the Jacobian is valid
+_FREE_STEP = 0.10  # [rad] random self-motion of the first retry; it grows with each retry
+_MAX_STEP = 0.25  # [rad or m] largest step of a joint; the Jacobian is valid up to about this step
 
 
 def sample_clouds(
@@ -64,6 +64,9 @@ def sample_clouds(
 
     Returns:
         P_i by the name of the pair.
+
+    Raises:
+        DescriptionError: The mobile robot is too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
     seeds = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -118,9 +121,8 @@ class _Sampler:
         return starts
 
     def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
-        """One job for each sector with a starting pose.
-
-        In rounds after the first, the starting poses of a sector come from other sectors.
+        """One job for each sector with a starting pose: after the first round, one of another
+        sector.
         """
         taken = self._voxels.keys(self._voxels.cells(kept.points))
         free = np.ones(self._voxels.count, dtype=bool)
@@ -274,8 +276,8 @@ class _Flood:
     def run(self, sources: Array) -> tuple[Array, Array]:
         """Flood the open voxels from starting poses (N, n_m) [rad or m].
 
-        A batch of poses is tried again for open neighbouring voxels; each time, the batch's first
-        pose next to a voxel makes a step.
+        As long as voxels next to a batch of poses are open, the batch makes steps into them in up
+        to `retries` + 1 rounds; in each round, one pose makes a step into each of these voxels.
 
         Returns:
             The accepted poses (N, n_m) float32 [rad or m], including sources in open voxels, and
@@ -412,15 +414,14 @@ class Voxels:
         self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns
 
     def cells(self, points: Array) -> Array:
-        """Cell indices (N, 3) along x, y and z; a cell can be outside of the grid.
+        """Indices (N, 3) along x, y and z of the cells of points (N, 3) int16 as in `Cloud`.
 
-        Args:
-            points: (N, 3) int16, in units of `POINT_UNIT`.
+        A cell can be outside of the grid.
         """
         return (points - self._origin) // self._size
 
     def keys(self, cells: Array) -> Array:
-        """(N,) index of each cell (N, 3), or −1 outside of the grid."""
+        """(…) index of the voxel at each cell (…, 3), or −1 outside of the grid."""
         inside = ((cells >= 0) & (cells < self.shape)).all(axis=-1)
         nx, ny, _ = self.shape
         return np.where(inside, (cells[..., 2] * ny + cells[..., 1]) * nx + cells[..., 0], -1)
@@ -442,9 +443,9 @@ class Voxels:
         return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sector of each free voxel at or next to points (N, 3) int16, −1 if not free.
+        """(N, 7) sectors of the voxels at and next to points (N, 3) int16; −1 if not free.
 
-        `free` (count,) states whether each voxel is free.
+        `free` (count,) states whether each voxel is free; a cell outside of the grid is not free.
         """
         keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

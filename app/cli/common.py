@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def load_model(robot: str) -> RobotModel:
-    """Load the model of a robot by its name."""
+    """Load the model of a robot by its name; raises the errors of `load_robot` and `RobotModel`."""
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
@@ -168,9 +168,9 @@ def is_case(word: str) -> bool:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Check that none of some options, which a case already sets, is set by the user.
+    """Check that the user has set none of the options that a case already sets.
 
-    The options have their values by name; None means that an option is not set. `border` and
+    `options` has the values by name; None means that the user has not set an option. `border` and
     `buffer_distance` are ignored, because they override the case. `case` is the origin of the case
     for the message: the option `--case`, or the case's file.
 
@@ -189,7 +189,7 @@ def trace_of(path: Path) -> Trace:
     """Read the trace of a log, or execute the run of a case and return its trace.
 
     Raises:
-        DbbError: The file is neither a log nor a case.
+        DbbError: The file is neither a log nor a case, or the run of the case cannot start.
     """
     from app.simulation.trace.log_file import read_trace
 

@@ -146,13 +146,13 @@ def study(
 
     The pulls come from all sides, with noise, delay, slip and model errors. The force, stiffness
     and mass of the hand vary. In some cases the person releases the end-effector early, and in some
-    of these grasps it again. Each finished case is stored. After an interruption, the same
-    command continues the study; a larger number of cases extends it.
+    of these cases grasps it again. Each finished case is stored. After an interruption, the same
+    command continues the study; a larger number of cases extends the study.
 
     Args:
         cases: Number of cases.
-        scheduler: Address of a running dask scheduler; this project must be installed for its
-            workers. Default: processes on this machine.
+        scheduler: Address of a running dask scheduler; the scheduler's workers need this project.
+            Default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MAX_CASES)
@@ -181,7 +181,7 @@ def study(
 
 @contextmanager
 def _resumable(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar; after Ctrl-C, print how many cases are stored, and how to continue."""
+    """Show a progress bar; after Ctrl-C, print the number of stored cases, and how to continue."""
     kept = 0.0
 
     def count(done: float) -> None:

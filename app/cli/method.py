@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
-_MAX_SAMPLES = 10_000_000  # [-] samples that take about a minute and a gigabyte
+_MAX_SAMPLES = 10_000_000  # [-] largest number of samples
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
 _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, for the end-effector
 
@@ -249,9 +249,9 @@ def bench(
 ) -> None:
     """Time the control step, its stages, and the work with borders.
 
-    The command first simulates some paths and records the controller's inputs; the steps are then
-    measured with these inputs. Durations depend on the machine and its other work; compare only
-    ratios within one run.
+    The command first simulates some paths and records the controller's inputs; then it measures the
+    steps with these inputs. Durations depend on the machine and its other work; compare only ratios
+    within one run.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.

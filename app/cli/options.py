@@ -79,7 +79,7 @@ _METAVARS = {
 
 
 class Field(NamedTuple):
-    """The description of an option."""
+    """The description of an option: type, default and help text."""
 
     kind: Any
     default: Any
@@ -285,7 +285,7 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
 
 
 def check_seed(seed: int) -> None:
-    """Check that all random number generators accept a seed.
+    """Check that all generators of random numbers accept a seed.
 
     Raises:
         ConfigError: The seed is out of range; the message names the range.

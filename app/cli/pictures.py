@@ -95,11 +95,11 @@ class Filming:
     """Options of a film."""
 
     rate: float = 25.0
-    """[1/s] number of pictures in a second of the film."""
+    """[1/s] number of pictures per second of the film."""
     speed: float = 1.0
     """[-] playback speed; 1 is real time."""
     orbit: float = 0.0
-    """[deg/s] rotation of the camera around the robot, per second of the film."""
+    """[deg/s] speed of the camera's rotation around the robot, in the film's time."""
     span: tuple[float, float] | None = None
     """[s] part of the scenario; default: the whole scenario."""
     side_by_side: bool = False

@@ -71,7 +71,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     rest.remove(scenario.name)
     for name in map(_field, rest):
         if name in _OF_SCENARIOS and name not in scenario.options:
-            raise scenario.without(name)
+            raise scenario.unknown_option(name)
     return scenario.name, command_of(scenario), rest
 
 
@@ -134,7 +134,7 @@ def run_case(
 ) -> None:
     """Repeat a case: the same robot, scenario, parameters and seed.
 
-    The results are the same too, unless an option or a newer version changes the run.
+    The results are the same too, unless an option or a different version changes the run.
 
     Args:
         case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.

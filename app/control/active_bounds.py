@@ -39,7 +39,7 @@ class Bound(NamedTuple):
 
 
 def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bound]:
-    """The active limits of a step: first the limits of the arm, then the limits of the base."""
+    """The active limits of a step with a solution: those of the arm, then those of the base."""
     n_m = model.n_m
     low, high = met(w)
     joints = model.description.arm.joints
@@ -62,9 +62,7 @@ def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bou
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
-    """The components of the base's velocity command (n_b,) [m/s or rad/s] that are at their
-    limit.
-    """
+    """The limits that the base's velocity command (n_b,) [m/s or rad/s] has reached."""
     base = model.description.base
     largest = largest_command(base, config.admittance)
     return [
@@ -88,7 +86,7 @@ def met(w: ControlStep) -> tuple[Array, Array]:
 def _joint_kind(
     model: RobotModel, w: ControlStep, config: Config, joint: int, upper: bool
 ) -> BoundKind:
-    """Whether the position limit or the velocity limit gives the tighter acceleration bound."""
+    """Whether the position limit or the velocity limit causes the tighter acceleration bound."""
     at, rates = int(upper), config.limit
     q, qd = w.q_m[joint], w.qd_m[joint]
     position = position_bound(q, qd, model.q_limits[at, joint], rates.position_rate)

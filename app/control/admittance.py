@@ -27,9 +27,9 @@ def next_command(
     """The velocity command after one period of M_a v̇ + D_a v = F with F = M_a a, solved exactly.
 
     The change and the result are limited by `a_max` and `v_max`. The input a is the mean of
-    `a_base_cmd` in the command period, so that no command of the 1 kHz controller is lost between
-    two velocity commands. F is not the base's part of u: that part is not zero while the base is at
-    rest, and the base would drift.
+    `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an effect. F
+    is not the base's part of u: that part is not zero while the base is at rest, so that the base
+    would drift.
 
     Args:
         acceleration: (n_b,) [m/s² or rad/s²] a, mean of the commanded acceleration.
@@ -37,8 +37,8 @@ def next_command(
         period: [s] command period.
         mass: (n_b,) [kg or kg m²] diagonal of M_a.
         damping: (n_b,) [N s/m or N m s] diagonal of D_a.
-        a_max: (n_b,) largest accelerations of the base.
-        v_max: (n_b,) largest commands.
+        a_max: (n_b,) [m/s² or rad/s²] largest accelerations of the base.
+        v_max: (n_b,) [m/s or rad/s] largest commands.
     """
     found = np.empty(len(command))
     for i in range(len(command)):
@@ -54,8 +54,8 @@ def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Arr
     """The feasible command (n_b,) nearest to `command`, within the largest commands `v_max`.
 
     If the axes of a base depend on each other, the nearest feasible command can exceed the largest
-    command of an axis. Then all axes are multiplied by the same factor, which keeps the direction.
-    `before` (n_b,) is the previous command.
+    command of an axis. Then all axes are multiplied by the same factor. `before` (n_b,) is the
+    previous command; all values are in m/s or rad/s.
     """
     found = base.admissible(command, before)
     over = float(np.max(np.abs(found) / v_max))
@@ -79,7 +79,7 @@ def response(base: BaseKind, config: AdmittanceConfig) -> tuple[Array, Array]:
     this form while the law's limits are not active.
 
     Returns:
-        (n_b,) the gain [-], and (n_b,) the drag [1/s]; ν is the velocity at the period's start.
+        (n_b,) the gain [-], and (n_b,) the drag [1/s].
     """
     drag = virtual_damping(base, config) / virtual_mass(base, config)
     return np.array([_gain(each * config.period) for each in drag]), drag
@@ -91,5 +91,5 @@ def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:
 
 
 def by_axis(base: BaseKind, linear: float, angular: float) -> Array:
-    """(n_b,) one of two numbers for each axis of a base."""
+    """(n_b,) for each axis of a base the number `linear` or `angular`, by the kind of the axis."""
     return np.array([angular if axis.angular else linear for axis in base.axes])

@@ -1,18 +1,18 @@
-"""The d_b that is required for the base to move away before an approaching end-effector arrives.
+"""The d_b that the base requires to move away before an approaching end-effector arrives.
 
 An end-effector approaches the base along -n at a constant speed v, independent of the base. The
 bound of its distance depends on three properties:
 
 - Dead time t_0 = period + delay + τ. The controller's commands are averaged over a command period
   and reach the drive later by the delay; the first-order lag of the drive adds the delay τ.
-- The law commands more with a deeper end-effector. At the distance d it accelerates the base along
-  -n, in each of its channels k (v and ω of a differential one). This acceleration is
+- The law accelerates the base more when the end-effector is deeper in the buffer. At the distance d
+  the acceleration along -n, in each channel k of the base (v and ω of a differential one), is
   a_k = β(d) f_max (1 - d/d_b) ‖n_xy‖ J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
   end-effector's place (x, y) and m_k = m or I for a linear or an angular channel. The force points
   from the acting point to the end-effector. The acting point is offset sideways by α_min while the
   end-effector is d_b - d inside the border: u is the horizontal normal, turned by the angle
   arctan(α_min / (d_b - d)) to the worse side.
-- The admittance law turns a_k into a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
+- The admittance law converts a_k to a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
   a_k within the base's acceleration limit and w_k within the base's largest speed.
 
 Once the end-effector is at some d_*, the law commands at least a_k(d_*) while it is nearer. Thus
@@ -53,8 +53,9 @@ _SIZES = np.geomspace(0.05, 2.0, 25)  # [m] sampled d_b
 
 @compiled()
 def _gain(v: float, a: float, T: float) -> float:
-    """[m] approach of a point of speed v to one that starts at rest with the acceleration a and
-    the final speed a T, until both have the same speed.
+    """[m] approach of a point of speed v to a second point, until both have the same speed.
+
+    The second point starts at rest with the acceleration a and approaches the speed a T.
     """
     final = max(a * T, 1e-12)
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
@@ -71,18 +72,17 @@ def _bound(
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] the largest d_* - x(d_*), see the docstring of the module; minus infinity if the base
-    reaches the speed v at no d_*.
+    """[m] the largest d_* - x(d_*) of the module's docstring; −∞ if the base reaches v at no d_*.
 
     Args:
-        d_b: [m]
+        d_b: [m] buffer distance.
         channels: (c, 6) J · n and J · t, with the horizontal part of n and the perpendicular t of
             the same length, m_k [kg], upper bounds of a_k and w_k along n, and T_k [s].
         v: [m/s] approach speed.
         late: [s] t_0.
         kept: [-] share of a speed that is not lost to slip.
-        f_max: [N]
-        alpha_min: [m]
+        f_max: [N] upper bound of the avoidance force.
+        alpha_min: [m] smallest step size.
         d_full: [m] distance of full activation.
     """
     count = len(channels)
@@ -133,12 +133,12 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b with which the distance of arm and base stays at least the reserve.
 
-    The docstring of the module lists the assumptions. Delay and slip are read from the
+    The docstring of the module lists the assumptions. Delay and slip are those of the
     configuration; the configured d_b has no influence.
 
     Returns:
-        At least the reserve and d_full, so that β can rise. Infinite if no d_b up to 2 m suffices,
-        for example because the base cannot retreat as fast as the arm approaches.
+        The d_b; never less than the reserve and d_full, so that β can rise. Infinite if no d_b up
+        to 2 m suffices, for example because the base cannot retreat as fast as the arm approaches.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:
@@ -169,8 +169,8 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
     """(k,) [m] lower bound of the arm's smallest distance to the base, for each d_b (k,) [m].
 
-    Each d_b must be larger than d_full. The bound is minus infinity if the base cannot retreat as
-    fast as the arm approaches (`approach.v`) at any distance.
+    Each d_b must be larger than d_full. The bound is −∞ if the base cannot retreat as fast as the
+    arm approaches (`approach.v`) at any distance.
     """
     ways = list(_ways(approach, base, config))
     return np.array([max(_bound(each, *way) for way in ways) for each in d_b])

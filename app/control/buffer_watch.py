@@ -1,4 +1,4 @@
-"""Monitors the approach speed of the arm to the base, and the d_b that it requires."""
+"""Monitors the speed at which the arm approaches the base, and the d_b that this speed requires."""
 
 import math
 from collections import deque
@@ -16,41 +16,40 @@ _SAMPLE = 10  # control steps between two readings of the speed
 _EVERY = 50  # control steps between two evaluations of the mean reading
 _REMEMBERED = 3.0  # [s] during which an approach is recent
 _SLOW = 0.005  # [m/s] smallest approach speed
-_FARTHEST = parameter("border.d_b").high  # [m] farther points are no approach
+_FARTHEST = parameter("border.d_b").high  # [m] largest distance of an approach
 
 
 class BufferReading(NamedTuple):
     """Whether d_b is sufficient."""
 
     approach_speed: float
-    """[m/s] largest speed towards the base in the last 3 s."""
+    """[m/s] largest speed of an approach in the last 3 s; 0 without an approach."""
     needed: float
     """[m] largest d_b required by an approach in the last 3 s; infinite if an approach was faster
     than the base retreats; 0 without an approach."""
     approach_speed_max: float
-    """[m/s] largest speed since the reset."""
+    """[m/s] largest speed of an approach since the reset."""
     needed_max: float
     """[m] largest required d_b since the reset."""
     too_small: bool
-    """Whether `needed` exceeds the present d_b, for a controller whose base avoids."""
+    """Whether `needed` exceeds the present d_b; False if the controller does not move the base."""
     too_small_ever: bool
-    """Whether `needed_max` exceeds the present d_b, for a controller whose base avoids."""
+    """The same for `needed_max`."""
 
 
 class BufferWatch:
     """Evaluates the pairs of L_m step by step, and computes the required d_b.
 
-    The approach speed is the speed of the arm's closest point along -n, relative to the floor, also
-    while the base retreats: the speed relative to the base would be smaller. An approach counts
-    while the arm's motion reduces the distance, if the distance is below the present d_b or below
-    the d_b that the approach requires: an end-effector that is farther away can still slow down. An
-    approach from above does not count, because no motion of the base helps, and the arm alone
-    resists.
+    The approach speed is the speed of the arm's closest point along −n, relative to the floor. The
+    speed relative to the base would be smaller while the base retreats. An approach counts while
+    the arm's motion reduces the distance, if the distance is below the present d_b or below the d_b
+    that the approach requires: an end-effector that is farther away can still slow down. An
+    approach from above does not count, because no motion of the base helps.
     """
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        """The parameters; this record can be replaced at any time."""
+        """The parameters; a caller can replace them at any time."""
         self.reset()
 
     def reset(self) -> None:
@@ -66,7 +65,7 @@ class BufferWatch:
     ) -> BufferReading:
         """Evaluate one control step of dt [s] at the robot's state.
 
-        `gives_way` says whether the controller moves the base away.
+        `gives_way` states whether the controller moves the base away.
         """
         if self._steps % _SAMPLE == 0:
             look = self._steps % _EVERY == 0
@@ -91,8 +90,8 @@ class BufferWatch:
     def _sample(self, state: RobotState, control: ControlStep, i: int, *, look: bool) -> None:
         """Record the speeds of the i-th pair.
 
-        With `look`, compute the required d_b if the mean of the recent speeds is an approach; the
-        mean excludes tremors.
+        With `look`, compute the required d_b if the mean of the recent speeds is an approach; a
+        tremor has a small mean.
         """
         pair, row = control.pairs[i], control.rows[i][0]
         speeds = self._speeds.setdefault(pair.name, deque(maxlen=_EVERY // _SAMPLE))
@@ -126,8 +125,8 @@ def approach_speeds(state: RobotState, pair: Pair, p_b: Array, n: Array) -> tupl
         n: (3,) the pair's normal, in the world.
 
     Returns:
-        [m/s] the speed relative to the floor, and the speed by the arm's motion alone, which
-        reduces the distance.
+        [m/s] the speed relative to the floor, and the speed relative to the base, which the arm's
+        motion alone causes.
     """
     arm, base = (
         -float(n @ state.point_velocity(state.model.body_joints[body], p_b))
@@ -148,11 +147,11 @@ def buffer_warning(reading: BufferReading, config: Config) -> str | None:
     if not reading.too_small_ever:
         return None
     text = (
-        f"d_b = {config.border.d_b:.2f} m is too small: the arm came at up to "
-        f"{reading.approach_speed_max:.2f} m/s, the base's command up to "
+        f"d_b = {config.border.d_b:.2f} m is too small: the arm approached at up to "
+        f"{reading.approach_speed_max:.2f} m/s, and the base's command is up to "
         f"{config.admittance.period + config.disturbance.base_delay:.2f} s late: "
     )
     if math.isinf(reading.needed_max):
-        return text + "no d_b suffices, the base does not retreat as fast"
+        return text + "no d_b suffices, because the base does not retreat as fast"
     beyond = f", {_FARTHEST:.2f} m can be set" if reading.needed_max > _FARTHEST else ""
     return text + needed_text(reading.needed_max) + beyond

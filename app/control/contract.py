@@ -37,7 +37,7 @@ def check_gains(config: Config, dt: float) -> None:
     """Refuse gains that are too large for a control period of dt [s].
 
     Raises:
-        ConfigError: Names the gain, its bound for this period, and the period that it requires.
+        ConfigError: A gain is too large; the message has the bounds of the gain and of the period.
     """
     for section in sections():
         for each in section.tunables:
@@ -54,7 +54,7 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """The error for positions (n_m,) far outside of the limits; it names the worst joint."""
+    """The error for positions q_m (n_m,) far outside of the limits; it names the worst joint."""
     half = 0.5 * (model.q_upper - model.q_lower)
     i = int(np.argmax(np.abs(q_m - 0.5 * (model.q_upper + model.q_lower)) / half))
     return MeasurementError(
@@ -65,10 +65,10 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
 
 
 class JointOrder:
-    """Positions and velocities of the arm from joint states in a driver's own order.
+    """A function that selects the arm's positions and velocities from a driver's joint states.
 
     The joint states can have any order of joints, further joints, and no velocities, as in
-    `sensor_msgs/JointState`. The names are resolved once; a step only selects the entries::
+    `sensor_msgs/JointState`. The names are resolved once; a call only selects the entries::
 
         order = loop.joint_order(message.name)
         Measurement(base_pose, base_velocity, *order(message.position, message.velocity))
@@ -78,7 +78,7 @@ class JointOrder:
         """Resolve the names of the arm's joints.
 
         Raises:
-            MeasurementError: Names missing or duplicate joints.
+            MeasurementError: A joint of the arm is missing in `names`, or appears twice.
         """
         if isinstance(names, str) or not isinstance(names, Iterable):
             raise MeasurementError(
@@ -100,7 +100,7 @@ class JointOrder:
     ) -> tuple[Array, Array]:
         """(n_m,) positions and (n_m,) velocities in the order of the description's `arm.joints`.
 
-        Velocities without readings are NaN.
+        If `velocity` is None or empty, the velocities are NaN.
 
         Raises:
             MeasurementError: The number of values differs from the number of names.
@@ -115,7 +115,8 @@ def checked_reference(reference: Reference) -> Reference:
     """The reference with arrays of floats.
 
     Raises:
-        MeasurementError: It is not a reference, or has a wrong shape; the message names the field.
+        MeasurementError: The value is no `Reference`, or a field has a wrong type or shape; the
+            message names the field.
     """
     if not isinstance(reference, Reference):
         raise MeasurementError(
@@ -136,7 +137,7 @@ def checked_reference(reference: Reference) -> Reference:
 
 
 def no_motion(reference: Reference) -> MeasurementError:
-    """The error for a reference that no end-effector can have; it names the field."""
+    """The error for a reference that is no possible motion; it names the field."""
     pose, v, a = reference
     if not np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
         return MeasurementError("reference: an entry is not a finite number")

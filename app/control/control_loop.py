@@ -48,16 +48,12 @@ class Command(NamedTuple):
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Names of all faults of this step's readings; `app.control.readings.FAULTS` explains
-        them.
-        """
+        """Names of all faults of this step's readings, from `app.control.readings.FAULTS`."""
         return tuple(name for name, is_on in zip(FAULTS, self.step.faults, strict=True) if is_on)
 
 
 class ControlLoop:
-    """The controller, with the model of the base's drive and the admittance law, for your own
-    loop.
-    """
+    """The controller with the model of the base's drive and the admittance law."""
 
     def __init__(
         self,
@@ -73,7 +69,7 @@ class ControlLoop:
 
         Args:
             model: The robot.
-            data: Its link pairs and border; default: read from the cache, or sampled now.
+            data: The robot's link pairs and border; default: read from a file, or sampled now.
             config: Parameters; default: the parameters of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
@@ -82,7 +78,9 @@ class ControlLoop:
         Raises:
             UnknownNameError: The controller does not exist.
             ConfigError: The period is invalid, or too long for a gain.
-            DescriptionError: The mobile robot is too large for its border to be stored.
+            AssetError: A mesh is missing.
+            DescriptionError: The description has no reachability of a body that can meet the mobile
+                robot, or the mobile robot is too large for a border.
         """
         config = config or model.description.config
         self.controller = Controller(
@@ -98,10 +96,10 @@ class ControlLoop:
         """Names of all faults of the readings since `reset`."""
 
     def joint_order(self, names: Sequence[str]) -> JointOrder:
-        """Sort the joint states of a driver that has its own order of joints, and further joints.
+        """A function that sorts a driver's joint states; `names` is the driver's order of joints.
 
         Raises:
-            MeasurementError: Names missing or duplicate joints.
+            MeasurementError: A joint of the arm is missing in `names`, or appears twice.
         """
         return JointOrder(self.controller.state.model, names)
 
@@ -127,7 +125,7 @@ class ControlLoop:
 
         Args:
             measured: The sensors' readings.
-            reference: Desired motion of the end-effector, or None while a person guides it.
+            reference: Desired motion of the end-effector, or None while a person guides the arm.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong number of entries, or the

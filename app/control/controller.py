@@ -83,8 +83,8 @@ class Controller:
 
         Args:
             model: The robot.
-            data: Its link pairs and border.
-            config: Parameters, which `configure` changes.
+            data: The robot's link pairs and border.
+            config: Parameters, which `configure` replaces.
             name: One of `CONTROLLERS`.
             dt: [s] control period.
             interpolate: Whether to interpolate references that jump (`app.control.references`).
@@ -92,6 +92,8 @@ class Controller:
         Raises:
             UnknownNameError: The controller does not exist.
             ConfigError: The period is invalid, or too long for a gain.
+            DescriptionError: The description has no reachability of a body that can meet the mobile
+                robot.
         """
         self._model, self._data, self._config = model, data, config
         self._dt, self._interpolate = checked_period(dt), interpolate
@@ -126,9 +128,9 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
 
-        A new d_b or ε selects a different border from the same samples at once. The buffer distance
-        in use approaches the new d_b at `algorithm.BUFFER_RATE`, because a jump would accelerate an
-        arm inside the buffer abruptly.
+        A new d_b or ε selects a different border at once. The buffer distance in use approaches the
+        new d_b at `algorithm.BUFFER_RATE`, because a jump would abruptly accelerate an arm inside
+        the buffer.
 
         Raises:
             ConfigError: The control period is too long for a gain.
@@ -155,7 +157,7 @@ class Controller:
 
     @property
     def dt(self) -> float:
-        """[s] the control period: as stated, or as measured if the readings contradict it."""
+        """[s] the control period: the stated one, or the measured one after the fault `period`."""
         return self._dt
 
     def reset(self) -> None:
@@ -179,12 +181,11 @@ class Controller:
         *,
         base_acceleration: Array | None = None,
     ) -> ControlStep:
-        """Compute one step of Algorithm 2, with the commanded or the measured acceleration of the
-        base.
+        """Compute one step of Algorithm 2, with the commanded or measured acceleration of the base.
 
         Args:
             measurement: The sensors' readings.
-            reference: Desired motion of the end-effector, or None while a person guides it.
+            reference: Desired motion of the end-effector, or None while a person guides the arm.
             base_acceleration: (n_b,) [m/s² or rad/s²] measured acceleration of the base; default:
                 the commanded acceleration of this step.
 
@@ -221,7 +222,7 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def score_field(self, pair: str) -> ScoreField:
-        """The score for the acting points of a pair of L_m, by the pair's name."""
+        """The score for the acting points of a pair of L_m, by the name of an existing pair."""
         body = next(each.b for each in self._data.pairs.mobile if each.name == pair)
         return ScoreField.of(self._model, body)
 
@@ -255,7 +256,7 @@ class Controller:
         return w
 
     def _rescue(self, which: int) -> None:
-        """Let ProxQP solve the open problem."""
+        """Solve the open QP, number `which` from 0, by ProxQP, and write the result into `qp_x`."""
         w, m = self.last, int(self.last.qp_rows)
         w.qp_tried[which] = 1.0
         if which == HIERARCHY:

@@ -25,14 +25,14 @@ class Drive:
         self.reset()
 
     def reset(self) -> None:
-        """Stand still."""
+        """Set the drive to rest."""
         self.velocity = [0.0] * self._base.n_b
         """[m/s or rad/s] the n_b present velocities of the drive, along the base's axes."""
         self.state = self._at_rest
         """(n_d,) further states of the drive, such as a steering angle [rad]."""
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
-        """(n_b,) the velocity after one period of a command (n_b,), clamped to the limits."""
+        """(n_b,) [m/s or rad/s] the velocity after one period with the velocity command (n_b,)."""
         command = np.asarray(v_cmd).tolist()
         self.velocity, self.state = self._follow(self.velocity, self.state, command)
         return self.velocity

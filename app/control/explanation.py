@@ -37,7 +37,7 @@ class ForceSplit(NamedTuple):
     turn_acceleration: ByAxis
     """[m/s² or rad/s²] acceleration (16) by `turn` alone, times β_m."""
     determinant: float
-    """Absolute measure of the base at p_act; for a differential base det(J_c J_cᵀ) of (7)
+    """Absolute value of the base's measure at p_act; for a differential base det(J_c J_cᵀ) of (7)
     [m⁴/rad⁴]."""
     reachability: float
     """[-] R of (9) at p_act."""
@@ -63,10 +63,10 @@ class NearPair(NamedTuple):
     n: tuple[float, float, float]
     """Unit normal from `a` to `b`, in the base's frame."""
     above: float
-    """[-] share of the force that vanishes because the pair meets from above, where no motion of
-    the base helps; 0 to 1."""
+    """[-] share of the force, 0 to 1, that vanishes because the arm approaches from above, where no
+    motion of the base helps."""
     arm_beta: float
-    """[-] activation of the arm's own rows against the base, 0 without rows."""
+    """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
     held: bool
     """Whether the barrier of the pair's distance is active in the arm's QP."""
     force: ForceSplit | None
@@ -77,7 +77,7 @@ class Level(NamedTuple):
     """The slack of one task: its demand minus its result."""
 
     name: LevelName
-    """"base": the base's rows of T_sca; "arm": the arm's rows against the base; "links": rows
+    """"base": the base's rows of T_sca; "arm": the rows T_rep of the arm; "links": rows
     between links; "hand": the end-effector's task; "posture": the lowest task, or "free" during
     guiding: the motion without avoidance."""
     linear: float | None
@@ -106,12 +106,12 @@ class Explanation(NamedTuple):
     axes: tuple[Axis, ...]
     """The base's axes, which define the components of its accelerations."""
     base_avoidance: ByAxis
-    """[m/s² or rad/s²] of (16), times β_m; 0 without the base's rows."""
+    """[m/s² or rad/s²] acceleration (16) of the base, times β_m; 0 without the base's rows."""
     base_asked: ByAxis
-    """(n_b,) commanded base acceleration."""
+    """[m/s² or rad/s²] commanded base acceleration."""
     base_given: ByAxis
-    """(n_b,) base acceleration that the arm's QP assumes: `a_base_meas`; with the fallback command,
-    the commanded acceleration."""
+    """[m/s² or rad/s²] base acceleration that the arm's QP assumes: `a_base_meas`; with the
+    fallback command, the commanded acceleration."""
     levels: tuple[Level, ...]
     """Slack of each task, highest priority first."""
     bounds: tuple[Bound, ...]
@@ -126,8 +126,8 @@ class Explanation(NamedTuple):
 
     @property
     def bearing(self) -> NearPair | None:
-        """The most important pair, or None: the deepest one in penetration, otherwise the most
-        active one of L_m, otherwise the most active one between links.
+        """The most important pair: the deepest one in penetration, otherwise the most active one of
+        L_m, otherwise the most active one within the arm; None without any near pair.
         """
         inside = (pair for pair in self.near if pair.d < 0.0)
         return min(inside, key=lambda pair: pair.d, default=next(iter(self.near), None))
@@ -138,7 +138,7 @@ def explain(
 ) -> Explanation:
     """Explain the controller's last step.
 
-    `base_command` (n_b,) [m/s or rad/s] is the command of the admittance law in force.
+    `base_command` (n_b,) [m/s or rad/s] is the present velocity command.
     """
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
@@ -192,7 +192,7 @@ def objective_slack(H: Array, c: Array, qdd: Array, n_b: int) -> Array:
 
 
 def row_slacks(w: ControlStep) -> Array:
-    """(n_s,) demand of each row of T_sca, in the blend of (29), minus its result; 0 if β = 0."""
+    """(n_s,) slack of each row of T_sca: the blend of (29) minus the row's result; 0 if β = 0."""
     without = w.qdd.copy()
     without[w.n_b :] -= objective_slack(w.H, w.c, w.qdd, w.n_b)
     blend = w.B * w.b_sca + (1.0 - w.B) * (w.J_sca @ without)
@@ -224,7 +224,7 @@ def split(f: Array, n: Array) -> tuple[Array, Array]:
 
 
 def _near_pair(controller: Controller, w: ControlStep, i: int, *, held: bool) -> NearPair | None:
-    """The i-th pair, or None if it has no effect."""
+    """The i-th pair, or None if its activation is 0 and its barrier is not active."""
     mobile, beta, n = i < w.n_mob, float(w.beta[i]), w.normal[i]
     pushed = mobile and bool((w.B[w.n_b + len(w.pairs) - w.n_mob :] > 0.0).any())
     arm_beta = beta if pushed else 0.0

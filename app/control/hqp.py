@@ -1,9 +1,9 @@
 """The paper's controller as printed (§3.4): strict levels, (26), and their transition, (29).
 
-This is the compared method `hqp`. The cascade below follows the paper, with only those corrections
-without which it does not work:
+This is the compared method `hqp`. The cascade below follows the paper, with only the necessary
+corrections:
 
-- The reference of (29) is on the right, with J̇_sca q̇: only then does B = 0 give (26).
+- The reference of (29) is on the right, with J̇_sca q̇: only then does (29) become (26) at B = 0.
 - (26) leaves q̈ open if T_2 has fewer rows than the robot has axes. A lowest level completes it:
   posture and damping, with a large weight on the wheels. A guided arm has no T_2 (§4.2.2): its
   lowest levels are a base at rest, then gravity compensation with joint damping.
@@ -39,7 +39,7 @@ class NoSolutionError(ArithmeticError):
 
 
 def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
-    """q̈ (n,) of a control step with stacked tasks, or NaN if ProxQP finds no solution."""
+    """q̈ (n,) of a control step by the paper's hierarchy; NaN if ProxQP finds no solution."""
     below = tasks_below(w, gains)
     active = w.B > 0.0
     T_sca = Task(w.J_sca[active], w.b_sca[active])
@@ -51,7 +51,7 @@ def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
 
 
 def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
-    """T_2 and the level below it; during guiding there is no T_2."""
+    """The levels below T_sca: T_2 and posture, or the two levels of a guided arm."""
     if w.tracking:
         return [end_effector(w, gains), posture(w)]
     return [base_at_rest(w, gains), gravity_compensation(w)]
@@ -73,7 +73,7 @@ def posture(w: ControlStep) -> Task:
 
 
 def base_at_rest(w: ControlStep, gains: TaskConfig) -> Task:
-    """q̈_b = −k q̇_b."""
+    """q̈_b = −k q̇_b: the base comes to rest."""
     return Task(np.eye(w.n_b, len(w.qd)), -gains.base_damping * w.qd[: w.n_b])
 
 
@@ -97,7 +97,7 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 def cascade(levels: list[Task]) -> Array:
     """q̈ (n,): min ‖w‖ level by level, without changing the slacks of higher levels.
 
-    T_sca is on top as in (29).
+    The first level has the highest priority. The errors are those of `least_slack`.
 
     Paper: Eq. (26), (29).
     """
@@ -112,8 +112,8 @@ def cascade(levels: list[Task]) -> Array:
 def least_slack(level: Task, above: Array, qdd: Array) -> Array:
     """q̈ (n,) that minimises ‖J q̈ − b‖ without changing the results of higher levels.
 
-    The rows `above` (k, n) of the higher levels have the same product with the new q̈ as with the
-    given q̈.
+    The rows `above` (k, n) of the higher levels have the same product with the result as with the
+    argument `qdd` (n,).
 
     Raises:
         NoSolutionError: ProxQP finds no solution.

@@ -58,7 +58,7 @@ ROBOT = struct_type("_Robot", _ROBOT)
 _GAINS: dict[str, Any] = {
     "dt": _FLOAT,  # [s] control period
     "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
-    "d_b": _FLOAT,
+    "d_b": _FLOAT,  # this and the next fields: parameters of `Config`, in their units
     "f_max": _FLOAT,
     "f_arm": _FLOAT,
     "alpha_gain": _FLOAT,
@@ -122,13 +122,13 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
     "barrier": {"barrier": True, "base_in_barrier": True},
     "none": {},
 }
-"""The terms that each compared controller adds to the tasks or to the limits."""
+"""The terms that each controller adds to the tasks or to the limits."""
 MOVES_BASE = frozenset(name for name, terms in METHODS.items() if terms.get("moves_base"))
-"""Names of the controllers whose base gives way."""
+"""Names of the controllers that move the base by the avoidance force."""
 
 
 def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Any:
-    """`ROBOT` of a robot, its link pairs, and the closest points of these."""
+    """`ROBOT` of a robot, its link pairs, and their closest points; errors of `ScoreField.of`."""
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile
     rows = [parts or [whole] for whole, *parts in smooth.rows]

@@ -11,8 +11,8 @@ from app.compiled import compiled
 from app.strict import Array
 from app.structs import put
 
-_EPS = 1e-12  # tolerance relative to a bound
-_MISSED = 1e-10  # tolerance of the limits
+_EPS = 1e-12  # [-] relative tolerance of a bound in the search
+_MISSED = 1e-10  # tolerance of the limits, in their own units
 
 
 @compiled()
@@ -115,7 +115,7 @@ def _within(K: Array, active: Array, r: Array) -> Array:
 def _activate_row(
     p: int, side: float, miss: float, K: Array, y: Array, kept: Array, size: int
 ) -> tuple[int, bool]:
-    """Bring row p to its bound, by changing y and the set of active rows.
+    """Change y and the active rows, the first `size` of `kept`, until row p is at its bound.
 
     Returns:
         Number of active rows, and whether row p is at its bound; if not, the hard rows are
@@ -175,7 +175,7 @@ def compliances(slack_weight: Array, length: Array) -> Array:
 
 @compiled()
 def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple[int, float]:
-    """The row whose value s is farthest outside of its bounds, and how far.
+    """The row whose value s is farthest outside of its bounds, and its distance from the bound.
 
     An active row counts as at its bound, a row with NaN as the most violated one.
     """
@@ -268,7 +268,7 @@ def _joined(fixed: Array, rest: Array) -> Array:
 def solve_qp(
     H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
 ) -> tuple[Array, bool]:
-    """Min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
+    """Solve min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
 
     If no limit is active, the solution is a closed form. Otherwise, with H = L Lᵀ and
     z = Lᵀ (x − x*) from the free optimum x*, the solution is the feasible z nearest to 0. A slack s
@@ -278,10 +278,10 @@ def solve_qp(
 
     Args:
         H: (n, n) symmetric positive definite.
-        c: (n,)
-        C: (m, n)
-        l: (m,)
-        u: (m,)
+        c: (n,) linear term.
+        C: (m, n) rows of the limits.
+        l: (m,) lower limits.
+        u: (m,) upper limits.
         slack_weight: (m,) [-] softness of each row; a row with 0 is hard.
         fixed: (k,) the first entries of x.
 
@@ -302,7 +302,7 @@ def solve_qp_step(
     """The feasible x nearest to x_0, the optimum with the fixed entries and without limits.
 
     The distance is in the metric H, and all entries of x can differ from x_0, the fixed entries
-    too.
+    too. The arguments are those of `solve_qp`.
 
     Returns:
         (n,) the solution, and whether the active sets found it.

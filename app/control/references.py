@@ -7,11 +7,11 @@ acceleration of the reference. It ends at the sample after two mean intervals, w
 velocity, or with the mean velocity since the previous sample if the own velocity is 0 or does not
 match the poses. Thus a steady motion stays steady, and jitter has no effect. Without a further
 sample the reference comes to rest at the last sample. A sample that requires more than the
-correction speed, or a higher acceleration than `_LEAP`, is approached within both: the first sample
-after a pause, an outlier, noise. Then each polynomial ends at rest on the way to the sample, and
-each step starts a new one. The first reference and references without jumps are used unchanged: the
-law itself limits the correction speed. A repeated reference is no sample, and is at rest: a
-velocity is valid only while the poses move.
+correction speed, or a higher acceleration than `_LEAP`, is approached within these two limits; it
+can be the first sample after a pause, an outlier or noise. Then each polynomial ends at rest on the
+way to the sample, and each step starts a new one. The first reference and references without jumps
+are used unchanged: the law itself limits the correction speed. A repeated reference is no sample,
+and counts as a reference at rest: a velocity is valid only while the poses move.
 """
 
 import math
@@ -29,7 +29,7 @@ from app.strict import Array
 from app.structs import fill, put, put_rows
 
 FASTEST, HARDEST = 20.0, 1000.0
-"""[m/s, rad/s; m/s², rad/s²] largest components of a reference, beyond those of any arm."""
+"""[m/s, rad/s; m/s², rad/s²] largest components of a reference; no arm reaches them."""
 _LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
 _RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
@@ -65,7 +65,7 @@ def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
 
 @compiled()
 def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether a reference differs from the last one that was sent."""
+    """Whether a reference differs from the last one that the caller has sent."""
     for i in range(3):
         if p[i] != w.x_sent[3, i]:
             return True
@@ -80,7 +80,7 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
 
 @compiled()
 def _leaps(way: Array, v: Array, dt: float) -> bool:
-    """Whether the velocity v (6,) does not explain the motion (6,) since the last reference."""
+    """Whether v (6,) does not explain the motion `way` (6,) in the period dt [s]."""
     leaps = False
     for i in range(6):
         leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2
@@ -89,15 +89,13 @@ def _leaps(way: Array, v: Array, dt: float) -> bool:
 
 @compiled()
 def _largest(motion: Array) -> float:
-    """The larger one of the lengths of a linear and an angular part, together (6,)."""
+    """The larger of the lengths of the linear and the angular part of a motion (6,)."""
     return math.sqrt(max((motion[:3] ** 2).sum(), (motion[3:] ** 2).sum()))
 
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Start a polynomial to the newest sample; `way` (6,) is the pose difference from the last
-    reference to this sample.
-    """
+    """Start a polynomial to the newest sample; `way` (6,) is its motion from the last reference."""
     between = w.since_sample[()]
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion
@@ -149,8 +147,8 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
 def _continue_way(gains: Any, w: Any) -> None:
     """Evaluate the polynomial at this step, and write the result as the reference.
 
-    If no further sample arrives in time, a new polynomial comes to rest at the last sample. After
-    the end of the polynomial nothing is written.
+    If no further sample arrives in time, a new polynomial comes to rest at the last sample. At the
+    end of the polynomial, its duration becomes 0, and no reference is written.
     """
     late = w.since_sample[()] > _LATE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
@@ -167,9 +165,7 @@ def _continue_way(gains: Any, w: Any) -> None:
 
 @compiled()
 def _state(way: Array, t: float) -> tuple[Array, Array, Array]:
-    """Relative pose, velocity and acceleration, each (6,), of the polynomial `way` (6, 6) at time
-    t.
-    """
+    """Pose difference, velocity, acceleration (6,) of the polynomial `way` (6, 6) at time t [s]."""
     at, v, a = np.zeros(6), np.zeros(6), np.zeros(6)
     for k in range(5, -1, -1):
         at = at * t + way[k]
@@ -223,7 +219,7 @@ def take_reference(
         interpolate: Whether to interpolate references that jump.
 
     Returns:
-        Whether this can be a motion (`_is_motion`); otherwise nothing is written.
+        Whether the reference is a possible motion (`_is_motion`); otherwise nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False

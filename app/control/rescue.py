@@ -1,8 +1,8 @@
 """The last resort for a QP whose active-set search ends without a solution: ProxQP.
 
-The search ends so after ten passes for each row, with hard rows that seem infeasible, or with data
-that are not finite. This is rare, and takes a millisecond. The compared method `hqp` uses ProxQP in
-every step (`app.control.hqp`).
+The search has no solution after ten passes for each row, if hard rows seem infeasible, or if the
+data are not finite. This is rare; ProxQP takes a millisecond. The compared method `hqp` uses ProxQP
+in every step (`app.control.hqp`).
 """
 
 from typing import NamedTuple
@@ -37,7 +37,7 @@ class OpenQP(NamedTuple):
 
 
 def solved_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) of a QP, or NaN if it is infeasible or its data are not finite."""
+    """The solution (n,) of a QP; NaN if it is infeasible, or if its data are not finite."""
     k, x = len(qp.fixed), _without_limits(qp)
     moved = qp.C[:, :k] @ qp.fixed
     C, l, u = qp.C[:, k:], qp.l - moved, qp.u - moved

@@ -98,8 +98,8 @@ def end_effector_task(
 
     Args:
         pose: (6,) error of the pose: linear [m], then angular [rad].
-        velocity: (6,) error of the velocity.
-        acceleration: (6,) ẍ_d − J̇_ee q̇.
+        velocity: (6,) error of the velocity [m/s, rad/s].
+        acceleration: (6,) ẍ_d − J̇_ee q̇ [m/s², rad/s²].
         k_p: [1/s²] position gain.
         k_v: [1/s] velocity gain.
         max_speed: [m/s] and [rad/s] upper bound of the correction speed.
@@ -174,7 +174,7 @@ def posture_objective(
     base_weight: float,
     base_damping: float,
 ) -> tuple[Array, Array]:
-    """Move the arm towards a posture, and bring the base to rest.
+    """H (n, n) and c (n,) that move the arm towards a posture, and bring the base to rest.
 
     An acceleration of the base costs `base_weight` times as much as that of a joint.
     Without this task (26) does not determine the motion in the null space of T_2: the paper's robot
@@ -185,9 +185,9 @@ def posture_objective(
 
     Args:
         qd: (n,) q̇.
-        q_m: (n_m,) joint positions.
-        q_posture: (n_m,) the posture.
-        q_limits: (2, n_m) lower and upper joint limits.
+        q_m: (n_m,) [rad or m] joint positions.
+        q_posture: (n_m,) [rad or m] the posture.
+        q_limits: (2, n_m) [rad or m] lower and upper joint limits.
         stiffness: [1/s²] stiffness towards the posture.
         damping: [1/s] damping of the joints.
         joint_centering: [1/s²] pull at a joint limit towards the middle.
@@ -214,12 +214,12 @@ def posture_objective(
 
 @compiled()
 def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
-    """u_0 = g_a − D q̇_a (n_m,): gravity compensation and joint damping [N m or N].
+    """u_0 = g_a − D q̇_a (n_m,) [N m or N]: gravity compensation and joint damping.
 
     Args:
         g: (n,) gravity terms.
         qd: (n,) q̇.
-        joint_damping: (n_m,) D.
+        joint_damping: (n_m,) [N m s/rad or N s/m] D.
     """
     n_b, u = len(g) - len(joint_damping), np.empty(len(joint_damping))
     for i in range(len(u)):
@@ -229,10 +229,10 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 
 @compiled()
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
-    """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0): a guided arm applies only the torques of avoidance.
+    """H (n, n) and c (n,) of min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), the task of a guided arm.
 
     u_0 (n_m,) [N m or N] is the torque without avoidance. As a function of q̈_a the cost has the
-    Hessian M_aa. For a fixed acceleration of the base its minimum is u_a = u_0, and rows of the
+    Hessian M_aa. For a fixed acceleration of the base the minimum is at u_a = u_0, and rows of the
     avoidance task add J_rᵀ λ. There is no posture task, because the person would feel it.
     """
     n_b, c = len(h) - len(u_0), np.zeros(len(h))
@@ -245,7 +245,11 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
 def add_base_rest_task(
     H: Array, c: Array, L_aa: Array, qd: Array, weight: float, damping: float, n_b: int
 ) -> tuple[Array, Array]:
-    """The objective of a guided arm, extended by the task that brings the base to rest."""
+    """H and c of `guided_objective`, extended by the task that brings the base to rest.
+
+    `L_aa` is the Cholesky factor of M_aa, `qd` (n,) is q̇; `weight` [-] and `damping` [1/s] are
+    those of the base.
+    """
     n = len(c)
     H, c = H.copy(), c.copy()
     share = np.empty((n - n_b, n_b + 1))
@@ -266,12 +270,12 @@ def add_base_rest_task(
 
 @compiled()
 def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array:
-    """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's reaction to the force of pairs with the
-    base.
+    """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's reaction to the force of the pairs of L_m.
 
     This is our extension. The force (14) acts on the base alone; without a reaction a released arm
-    would stay in the buffer, and the base would move on. `d` (k,) [m] and `J` (k, n) are distances
-    and Jacobians of the pairs of L_m; f [N] is the force at contact.
+    would stay in the buffer, and the base would continue to move. `d` (k,) [m] and `J` (k, n) are
+    distances and Jacobians of these pairs; f [N] is the force at contact, d_b [m] the buffer
+    distance.
     """
     u = np.zeros(J.shape[1] - n_b)
     for i in range(len(d)):

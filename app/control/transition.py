@@ -33,10 +33,10 @@ def insert_rows(
 
     Args:
         H: (n, n) symmetric positive definite.
-        c: (n,)
-        J: (k, n) rows.
-        b: (k,) right-hand sides.
-        beta: (k,) [-] activations.
+        c: (n,) linear term of the tasks below.
+        J: (k, n) rows J_i of T_sca.
+        b: (k,) right-hand sides b_i.
+        beta: (k,) [-] activations β_i.
         least: [-] remaining share of a row's compliance at β = 1.
         fixed: Number of fixed first entries of q̈, which do not contribute to J_i H⁻¹ J_iᵀ.
 
@@ -62,7 +62,7 @@ def insert_rows(
 
 @compiled()
 def clip(values: Array, low: Array, high: Array) -> Array:
-    """The values within bounds, all (k,)."""
+    """The values (k,), limited to the bounds `low` and `high` (k,)."""
     found = np.empty_like(values)
     for i in range(len(values)):
         found[i] = min(max(values[i], low[i]), high[i])
@@ -82,17 +82,16 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
     """R (3, n_b): end-effector motion by the base's axes that the arm cannot compensate.
 
-    The method moves the base and leaves the end-effector to the arm. An arm that lacks a joint for
-    that, or is at full stretch, cannot compensate the base's motion: the base drags the
-    end-effector along, the distance stays the same, and the base would drive on. Our extension: R =
+    The method moves the base, and the arm has to compensate the motion of the end-effector. An arm
+    that lacks a joint for that, or is at full stretch, cannot do so: the base drags the
+    end-effector along, the distance stays the same, and the base would continue. Our extension: R =
     (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the end-effector's
     linear Jacobian, Q the largest joint speeds and v a speed. Along a direction in which the joints
-    move the end-effector at v, half of the base's motion remains; at twice that speed, one
-    seventeenth.
+    can move the end-effector at v, half of the base's motion remains; at 2 v, one seventeenth.
 
     Args:
         J_ee: (6, n) end-effector Jacobian.
-        qd_max: (n_m,) largest joint speeds.
+        qd_max: (n_m,) [rad/s or m/s] largest joint speeds.
         J_m_inv: (n_b, n_b) from the base's axes to q̇_b.
         speed: [m/s] v.
     """
@@ -126,7 +125,7 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
 
     Args:
         desired: (n_b,) [m/s² or rad/s²] a_des.
-        hold: (n_b,) a_hold, the base acceleration at which the end-effector fulfils its task.
+        hold: (n_b,) [m/s² or rad/s²] a_hold: with it the end-effector fulfils its task.
         inertia: (n_b,) [kg or kg m²] diagonal of I, the base's inertia.
         mass: [kg] m.
         drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.

@@ -1,8 +1,8 @@
 """Reading of untrusted data within a budget of time and memory.
 
-This process reads small data. A child process reads larger data; the system ends the child after
-its processor time, and refuses memory beyond the budget. Thus no file can exhaust the memory of a
-server or block its threads.
+This process reads small data. A child process reads larger data; the system ends the child when its
+processor time exceeds the budget, and refuses memory beyond the budget. Thus no file can exhaust
+the memory of a server or block its threads.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class BudgetError(ValueError):
 
 
 class Budget(NamedTuple):
-    """Time and memory for reading data, in addition to the needs of the process itself."""
+    """Time and memory for reading data, in addition to those that a process needs by itself."""
 
     seconds: float
     """[s] processor time."""

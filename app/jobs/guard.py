@@ -1,6 +1,6 @@
 """A guard: a process that kills another process if the other process does not end in time.
 
-The guard is separate, so a library that hangs and holds Python's lock cannot stop the guard. Its
+The guard is a separate process, so a library that hangs and holds Python's lock cannot stop it. Its
 command is `python guard.py HEARD LIVES PID PATIENCE`. HEARD is a file descriptor. The end of this
 file, or a byte with the number of an ending signal, announces the end of the process; the guard
 copies all bytes to standard output. LIVES is the file descriptor of a pipe that is open while the

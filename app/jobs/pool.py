@@ -20,7 +20,7 @@ from app.jobs.progress import OnProgress
 from app.system import usable_cores
 
 Result = TypeVar("Result")
-_TRIES = 3  # [-] attempts at a job whose process ends
+_TRIES = 3  # [-] largest number of attempts at a job that ends its process
 _log = logging.getLogger(__name__)
 
 
@@ -35,8 +35,8 @@ class Workers(AbstractContextManager["Workers"]):
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
         """Prepare a number of processes; default: one for each usable core.
 
-        With one process, this process executes the jobs. `make_context` makes the data that all
-        jobs share, and must be picklable.
+        With the number 1, or if no process can start, this process executes the jobs.
+        `make_context` makes the data that all jobs share, and must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
@@ -88,6 +88,7 @@ class Workers(AbstractContextManager["Workers"]):
 
         Raises:
             LoopError: Each attempt at a job has ended its process, and there is no `lost`.
+            Exception: Any exception of `function`, when the job's result is read.
         """
         shares = _Shares(len(jobs), on_progress)
         tasks = [_Task(function, job, tells, lost) for job in jobs]
@@ -119,7 +120,7 @@ class Workers(AbstractContextManager["Workers"]):
             yield result
 
     def _ask(self, task: _Task, tell: OnProgress) -> Any:
-        """Run a job in an idle process; each thread of the pool has a process."""
+        """Run a job in an idle process; there are as many threads as processes."""
         child = self._idle.get()
         try:
             for _ in range(_TRIES):

@@ -33,7 +33,7 @@ negative number if the share is unknown."""
 _CANCEL_EVERY = 0.1  # [s] time between two checks of the event that cancels
 _PATIENCE = 2.5  # [s] time in which a process can clean up before it is killed
 _BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
-"""Code of a child's interpreter, which sets the parent's path before it imports this module."""
+"""Code of a child's interpreter: it sets the parent's `sys.path`, then imports this module."""
 _running: set[Child] = set()
 """Processes of `run_in_process`, which end when this process exits."""
 
@@ -57,7 +57,11 @@ class Child(AbstractContextManager["Child"]):
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Start the process; with `leads_group`, all processes that it starts end with it."""
+        """Start the process; with `leads_group`, all processes that the child starts end with it.
+
+        Raises:
+            OSError: The process cannot start.
+        """
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
         """Connection to the process."""
@@ -83,7 +87,7 @@ class Child(AbstractContextManager["Child"]):
     def ended(self, patience: float = 0.0) -> int | None:
         """The exit status if the process ends within `patience` [s], otherwise None.
 
-        A negative status is the negative number of the signal that ended the process.
+        After a signal, the status is the negative number of the signal.
         """
         try:
             return self._process.wait(patience)
@@ -91,10 +95,7 @@ class Child(AbstractContextManager["Child"]):
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process, and its group if it leads one.
-
-        The process can clean up first, but not with `at_once`.
-        """
+        """End the process, and its group if it leads one; without `at_once` after a clean-up."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -136,7 +137,7 @@ def run_in_process(
     cancelled: threading.Event,
     niceness: int = 10,
 ) -> Any:
-    """Run `work(report, *args)` in a `Child` of a niceness 0 to 19, and return its result.
+    """Run `work(report, *args)` in a `Child` with a niceness from 0 to 19, and return the result.
 
     `report` is called in this process with each report of `work`. The event `cancelled` ends the
     child and all its children.

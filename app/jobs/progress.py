@@ -20,7 +20,7 @@ OnProgress = Callable[[float], None]
 _EVERY = 20.0  # [s] time between two lines of plain text; shorter work prints no line
 _LONGEST = 2.0  # [s] time in which a command can end by itself after a signal
 _PATIENCE = 8.0  # [s] time after which the guard kills a process in which no thread can run
-_TIDYING = 1.0  # [s] timeout of the exit functions of a process that did not
+_TIDYING = 1.0  # [s] timeout of the exit functions of a process that is ended by `_end_late`
 _received: list[int] = []
 
 
@@ -28,19 +28,19 @@ _received: list[int] = []
 def progress_bar(
     text: str, total: float, *, shown: bool = True
 ) -> Iterator[Callable[[float], None]]:
-    """Display the progress of some work, if `shown`, by the name of the work and its total amount.
+    """Display the progress of the work `text`, whose amount is `total`; nothing if not `shown`.
 
     Yields:
         A function that takes the amount of work that is done. If a library has swallowed the
         exception of an ending signal, such as Ctrl-C, the start of the work or the next call of
         this function raises the exception again.
     """
-    _raise_what_was_lost()
+    _raise_lost_signal()
     show = _bar if sys.stderr.isatty() else _lines
     with show(text, total) if shown else nullcontext(lambda _: None) as update:
 
         def on_progress(done: float) -> None:
-            _raise_what_was_lost()
+            _raise_lost_signal()
             update(done)
 
         yield on_progress
@@ -49,12 +49,12 @@ def progress_bar(
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
     """A function that takes the share of a part of some work, and reports the share of the whole.
 
-    The part is the interval from `begin` to `end` [-] of the whole work, 0 to 1.
+    The part begins at the share `begin` of the whole work and ends at the share `end`, 0 to 1.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 
 
-def _raise_what_was_lost() -> None:
+def _raise_lost_signal() -> None:
     """Raise the exception of a signal again if compiled code or an import has swallowed it."""
     if _received and threading.current_thread() is threading.main_thread():
         raise _exception()
@@ -98,7 +98,7 @@ def ending_signals_raised() -> Iterator[None]:
 
     SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` with 128 + the signal's
     number. If compiled code converts the exception into another error, the exception is raised
-    again at the end. If the work does not end, the process ends by `_deadline`.
+    again at the end. If the work does not end, `_deadline` ends the process.
 
     Raises:
         KeyboardInterrupt: SIGINT (Ctrl-C) has ended the work.
@@ -116,7 +116,7 @@ def ending_signals_raised() -> Iterator[None]:
         with _deadline(tuple(before)):
             yield
     except Exception as error:
-        # This exception names the signal; a browser's error only says that the browser has ended.
+        # This exception names the signal; a browser's error only states that the browser has ended.
         if _received and (isinstance(error, BrowserError) or not isinstance(error, DbbError)):
             raise _exception() from error
         raise
@@ -136,14 +136,14 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 @contextmanager
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
-    """End the process 2 to 3 s after one of some signals, independently of the main thread.
+    """End the process 2 to 3 s after one of the signals `numbers`, without the main thread.
 
     Python's own handlers wait until compiled code of the main thread has returned, and their
     exceptions can be lost there. Therefore the number of each signal is also written to a pipe,
     immediately. The guard reads the pipe and passes the numbers on to a thread of this process,
     which ends the process; if the guard is killed, the thread reads the pipe itself. If compiled
-    code holds Python's lock, so that no thread of this process can run, the guard kills it after
-    8 s.
+    code holds Python's lock, no thread of this process can run; the guard then kills this process
+    after 8 s.
     """
     if not numbers:
         yield
@@ -169,7 +169,7 @@ def _end_late(sources: Sequence[int], numbers: Sequence[int], longest: float) ->
                 if number[0] in numbers:
                     wake_children()
                     sleep(longest)
-                    # Temporary folders are removed, as at any end; a removal may hang.
+                    # The exit functions remove temporary folders; a removal may hang.
                     tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
                     tidying.start()
                     tidying.join(_TIDYING)

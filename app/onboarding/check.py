@@ -76,17 +76,17 @@ def check_robot(
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
 ) -> Iterator[Row]:
-    """All checks of a description; each row follows as soon as its check ends.
+    """All checks of a description; a row is available as soon as its check ends.
 
-    If a check is not possible, it fails with the reason. Without a model or a border, the checks
-    that need it are left out. The checks use the robot's own parameters.
+    A check that is not possible fails, and its row states the reason. Without a model or a border,
+    the checks that need it are left out. The checks use the robot's own parameters.
 
     Args:
         description: The description.
         runs: Whether to guide the end-effector in runs, which takes most of the time.
         tell: Called with the name of each check before it begins.
         processes: Number of processes that sample the border; None means all cores.
-        sampling: Parameters of a coarser border, or None.
+        sampling: Parameters of a coarser border; None means the complete border.
     """
     tell("loading the robot")
     try:
@@ -159,7 +159,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
     most = max(worst.values())
     good = most < _AGREE
     text = f"M and C q̇ + g differ from pinocchio's by {most:.1e} of the largest entry"
-    text += "" if good else "; give every link an <inertial>, 0 for frames"
+    text += "" if good else "; add an <inertial> to every link, with the mass 0 for frames"
     return Row(name, "passed" if good else "failed", text, worst)
 
 
@@ -341,8 +341,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair of L_m has points at all heights between its ends.
 
     The arm possibly does not reach the border at its lowest and highest heights, and a pair that is
-    rarely near possibly has no points at all. The exact offset of l_m replaces these points, and
-    the row reports where.
+    rarely near possibly has no points at all. There the exact offset of l_m replaces the points;
+    the row reports these pairs and heights.
     """
     if not data.clouds:
         text = "no part of the arm can meet the base, so there is no border"

@@ -62,9 +62,9 @@ def finish(
     `helpers` starts workers after the meshes are read; they do all parallel work except sampling
     the border. The border is sampled by `processes`, by default one for each usable core; with
     `sampling`, the parameters of a coarse border, this process samples it alone, because starting
-    others would take longer. `whole` is the result of `whole_robot`; it is read if it is None.
-    `tell` is called with the name of each step, and `on_progress` with the finished share, 0 to 1,
-    of a long step: bodies, border, lines.
+    others would take longer. `whole` is the result of `whole_robot`, or None, which means that this
+    function calls it. `tell` is called with the name of each step, and `on_progress` with the
+    finished share, 0 to 1, of a long step: bodies, border, lines.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
@@ -245,13 +245,13 @@ def _embodied(
         raise RobotFileError(
             f"the bodies {', '.join(best.unseen.blind)} do not enclose their colliding links; "
             f"choose a number of --bodies other than {len(best.grouping.bodies) - 1}, or "
-            "another --seed"
+            "a different --seed"
         )
     return best
 
 
 def parse(request: Request, whole: Whole | None = None) -> Parsed:
-    """Read and check the URDF; `whole` is the result of `whole_robot`, which is read if it is None.
+    """Read and check the URDF; `whole` is the result of `whole_robot`, or None to call it here.
 
     Raises:
         RobotFileError: The URDF cannot become a robot; the message names the reason and the option

@@ -64,7 +64,7 @@ class Limits(NamedTuple):
 
 
 def read_limits(arm: Arm) -> Limits:
-    """The limits in the URDF, or assumed ones; an effort of 0 means that it is missing.
+    """The limits in the URDF, or assumed ones; an effort of 0 means a missing effort.
 
     Raises:
         RobotFileError: Position limits are missing (prismatic joint), empty, or probably in another
@@ -143,7 +143,7 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
     for joint in joints:
         limits = _range(joint)
         if limits is None:
-            why = "are prismatic without limits; give each a <limit>" * (joint.kind == "prismatic")
+            why = "are prismatic without limits; add a <limit>" * (joint.kind == "prismatic")
         elif limits == (0.0, 0.0):
             why = "have limits of 0, as some exporters write; write those of the real joints, as "
             why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'
@@ -198,7 +198,7 @@ def base_numbers(
 ) -> Sourced:
     """Numbers of the base with their sources; q_m (n_m,) is the ready pose.
 
-    `half_track` [m] is the stated one; None means the measured one.
+    `half_track` [m] is the stated half track; None means the measured one.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))

@@ -39,7 +39,7 @@ _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not com
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
-_OFTEN = 0.25  # [-] share of poses above which a warning is given
+_OFTEN = 0.25  # [-] share of poses above which there is a warning
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
@@ -198,7 +198,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Joints that are fixed in the model: suspensions, and joints of another arm, a head or legs.
+    """Warnings of joints that the model fixes: suspensions, joints of another arm, a head or legs.
 
     Joints of the base without limits, such as wheels and casters, are not reported.
     """

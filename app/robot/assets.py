@@ -35,9 +35,9 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the delivered borders; read only."""
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
-_MAX_ELEMENTS = 30_000  # [-] most elements of an XML file; large URDFs have some thousands
-_MAX_JOINTS = 200  # [-] most moving joints of a robot; large ones have 60
-_MAX_ATTRIBUTES = 100  # [-] most attributes of an element; some parsers compare each with all
+_MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
+_MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
+_MAX_ATTRIBUTES = 100  # [-] largest number of attributes; some parsers compare each with all others
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -46,8 +46,8 @@ _WITH_PYBULLET = (
 
 
 def cache_folder() -> Path:
-    """Folder of new borders: the first writable one of `dbb_cache/` in a checkout and the user's
-    cache folders; if none is writable, the first of these cache folders.
+    """Folder of new borders: `dbb_cache/` in a writable checkout, otherwise the first writable one
+    of the user's cache folders; if none is writable, the first of them.
     """
     if IN_CHECKOUT and is_writable(SHIPPED_CACHE):
         return SHIPPED_CACHE
@@ -58,7 +58,7 @@ def cache_folder() -> Path:
 def user_robots() -> list[Path]:
     """Folders of the user's own robots in `$DBB_ROBOTS`; new ones go into the first.
 
-    An empty entry, or an unset `$DBB_ROBOTS`, stands for `robots` in the user's data folder.
+    An empty entry, or an unset `$DBB_ROBOTS`, means the folder `robots` in the user's data folder.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
     return [folder or usual for folder in _listed_folders()]
@@ -97,7 +97,7 @@ def check_robot_name(name: str) -> None:
 
 
 def wrong_folders() -> str:
-    """A sentence on the folders of `$DBB_ROBOTS` that cannot have robots; empty without any."""
+    """A sentence on the first folder of `$DBB_ROBOTS` that cannot have robots, or empty."""
     for folder in filter(None, _listed_folders()):
         if isfile(folder / "robot.toml"):
             return f"DBB_ROBOTS names the folder of a robot, {folder}: name the folder around it"
@@ -276,7 +276,8 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
 
     Raises:
         AssetError: The file is missing.
-        DescriptionError: The file cannot be read, is no valid XML, or is larger than any robot's.
+        DescriptionError: The file cannot be read, is no valid XML, or is larger than the file of
+            any robot.
     """
     path = urdf_path(description)
     try:
@@ -286,7 +287,7 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
         raise DescriptionError(f"{path}: {why}") from None
     moving = sum(joint.get("type") != "fixed" for joint in tree.iterfind("joint"))
     if moving > _MAX_JOINTS:  # pinocchio's memory grows with the cube of their number
-        raise DescriptionError(f"{path}: {moving} moving joints; at most {_MAX_JOINTS} are taken")
+        raise DescriptionError(f"{path}: {moving} moving joints; the limit is {_MAX_JOINTS}")
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))
@@ -350,8 +351,8 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     encoding is ignored. `path` is its name for the message.
 
     Raises:
-        RobotFileError: It declares an entity, as in a "billion laughs" attack, nests deeper, has
-            more elements or more attributes of an element than any robot, or is not well-formed.
+        RobotFileError: The XML declares an entity, as in a "billion laughs" attack; nests deeper or
+            has more elements or attributes than any robot; or is not well-formed.
     """
 
     def refuse(name: str, *_: object) -> NoReturn:
@@ -382,12 +383,12 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     try:
         parser.Parse(content, True)
-    except (expat.ExpatError, LookupError, ValueError) as error:  # the last two: its encoding
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the last two: a wrong encoding
         raise RobotFileError(f"{path}: not well-formed: {error}") from None
 
 
 def _mesh(reference: str, folder: Path) -> Path:
-    """The mesh of a package, at an absolute path, or below the folder of the URDF.
+    """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF.
 
     Raises:
         AssetError: There is no such file.
@@ -404,9 +405,10 @@ def _mesh(reference: str, folder: Path) -> Path:
 
 
 def planar_urdf(description: HasUrdf) -> str:
-    """The resolved URDF on a root of two prismatic joints and a revolute one: x, y, yaw.
+    """The `resolved_urdf` on a root of two prismatic joints and a revolute one: x, y, yaw.
 
-    pybullet has no planar joint; in pinocchio the same root is `JointModelPlanar`.
+    pybullet has no planar joint; in pinocchio the same root is `JointModelPlanar`. The errors are
+    those of `resolved_urdf`.
     """
     text = resolved_urdf(description)
     parts = [f'<link name="{name}">{_ZERO_INERTIAL}</link>' for name in PLANAR_LINKS]
@@ -422,7 +424,7 @@ def planar_urdf(description: HasUrdf) -> str:
 
 
 def floats(text: str, count: int) -> list[float] | None:
-    """The numbers of an attribute; None unless their number is `count` and all are finite."""
+    """The numbers of an attribute; None if they are not `count` finite numbers."""
     words = text.split(None, count)  # an attribute may have millions
     if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
         return None
@@ -431,11 +433,11 @@ def floats(text: str, count: int) -> list[float] | None:
 
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
-"""A number that all readers of a URDF take, unlike 1_000, which Python takes too."""
+"""A number that all readers of a URDF accept, unlike 1_000, which only Python accepts."""
 
 
 def root_link(urdf: str) -> str:
-    """Name of the link that no joint has as its child."""
+    """Name of the root link of a URDF's text: the first link that is not the child of a joint."""
     tree = ElementTree.fromstring(urdf)
     children = {child.get("link") for child in tree.iterfind("joint/child")}
     return next(

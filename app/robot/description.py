@@ -114,9 +114,9 @@ class LinePlace(Sourced):
     """The line of a scenario for the end-effector of this robot."""
 
     start_m: Vector3
-    """[m] start of the end-effector, with the base at the origin facing +x."""
+    """[m] start of the end-effector in the world; the base is at the origin and faces +x."""
     move_m: Vector3
-    """[m] displacement of the end-effector."""
+    """[m] displacement of the end-effector in the world."""
 
 
 class RobotDescription(Strict):
@@ -138,7 +138,7 @@ class RobotDescription(Strict):
     arm: ArmDescription
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
     reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
-    """Reachability by the name of the body; every body that can come near l_m needs one."""
+    """Reachability by the name of the body; each body that can meet l_m needs an entry."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
     """Lines by the name of the scenario. `guiding-lateral`, `guiding-front` and `tracking` need a
     line or a start from the user; `tracking` can use the line of `guiding-lateral`."""
@@ -192,15 +192,13 @@ class RobotDescription(Strict):
         return self.bodies[0]
 
     def with_mobile_shapes(self, *shapes: Shape) -> Self:
-        """A copy of the description with further shapes on the base, such as cargo, in the frame of
-        l_m.
-        """
+        """A copy with further shapes on the base, such as cargo, in the frame of l_m."""
         first, *others = self.bodies
         loaded = first.model_copy(update={"shapes": (*first.shapes, *shapes)})
         return self.model_copy(update={"bodies": (loaded, *others)})
 
     def body(self, name: str) -> BodyDescription:
-        """The body with this name."""
+        """The body with this name, which must exist."""
         return next(body for body in self.bodies if body.name == name)
 
 
@@ -267,8 +265,8 @@ def load_robot(name: str) -> RobotDescription:
     """The description of a robot by its name.
 
     Raises:
-        UnknownNameError: The robot does not exist; lists the existing ones.
-        DescriptionError: Its description is invalid.
+        UnknownNameError: The robot does not exist; the message lists the existing robots.
+        DescriptionError: The description is invalid.
     """
     check_robot_name(name)
     return load_description(robot_folder(name) / "robot.toml")

@@ -22,12 +22,12 @@ class Pair(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As in `lm-lEE`."""
+        """The names of both bodies, as in `lm-lEE`."""
         return f"{self.a}-{self.b}"
 
 
 class ClosestPoints(NamedTuple):
-    """FindClosestPoints: the closest points of one link pair, in the frame of the kinematics."""
+    """FindClosestPoints: the closest points of one link pair, in the world."""
 
     pair: Pair
     """The link pair; `a` is nearer to the base than `b`."""
@@ -41,7 +41,7 @@ class ClosestPoints(NamedTuple):
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] point of the core of `b` below p_b: it is p_b, moved along n by the radius of `b`
+    """(3,) [m] point of the core of `b` that belongs to p_b: p_b moved along n by the radius of `b`
     around its core. It equals p_b where `b` is not round, and in the results of `PairDistances`."""
     parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
@@ -53,11 +53,10 @@ def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
 
 
 def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
-    """The closest points to each single convex part of the bodies `a`.
+    """The closest points of all pairs, for each convex part of `a` separately.
 
-    If `a` has only one part, they are the closest points of the pair. The normals of single parts
-    are continuous. In a concave corner of an `a` with several parts, the normal of the pair is
-    between the normals of two near faces.
+    The normals of single parts are continuous. In a concave corner of an `a` with several parts,
+    the normal of the pair is between the normals of two near faces.
     """
     return [part for pair in pairs for part in pair.parts or (pair,)]
 
@@ -83,7 +82,7 @@ class LinkPairs:
 
     @property
     def all(self) -> tuple[Pair, ...]:
-        """L = L_m ∪ L_m^c, in the order of (1)."""
+        """L = L_m ∪ L_m^c: first the pairs of L_m, each part in the order of `candidate_pairs`."""
         return self.mobile + self.manipulator
 
 
@@ -104,9 +103,10 @@ _write_least = direct(_put_least)
 
 
 class PairDistances:
-    """Distances and closest points of some pairs, efficiently from Python.
+    """Distances and closest points of some pairs, fast from Python.
 
-    Update once for a configuration, then read. A body of several shapes is as near as its nearest.
+    Call `update` or `update_from` once for a configuration, then the other methods. The distance of
+    a body of several shapes is that of its nearest shape.
 
     Attributes:
         pairs: The pairs, in the order of their indices.
@@ -146,7 +146,7 @@ class PairDistances:
         pin.computeDistances(self._geometry, self._placed)
 
     def update_from(self, data: pin.Data) -> None:
-        """Compute all distances from existing kinematics."""
+        """Compute all distances from pinocchio's data with existing kinematics."""
         pin.updateGeometryPlacements(self._pin, data, self._geometry, self._placed)
         pin.computeDistances(self._geometry, self._placed)
 
@@ -161,13 +161,13 @@ class PairDistances:
         return tuple(rows[: len(self.pairs)].tolist())
 
     def write_distances(self, into: Array) -> None:
-        """Write distances [m] into an array: first the distances of all pairs, then the distances
-        of each part of the bodies `a` that have several parts.
+        """Write signed distances [m] into an array: those of all pairs, then those of each part of
+        the bodies `a` with several parts.
         """
         _write_least(self._signed, self._order, self._firsts, into)
 
     def sampled(self, q_m: Array) -> Array:
-        """(N, pairs) [m] signed distances at joint positions (N, n_m), the base at the origin."""
+        """(N, pairs) [m] signed distances at joint positions q_m (N, n_m) [rad or m]."""
         found = np.empty((len(q_m), len(self.pairs)))
         for row, pose in zip(found, q_m, strict=True):
             self.update(self._model.configuration((0.0, 0.0, 0.0), pose))
@@ -186,7 +186,7 @@ class PairDistances:
         return with_parts(*found)
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
-        """The library's own record of the i-th pair; the next update overwrites it."""
+        """The collision library's record of the i-th pair; the next update overwrites it."""
         return _nearest(self._results[i][0])
 
 
@@ -197,7 +197,7 @@ def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
     """(k,) [m] the signed distances of coal's results, as a view that later calls overwrite.
 
-    To read them one by one takes as long as to compute them. Each result stores its distance before
+    Reading them one by one takes as long as computing them. Each result stores its distance before
     its normal, and all results have the same size.
     """
     if len(results) == 0:
@@ -227,7 +227,7 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:
     """All monitored pairs of bodies that are not neighbours in the chain, in the order of (1).
 
-    They are sorted by the body nearer to the base, then from the end-effector inwards.
+    They are sorted by `a`, from the base outwards, then by `b`, from the end-effector inwards.
     """
     names = model.body_names
     order = sorted(combinations(range(len(names)), 2), key=lambda ij: (ij[0], -ij[1]))
@@ -243,11 +243,10 @@ def sample_joints(model: RobotModel, count: int, rng: np.random.Generator) -> Ar
 def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0) -> LinkPairs:
     """Find the pairs that can collide by random sampling of the joint positions.
 
+    A pair is in L if at least one sample has a signed distance of zero or less.
+
     Paper: Eq. (1).
     Paper: Eq. (2).
-
-    Returns:
-        The pairs; a pair is in L if any sample has a signed distance of zero or less.
     """
     pairs = candidate_pairs(model)
     q_m = sample_joints(model, samples, np.random.default_rng(seed))

@@ -19,7 +19,7 @@ from app.robot.assets import bare_urdf
 from app.robot.description import BodyDescription, RobotDescription
 from app.strict import Array
 
-STABLE_STEPS = 3.0  # [-] smallest stable ratio of a joint's inertia to its damping, in time steps
+STABLE_STEPS = 3.0  # [-] smallest stable m/(D dt) for a joint with inertia m and damping D
 Options = ParamSpec("Options")
 Result = TypeVar("Result")
 
@@ -27,29 +27,31 @@ Result = TypeVar("Result")
 class RobotModel:
     """The constant data of a robot.
 
-    The first n_b columns of S are T J_m of the base's kind.
-
     Attributes:
         description: The description of the robot.
         pin: pinocchio's model: a planar joint, then the joints of the arm; all other joints are
             locked at zero.
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
-        body_joints: Number of the joint in pinocchio that moves a body, by the name of the body.
+        shape_ids: Indices of a body's shapes in `geometry`, by the name of the body.
+        body_joints: Pinocchio's index of the joint that moves a body, by the name of the body.
+        ee_frame, mount_frame, base_frame: Pinocchio's indices of the frames of the end-effector, of
+            the arm's mount and of the base's link.
         n: Degrees of freedom of the reduced velocity, n_b + n_m.
         n_b: Degrees of freedom of the base.
         n_d: Number of states of the base's drive besides its velocity.
         n_m: Degrees of freedom of the arm.
-        reading_shapes: Shapes of the arrays of a `Measurement`, with and without a drive's state.
+        reading_shapes: Valid shapes of the arrays of a `Measurement`: with and without `drive`.
         J_m: (n_b, n_b) Jacobian of the base; for a differential base that of (19).
         J_m_inv: (n_b, n_b) inverse of J_m.
         base_rows: (n_b, n) [J_m O], the rows of (16), and of the base's acceleration limits.
-        S: (3 + n_m, n) map from the reduced velocity to pinocchio's velocity.
+        S: (3 + n_m, n) map from the reduced velocity to pinocchio's velocity: T J_m, and 1 for the
+            joints of the arm.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] limits of the base's axes.
         base_inertia: (n_b,) [kg or kg m²] mass or inertia along each axis.
         joint_damping: (n_m,) [N m s/rad or N s/m] damping of the arm's joints.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
-        q_limits, qd_limits, tau_limits: (2, n_m) lower and upper limits.
-        qd_max, tau_max: (n_m,) joint velocity and torque limits of the arm.
+        qd_max, tau_max: (n_m,) [rad/s or m/s] and [N m or N] velocity and torque limits of the arm.
+        q_limits, qd_limits, tau_limits: (2, n_m) lower and upper limits, in the same units.
     """
 
     def __init__(self, description: RobotDescription) -> None:
@@ -88,9 +90,7 @@ class RobotModel:
 
     @property
     def body_names(self) -> list[str]:
-        """Names of the bodies: the mobile robot, then the bodies of the arm from the base
-        outwards.
-        """
+        """Names of the bodies: the mobile robot, then those of the arm from the base outwards."""
         return [body.name for body in self.description.bodies]
 
     @property
@@ -100,7 +100,7 @@ class RobotModel:
         return tuple("m" if "JointModelP" in kind else "rad" for kind in kinds)
 
     def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:
-        """Pinocchio's configuration from the base's pose (x, y, φ) and the arm's joints."""
+        """Pinocchio's configuration (4 + n_m,) from the base's pose (x, y, φ) and q_m (n_m,)."""
         x, y, phi = base_pose
         q = np.empty(4 + self.n_m)
         q[:4] = x, y, math.cos(phi), math.sin(phi)
@@ -118,8 +118,8 @@ class RobotModel:
         return {name: signs[name] * float(a) for wheels, a in pairs for name in wheels.joints}
 
     def joint_inertia(self, q: Array) -> Array:
-        """(n_m,) [kg m² or kg] inertia of each joint, with all others and the base free, at
-        pinocchio's configuration q.
+        """(n_m,) [kg m² or kg] inertia of each joint at pinocchio's configuration q, while the base
+        and the other joints are free.
         """
         M = pin.crba(self.pin, self.pin.createData(), q)
         M = np.triu(M) + np.triu(M, 1).T
@@ -211,12 +211,11 @@ def kept_per_model(
     [Callable[Concatenate[RobotModel, Options], Result]],
     Callable[Concatenate[RobotModel, Options], Result],
 ]:
-    """Cache the results of a pure function of a model and hashable values, for the model's
-    lifetime.
+    """Cache the results of a pure function of a model and hashable values while the model exists.
 
-    All callers share a result: they must not change it, and it must not refer to the model, or
-    neither would ever be freed. Each model has at most `most` results; a further result replaces
-    the oldest.
+    All callers share a result and must not change it. A result must not refer to the model,
+    otherwise neither is ever freed. Each model has at most `most` results; a further result
+    replaces the oldest.
     """
 
     def keep(
@@ -246,16 +245,16 @@ def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
     """[m] upper bound of the distance between the two ends of a chain of joints.
 
-    It is the sum of two parts: the lengths of the translations of `links`, which are the poses of
-    the frames, each in the frame before it; and for each sliding joint the larger absolute value of
-    its limits [m], `slides` (2, k), lower and upper.
+    It is the sum of the lengths of the translations of `links`, each of which is the pose of a
+    frame in the frame before it, and of the larger absolute limit of each sliding joint. `slides`
+    (2, k) [m] has the lower and upper limits of the sliding joints.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())
 
 
 def whole_model(description: RobotDescription) -> pin.Model:
-    """Pinocchio's model on a planar root, with all joints of the URDF."""
+    """Pinocchio's model on a planar root, with all joints of the URDF; errors of `RobotModel`."""
     try:
         return pin.buildModelFromXML(bare_urdf(description), pin.JointModelPlanar())
     except (ValueError, RuntimeError) as error:

@@ -116,6 +116,7 @@ class ConvexMesh(_Placed):
     file: str
     """`package://…` address of the mesh."""
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+    """[-] factors of the mesh's coordinates, which are metres after the scaling."""
 
     def hull(self) -> trimesh.Trimesh:
         """The convex hull of the mesh's scaled vertices, in the shape's frame (see `placement`).
@@ -124,7 +125,7 @@ class ConvexMesh(_Placed):
             AssetError: The file is missing, or reading it takes more time or memory than a valid
                 file of its size needs (`app.jobs.bounded`).
         """
-        # Imported here: only this shape needs trimesh, which takes longer to import than all else.
+        # Imported here: only this shape needs trimesh, whose import takes longer than the others.
         with extras_named():
             import trimesh
 
@@ -146,18 +147,18 @@ class Hull(_Placed):
 
     type: Literal["hull"]
     vertices_m: Annotated[tuple[Vector3, ...], Field(min_length=4)]
-    """[m] points in the shape's own frame; points inside of the others' hull have no effect."""
+    """[m] points in the shape's own frame; points inside the hull of the others have no effect."""
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(np.array(self.vertices_m))
 
 
 class Superquadric(_Placed):
-    """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, almost a box.
+    """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, or almost a box.
 
     Its distances are those of a convex polytope of 3,458 vertices on its surface. They are too
     large by at most the polytope's depth inside of the surface: less than 0.5 % of the longest
-    semi-axis for exponents from 0.1 to 1, 1 % up to 2.
+    semi-axis for exponents from 0.1 to 1, less than 1 % for exponents up to 2.
     """
 
     type: Literal["superquadric"]
@@ -200,7 +201,7 @@ _THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def _thick(points: Array) -> Array:
-    """Points that are at least 0.1 mm apart in each direction."""
+    """Points (N, 3) [m] with copies, so that their extent is at least 0.1 mm in each direction."""
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
         if np.ptp(points @ axis) < _THIN:
@@ -261,7 +262,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 
 
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """The function f at points (…, 3) [m] in the superquadric's frame, (…); 1 on its surface.
+    """(…) [-] the function f at points (…, 3) [m] in the superquadric's frame; 1 on its surface.
 
     `semi_axes` are a, b and c [m]; e₁ is the exponent from top to bottom, e₂ that in plan.
     """
@@ -273,7 +274,7 @@ def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Arra
 
 
 def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """(…, 3) [m] where the rays from the centre through points (…, 3) meet the surface."""
+    """(…, 3) [m] points at which the rays from the centre through p (…, 3) meet the surface."""
     scaled = np.asarray(p) / np.abs(np.asarray(p) / np.asarray(semi_axes)).max(-1, keepdims=True)
     return scaled * implicit(scaled, semi_axes, e1, e2)[..., None] ** (-e1 / 2)
 
@@ -312,7 +313,7 @@ def polytope_vertices(
 
 
 def _power_sum(a: Array, b: Array, e: float) -> Array:
-    """(a^(1/e) + b^(1/e))^e for numbers of zero or more, without overflow."""
+    """(a^(1/e) + b^(1/e))^e for numbers that are not negative, without overflow."""
     high, low = np.maximum(a, b), np.minimum(a, b)
     ratio = np.divide(low, high, out=np.zeros_like(high), where=high > 0)
     return high * (1.0 + ratio ** (1.0 / e)) ** e

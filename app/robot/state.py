@@ -41,10 +41,10 @@ class Measurement(NamedTuple):
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
-    """An array of floats from values that a user sends; masked ones become NaN.
+    """An array of floats from a caller's values; masked values become NaN.
 
     Raises:
-        MeasurementError: They are no real numbers, or not as many as one of the sizes.
+        MeasurementError: The values are no real numbers, or their number is none of `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -57,17 +57,17 @@ def numbers(name: str, values: Any, *sizes: int) -> Array:
 
 
 def velocities(name: str, values: Any, size: int) -> Array:
-    """`numbers` of velocities; None or no values become NaN.
+    """`numbers` of velocities (size,); None or an empty array becomes NaN.
 
     Raises:
-        MeasurementError: They are no real numbers, or not as many as `size`.
+        MeasurementError: The values are no real numbers, or their number is not `size`.
     """
     found = numbers(name, () if values is None else values, size, 0)
     return found if found.size == size else np.full(size, np.nan)
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
-    """The measurement with arrays of floats.
+    """The measurement with arrays of floats; missing velocities are NaN.
 
     Raises:
         MeasurementError: The value is no `Measurement`, or a field is not an array of the right
@@ -94,7 +94,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
-    """The readings of a robot at rest; without `base_pose`, the base is at the origin."""
+    """The readings of a robot at rest at q_m (n_m,); by default, the base is at the origin."""
     pose = np.zeros(3) if base_pose is None else base_pose
     base = model.description.base
     return Measurement(pose, np.zeros(model.n_b), q_m, np.zeros(model.n_m), base.drive_at_rest())
@@ -146,10 +146,10 @@ def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Arr
 
 @compiled()
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
-    """Twist and acceleration of the body on each joint, at the origin of the world.
+    """Twist and acceleration at q̈ = 0 of the body on each joint, at the origin of the world.
 
-    The accelerations are J̇ q̇, those at q̈ = 0. The axes of each joint turn with its parent. The
-    base's axes are fixed to the base, so that its twist is constant at q̈ = 0.
+    The axes of each joint turn with its parent. The base's axes are fixed to the base, so that its
+    twist is constant at q̈ = 0.
 
     Args:
         J: (6, 3 + n_m) as described for this module.
@@ -181,14 +181,14 @@ def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
 
 @compiled("f8[::1](f8[:,:], f8[:], f8[:])")
 def seen_from(R: Array, p: Array, at: Array) -> Array:
-    """Rᵀ (at - p), (3,)."""
+    """Rᵀ (at − p): the point `at` (3,) [m] in a frame with rotation R (3, 3), origin p (3,) [m]."""
     x, y, z = at[0] - p[0], at[1] - p[1], at[2] - p[2]
     return R[0] * x + R[1] * y + R[2] * z
 
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:])")
 def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
-    """Velocity [m/s] of a body's point at p (3,), from the body's twist (6,)."""
+    """Velocity [m/s] of a body's point at p (3,) [m], from the body's twist (6,)."""
     w_x, w_y, w_z = twist[3], twist[4], twist[5]
     return (
         twist[0] + w_y * p[2] - w_z * p[1],
@@ -199,7 +199,9 @@ def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
 def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
-    """Acceleration [m/s²] of a body's point at p (3,) at q̈ = 0, from twist and bias (6,)."""
+    """Acceleration [m/s²] of a body's point at p (3,) [m] at q̈ = 0, from the body's twist (6,) and
+    its bias (6,), the acceleration of `chain_motion`.
+    """
     x, y, z = point_velocity(bias, p)
     v_x, v_y, v_z = point_velocity(twist, p)
     w_x, w_y, w_z = twist[3], twist[4], twist[5]
@@ -208,17 +210,13 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
 
 @compiled()
 def carrying(joint: int) -> int:
-    """Number of velocities that move the body on a joint, the first velocities of all; 0 for the
-    world.
-    """
+    """Number of pinocchio's velocities, counted from the first, that move the body on a joint."""
     return joint + 2 if joint > 0 else 0
 
 
 @compiled()
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
-    """Velocity of a point at p (3,) [m] for one unit of the k-th velocity, if this moves the
-    point.
-    """
+    """Velocity of a point at p (3,) [m] for one unit of the k-th velocity, which moves its body."""
     return (
         J[0, k] + J[4, k] * p[2] - J[5, k] * p[1],
         J[1, k] + J[5, k] * p[0] - J[3, k] * p[2],
@@ -228,7 +226,7 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
-    """(3, n) Jacobian of the point of a joint's body that is now at p (3,) [m]."""
+    """(3, n) [m/rad or 1] Jacobian of the point at p (3,) [m] of the body on a joint."""
     n_b = B.shape[1]
     reduced = np.zeros((3, n_b + J.shape[1] - 3))
     for k in range(carrying(joint)):
@@ -249,10 +247,9 @@ def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
 def distance_motions(
     J: Array, B: Array, twists: Array, biases: Array, joints: Array, at: Array, normals: Array
 ) -> tuple[Array, Array, Array]:
-    """Motion of points of bodies along normals that are fixed to other bodies: the terms of ḋ and
-    d̈.
+    """The terms of ḋ and d̈: motions of points along normals that are fixed to other bodies.
 
-    J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a,
+    J_r = nᵀ(J_b − J_a) at the core of l_b, with n fixed to l_a. n is the signed normal out of l_a,
     because the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
     round link near a face: the normal of the face is constant while the closest points slide along
     the face, and the point of the core does not move on the link. With the term |v_⊥|²/d, which
@@ -278,7 +275,7 @@ def distance_motions(
     accelerations, speeds = np.empty(count), np.empty(count)
     for k in range(count):
         a, b, p, n = joints[k, 0], joints[k, 1], at[k], normals[k]
-        # Common parents do not move the two relative to each other.
+        # Joints that move both bodies do not move them relative to each other.
         sign = 1.0 if a < b else -1.0
         for l in range(carrying(min(a, b)), carrying(max(a, b))):
             u, v, w = _column(J, l, p)
@@ -340,7 +337,7 @@ def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
     """Compute M, C q̇ + g, g, the Jacobian and all placements: the results of `pinocchio_views`.
 
-    `pin.computeAllTerms` computes energies and the centre of mass too, and takes 1.5 times as long.
+    `pin.computeAllTerms` also computes energies and the centre of mass; it takes 1.5 times as long.
     """
     pin.crba(model, data, q, pin.Convention.WORLD)  # and the Jacobian
     pin.nonLinearEffects(model, data, q, v)
@@ -375,7 +372,8 @@ class RobotState:
         J_ee: (6, n) Jacobian of the end-effector in axes of the world: linear, then angular rows.
         v_ee: (6,) J_ee q̇, velocity of the end-effector.
         Jdqd_ee: (6,) J̇_ee q̇, acceleration of the end-effector at q̈ = 0.
-        R_world_base: (3, 3) rotation of the base.
+        twists, biases: (2 + n_m, 6) of `chain_motion`.
+        R_world_base: (3, 3) rotation of the base in the world.
         p_o: (3,) [m] the base's centre on the floor, in the world.
     """
 
@@ -408,9 +406,7 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """Use the arrays of a control step as this state's memory from now on: the step updates
-        them.
-        """
+        """From now on, use the arrays of a control step as memory; each step updates them."""
         present = {name: getattr(self, name) for name in RobotState.__annotations__}
         for name in present:
             setattr(self, name, getattr(step, name))
@@ -431,7 +427,7 @@ class RobotState:
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """Pose of the end-effector."""
+        """Pose of the end-effector in the world."""
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
@@ -445,16 +441,16 @@ class RobotState:
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """Include a load [kg] from the next update on.
+        """Include a point mass [kg] from the next update on, in the place of a former one.
 
-        The centre (3,) [m] is in the end-effector's frame; the load is a point mass.
+        The centre (3,) [m] is in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
         self._compile()
 
     def _compile(self) -> None:
-        """Make a separate pinocchio model if it differs from the shared one.
+        """Make a separate pinocchio model if masses or inertias differ from those of the model.
 
         A step in another thread uses the former model until the new one is complete.
         """
@@ -477,7 +473,7 @@ class RobotState:
         self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
-        """Recompute all arrays except M, h and g, which keep the values of the last `update`."""
+        """Recompute all arrays except M, h and g, which do not change."""
         q, v = self._take(measurement)
         pin.computeJointJacobians(self.pin, self.data, q)
         self._update_motion(v)
@@ -497,25 +493,23 @@ class RobotState:
         self._store(twists=twists, biases=biases)
 
     def to_base(self, p_world: Array) -> Array:
-        """(3,) a point of the world in the base's frame."""
+        """(3,) [m] the point `p_world` (3,) [m] of the world, in the base's frame."""
         return seen_from(self.R_world_base, self.p_o, p_world)
 
     def to_world(self, p_base: Array) -> Array:
-        """(3,) a point of the base's frame in the world."""
+        """(3,) [m] the point `p_base` (3,) [m] of the base's frame, in the world."""
         return self.R_world_base @ p_base + self.p_o
 
     def point_jacobian(self, joint: int, p_world: Array) -> Array:
-        """(3, n) Jacobian of the point of a joint's body at the present place `p_world`."""
+        """(3, n) [m/rad or 1] Jacobian of the point at `p_world` of the body on a joint."""
         return point_jacobian(self._J, self._B, joint, p_world)
 
     def point_velocity(self, joint: int, p_world: Array) -> Array:
-        """(3,) [m/s] velocity of the point of a joint's body at the present place `p_world`."""
+        """(3,) [m/s] velocity of the point at `p_world` of the body on a joint."""
         return np.array(point_velocity(self.twists[joint], p_world))
 
     def point_bias(self, joint: int, p_world: Array) -> Array:
-        """(3,) [m/s²] J̇ q̇ of the point of a joint's body at `p_world`: its acceleration at
-        q̈ = 0.
-        """
+        """(3,) [m/s²] acceleration at q̈ = 0 of the point at `p_world` of the body on a joint."""
         return np.array(point_bias(self.twists[joint], self.biases[joint], p_world))
 
     def distance_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:

@@ -31,11 +31,11 @@ def unit_of(length: float) -> str:
 
 
 def origin(element: Element, where: str) -> pin.SE3:
-    """The `<origin>` of an element; the identity where there is none.
+    """The `<origin>` of an element [m]; the identity if there is none.
 
     Raises:
-        RobotFileError: An attribute is not three numbers, or the numbers are so large that they are
-            probably in degrees or not in metres.
+        RobotFileError: An attribute is not three numbers, or the numbers are so large that their
+            unit is probably wrong.
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
@@ -55,10 +55,10 @@ def origin(element: Element, where: str) -> pin.SE3:
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute, as many as the default has; the default without the attribute.
+    """The numbers of an attribute; the default if the element or the attribute is missing.
 
     Raises:
-        RobotFileError: The attribute has fewer or more numbers, or other words.
+        RobotFileError: The attribute does not have as many finite numbers as the default.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -71,14 +71,14 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
 
 
 def without_commas(words: str) -> str:
-    """The remedy for a text of numbers with commas, or empty."""
+    """The remedy for a text of numbers with commas; empty without a comma."""
     return "; write points in numbers and blanks between them, no commas" * ("," in words)
 
 
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
     """Red, green, blue and opacity [0, 1] of a visual; None if the URDF states no colour.
 
-    If the visual's material has no colour of its own, the material of the same name in the robot's
+    If the visual's material states no colour, the material with the same name in the robot's
     `materials` counts.
     """
     if (material := visual.find("material")) is None:
@@ -87,10 +87,9 @@ def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[flo
 
 
 def rgba(material: Element) -> list[float] | None:
-    """Red, green, blue and opacity [0, 1] of a material; None where it states none.
+    """Red, green, blue and opacity [0, 1] of a material; None without three or four numbers.
 
-    Values up to 255, commas and a missing opacity are common mistakes and are accepted. The result
-    is None if there are not three or four finite numbers.
+    Values up to 255, commas and a missing opacity are common mistakes and are accepted.
     """
     found = material.find("color")
     stated = "" if found is None else found.get("rgba", "").replace(",", " ")
@@ -102,14 +101,15 @@ def rgba(material: Element) -> list[float] | None:
 
 
 def mesh_path(address: str) -> Path:
-    """The file of a mesh's address, `package://…` or a path."""
+    """The file of a mesh's address, `package://…` or a path; errors of `resolve_package_uri`."""
     return resolve_package_uri(address) if address.startswith("package://") else Path(address)
 
 
 def mesh_bytes(links: Iterable[Element]) -> int:
-    """[bytes] size of all mesh files of links, for the budget of reading them; 0 without a mesh.
+    """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    A mesh counts as large data at any size: a few bytes can encode millions of triangles.
+    A mesh counts as large data at any size: a few bytes can encode millions of triangles. The
+    errors are those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     sizes = [path.stat().st_size for path in map(mesh_path, named) if path.is_file()]
@@ -124,7 +124,8 @@ def urdf_mesh(
     `load` reads the triangles of a mesh file.
 
     Raises:
-        RobotFileError: It is none of a URDF's shapes, or an attribute is missing or invalid.
+        RobotFileError: It is no shape of a URDF, or an attribute is missing or invalid.
+        AssetError: As for `resolve_package_uri`.
     """
     if shape.tag != "mesh":
         return primitive(shape, where)

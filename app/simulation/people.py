@@ -128,7 +128,7 @@ class PersonHand:
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
-        """Start a hold, which ends with the object.
+        """Begin one hold; a new hold needs a new object.
 
         Args:
             config: The strength and the mass of the hand.

@@ -157,9 +157,13 @@ class Session:
         self._watch.reset()
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on."""
-        self.config = config
+        """Use other parameters from the next step on.
+
+        Raises:
+            ConfigError: The control period is too long for a gain; then nothing has changed.
+        """
         self.loop.configure(config)
+        self.config = config
         self._people.config = config.hand
         self._watch.config = config
         self._disturb(config.disturbance)
@@ -257,8 +261,8 @@ class Session:
     ) -> tuple[RobotState, tuple[float, ...]]:
         """The robot's true state, and the distances [m] of all pairs.
 
-        Without sensor errors both are taken from the controller's estimate, which saves a second
-        computation; the estimate deviates by hundredths of a millimetre from the truth.
+        Without sensor errors both are those of the controller, which saves a second computation;
+        they deviate by hundredths of a millimetre from the truth.
         """
         if sensed is truth:
             self.state = self.controller.state

@@ -108,7 +108,7 @@ def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
 
 
 def label(key: str) -> str:
-    """A key with blanks, and with the unit of its ending in brackets; `d_m` gives `d [m]`."""
+    """A key with blanks, and with the unit of its ending in brackets: `d_m` becomes `d [m]`."""
     for ending, unit in _UNITS.items():
         if key.endswith(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"

@@ -63,10 +63,10 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The results of a run by the keys of `dbb run --json`, and some more of the whole run.
+    """The results of a run by the keys of `dbb run --json`, and further numbers.
 
-    The further numbers are the duration, the largest speeds of the base, and the largest torque or
-    force of each joint. None replaces values that are not finite, which an edited log may have.
+    These are the duration, the largest speeds of the base, and the largest torque or force of each
+    joint. None replaces values that are not finite, which a log that was edited can have.
     """
     return _finite({**extremes(run), **metrics(run)})
 

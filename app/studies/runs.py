@@ -26,7 +26,8 @@ def thinned(result: RunResult) -> RunResult:
 def flattened(results: Mapping[str, Any]) -> Row:
     """Results with one key for each number: a mapping becomes several keys.
 
-    The unit stays at the end: `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
+    A unit `_m` or `_s` stays at the end: the entry `lm-lEE` of `min_distance_m` gets the key
+    `min_distance_lm-lEE_m`.
     """
     row: Row = {}
     for key, value in results.items():

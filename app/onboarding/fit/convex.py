@@ -18,7 +18,7 @@ _SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a capsule's end, [-] of 
 _THINNEST = 0.002  # [m] smallest side of a box
 _SAVED = 0.03  # [-] smallest volume that a cut saves, relative to the hull of the whole mesh
 _CUBE = 0.03**3  # [m³] smallest volume that a cut saves
-_TRIANGLES = 2000  # [-] largest number of triangles in the search of a plane, about
+_TRIANGLES = 2000  # [-] approximate number of triangles in the search of a plane
 _PLANES = 7  # [-] number of tried planes along each axis
 
 
@@ -28,7 +28,7 @@ class Fit(NamedTuple):
     shape: Shape
     """The shape, in the points' frame."""
     volume: float
-    """[m³]"""
+    """[m³] volume of the shape."""
     over_cover: float
     """[-] ratio of its volume to that of the points' hull; infinite for flat points."""
     protrusion: float

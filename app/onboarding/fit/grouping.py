@@ -5,7 +5,7 @@ chain into groups is judged mainly by the share of colliding poses in which no p
 overlaps, by the share of free poses in which a pair overlaps, and by the pairs that are inside
 their buffer in most free poses. Such a pair is not monitored, like a pair of neighbours, if its
 links are that close by design or if other pairs see its collisions. A pair sees a collision if its
-bodies overlap in this pose.
+bodies overlap in the same pose.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,7 +51,7 @@ _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 BY_LINKS = "chosen: some of its links are nearer than d_b by design"
 BY_BODIES = "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions"
-"""Why a pair is not monitored."""
+"""Reasons why a pair is not monitored."""
 
 
 class Verdict(NamedTuple):

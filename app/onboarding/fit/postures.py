@@ -472,9 +472,9 @@ def _is_free(search: PostureSearch) -> bool:
 
 
 _LED = (
-    "chosen: of lines that start outside of the buffers, one to contact on which the arm holds its "
-    "end-effector best, otherwise the deepest line; it ends {:g} m beside the base, and without "
-    "avoidance the smallest distance of the arm is {:.3f} m"
+    "chosen: of the lines with a start outside of the buffers, the line to contact on which the "
+    "arm holds its end-effector best, or the line to the smallest distance if none leads to "
+    "contact; it ends {:g} m beside the base; without avoidance the smallest distance is {:.3f} m"
 )
 
 

@@ -72,7 +72,7 @@ def with_stops(
             stops[arm.joints[joint].name] = f"{b.links[0]} reaches {a.links[0]}"
         elif ready is not None:
             raise RobotFileError(
-                f"--ready: {b.links[0]} can meet {a.links[0]} near that pose; choose another one"
+                f"--ready: {b.links[0]} can meet {a.links[0]} near this pose; choose another pose"
             )
     if not stops:
         return limits

@@ -106,7 +106,7 @@ def _shape(element: Element, where: str) -> LinkShape:
     holder = element.find("geometry")
     if holder is None or not len(holder):
         raise RobotFileError(
-            f"{where}: a {element.tag} has no geometry; give it one, or take it out"
+            f"{where}: a {element.tag} has no geometry; add a geometry, or remove the {element.tag}"
         )
     shape = holder[0]
     mesh, radius = urdf_mesh(shape, where, load_mesh)
@@ -116,7 +116,7 @@ def _shape(element: Element, where: str) -> LinkShape:
         scale = 0.001 if unit_of(size) == "millimetres" else 0.0254
         raise RobotFileError(
             f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres, this "
-            f'looks like {unit_of(size)}; give a mesh scale="{scale} {scale} {scale}", or write '
+            f'looks like {unit_of(size)}; set scale="{scale} {scale} {scale}" for a mesh, or write '
             "metres"
         )
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
@@ -183,8 +183,8 @@ def _damage(begin: bytes, size: int, end: str) -> str:
     count = int.from_bytes(begin[80:84], "little")
     if end == "stl" and b"\0" in begin and size != (stated := 84 + 50 * count):
         return (
-            f"; it states {count:,} triangles, which take {stated:,} bytes, and has {size:,}: copy "
-            "or export it again"
+            f"; it states {count:,} triangles, which are {stated:,} bytes, but it has {size:,} "
+            "bytes: copy or export it again"
         )
     return ""
 
@@ -298,7 +298,7 @@ def read_inertias(
     """The inertia of the base and of each link below it; the keys are the names of the links.
 
     A link without an `<inertial>`, and all links of a joint that moves no mass, get masses by
-    volume. `assume` means that the URDF may state no mass at all for the arm.
+    volume. `assume` permits a URDF that states no mass for the whole arm.
 
     Raises:
         RobotFileError: No link of the arm has a mass, or an inertia is impossible or probably in
@@ -316,8 +316,8 @@ def read_inertias(
     moving = [link for segment in arm.segments[1:] for link in segment]
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(
-            "no link of the arm has a mass: torques cannot be computed; add <inertial>, or give "
-            f"--assume-inertia to take {ARM_DENSITY:g} kg/m³ in the hulls of its links"
+            "no link of the arm has a mass: torques cannot be computed; add <inertial>, or set "
+            f"--assume-inertia to assume {ARM_DENSITY:g} kg/m³ in the hulls of its links"
         )
 
     def chosen(link: str, inertia: pin.Inertia | None) -> LinkInertia:

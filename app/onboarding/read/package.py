@@ -32,7 +32,7 @@ MOST_FILES = 2000  # [-] largest number of files
 KEPT = (".urdf", ".xml", *FORMATS[:-1])
 """Endings of the files that are unpacked; other files, such as programs, are not."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
-_LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest directory; an entry takes 46 and a name
+_LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest list; an entry has 46 bytes and a name
 _LONGEST_NAME = 200  # [characters]
 _UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -51,8 +51,8 @@ def unpack(archive: Path, folder: Path) -> list[str]:
     """Write the URDFs, meshes and licences of a zip into a folder; returns the names of all files.
 
     Raises:
-        RobotFileError: The zip cannot be read, is too large, or contains a path that leads out of
-            it, a link, a password, a duplicate name or a compression other than deflate.
+        RobotFileError: The zip cannot be read, is too large, or contains a path out of the zip, a
+            link, a password, a duplicate name or a compression other than deflate.
     """
     where = archive.name
     _check_size(archive)
@@ -75,7 +75,7 @@ def _check_size(archive: Path) -> None:
     size = archive.stat().st_size
     if size > LARGEST_ARCHIVE:
         raise RobotFileError(
-            f"{archive.name}: {size / 1e6:.0f} MB; a zip may have {LARGEST_ARCHIVE / 1e6:.0f} MB"
+            f"{archive.name}: {size / 1e6:.0f} MB; the limit is {LARGEST_ARCHIVE / 1e6:.0f} MB"
         )
     with archive.open("rb") as file:
         file.seek(max(0, size - (1 << 16) - 22 - 20))
@@ -92,8 +92,8 @@ def _check_size(archive: Path) -> None:
     count, directory = struct.unpack_from("<HI", tail, at + 10)
     if count > MOST_FILES or directory > _LARGEST_DIRECTORY:
         raise RobotFileError(
-            f"{archive.name}: a list of {count} files; a zip may hold {MOST_FILES:,}: "
-            "leave out all but the URDF and its meshes"
+            f"{archive.name}: a list of {count} files; the limit is {MOST_FILES:,}: "
+            "leave out all files except the URDF and its meshes"
         )
 
 
@@ -103,16 +103,16 @@ def _checked(infos: list[zipfile.ZipInfo], where: str) -> dict[PurePosixPath, zi
     if total > LARGEST_CONTENT:
         raise RobotFileError(
             f"{where}: it expands to {total / 1e6:,.0f} MB; "
-            f"at most {LARGEST_CONTENT / 1e6:.0f} MB are taken"
+            f"the limit is {LARGEST_CONTENT / 1e6:.0f} MB"
         )
     if len(infos) > MOST_FILES:
-        raise RobotFileError(f"{where}: {len(infos):,} files; a zip may hold {MOST_FILES:,}")
+        raise RobotFileError(f"{where}: {len(infos):,} files; the limit is {MOST_FILES:,}")
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
     for info in infos:
         path = _path(info, where)
         is_folder = info.orig_filename.endswith(("/", "\\"))
         if not is_folder and found.setdefault(path, info) is not info:
-            raise RobotFileError(f"{where}: the file {str(path)!r} stands twice in it")
+            raise RobotFileError(f"{where}: it contains the file {str(path)!r} twice")
     return found
 
 
@@ -231,7 +231,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _encoded(name: str) -> Iterator[bytes]:
-    """The bytes of a name that is not ASCII in each of Python's encodings: a zip may state none."""
+    """The bytes of a name that is not ASCII in each of Python's encodings; a zip may state none."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield name.encode(code)
@@ -294,7 +294,7 @@ def _contents(path: Path) -> Contents:
         count = len(robot.findall(tag))
         if not least <= count <= _MAX_NAMES:
             raise RobotFileError(
-                f"{path.name}: it has {count} {tag}s; {least} to {_MAX_NAMES} are taken"
+                f"{path.name}: it has {count} {tag}s; {least} to {_MAX_NAMES} are valid"
             )
     tree = make_tree(robot)
     endless = tuple(joint.name for joint in tree.joints.values() if joint.kind == "continuous")

@@ -49,7 +49,7 @@ def locate(source: str) -> Path:
     path = resolve_package_uri(source) if scheme == "package" else path
     if not isfile(path):
         raise RobotFileError(
-            f"{source}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
+            f"{source}: no such file; name a URDF, a xacro, a zip or package://PACKAGE/…"
         )
     return followed(path)
 
@@ -95,8 +95,8 @@ def _needless(
     try:
         if not (file := shape.get("filename", "")):
             raise RobotFileError(
-                f"link {link.get('name')!r}: a mesh has no filename; name its file, or take "
-                "the shape out"
+                f"link {link.get('name')!r}: a mesh has no filename; name its file, or remove "
+                "the shape"
             )
         shape.set("filename", mesh_address(file, folder, packages))
     except RobotFileError as error:
@@ -224,7 +224,7 @@ def _missing(reference: str, folder: Path, packages: Packages) -> str:
             return _nowhere(package, path, folder)
         where = f"no such file in the package {package!r}: {', '.join(map(str, roots))}"
         near = next(filter(None, (_near(root, path) for root in roots)), "")
-        return f"{where}{near}; if another folder is meant, give --package {package}=FOLDER"
+        return f"{where}{near}; if this is the wrong folder, set --package {package}=FOLDER"
     if scheme not in ("file", ""):
         return "an address of the web or of another tool; name a file, relative to the URDF"
     if re.match("/?[A-Za-z]:", path):
@@ -233,7 +233,7 @@ def _missing(reference: str, folder: Path, packages: Packages) -> str:
 
 
 def _near(root: Path, path: str) -> str:
-    """` (did you mean 'x'?)` for the closest path below a folder, or an empty string."""
+    """The text ` (did you mean 'x'?)` with the closest path below a folder, or an empty string."""
     found = Path()
     for part in Path(path).parts:
         names = [part] if part == ".." else [each.name for each in (root / found).glob("*")]
@@ -262,7 +262,7 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     return (
         f"the package {package!r} is no folder beside or above {folder}, is not in "
         "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
-        f"give --package {package}={found}"
+        f"set --package {package}={found}"
     )
 
 
@@ -316,7 +316,7 @@ def _expanded(
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
         lacking = "substitution arg" in why  # no option corrects a property or old syntax
-        helps = "give it by --xacro NAME=VALUE" if lacking else "mend it until xacro FILE takes it"
+        helps = "set it by --xacro NAME=VALUE" if lacking else "correct it, and try: xacro FILE"
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 

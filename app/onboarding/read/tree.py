@@ -17,7 +17,7 @@ from app.strict import Array
 
 MOVING = ("revolute", "continuous", "prismatic")
 FREE = ("planar", "floating")  # kinds of joints that move a whole base
-_MAX_NAMES = 40  # [-] most names in a message
+_MAX_NAMES = 40  # [-] largest number of names in a message
 _LONGEST = 6.0  # [m] largest sum of an arm's joint offsets
 _X = np.array([1.0, 0.0, 0.0])
 PARALLEL = 0.999  # [-] smallest cosine between parallel lines
@@ -303,7 +303,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     if far := next((each for each in chain if each.kind in FREE), None):
         raise RobotFileError(
             f"--base: the {far.kind} joint {far.name!r} between --base and --tip moves the whole "
-            f"base; give --base {far.child}"
+            f"base; set --base {far.child}"
         )
     length = sum(float(np.linalg.norm(each.T_parent_child.translation)) for each in chain)
     if length > _LONGEST:
@@ -314,11 +314,11 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     if follower := next((each.name for each in chain if each.kind in MOVING and each.mimic), None):
         raise RobotFileError(
             f"--tip: the joint {follower!r} of the arm follows another joint (<mimic>), but each "
-            "joint of the arm needs its own motor; remove the <mimic>, or give a --tip before it"
+            "joint of the arm needs its own motor; remove the <mimic>, or set a --tip before it"
         )
     if not joints:
         raise RobotFileError(
-            f"--tip: no joint moves {tip!r} relative to --base {base!r}; give a --tip beyond the "
+            f"--tip: no joint moves {tip!r} relative to --base {base!r}; set a --tip beyond the "
             "arm's joints, or a --base before them"
         )
     first = joints[0]
@@ -374,6 +374,6 @@ def _nothing_above(tree: Tree, base: str) -> None:
             what = f"child links {', '.join(beside)}" if beside else "shapes"
             raise RobotFileError(
                 f"--base: {parent!r}, an ancestor of {base!r}, has {what}, which the robot would "
-                f"lose; give --base {parent}"
+                f"lose; set --base {parent}"
             )
         link = parent

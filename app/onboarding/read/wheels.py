@@ -19,7 +19,7 @@ _ROUND = 0.08  # [-] largest difference of the two widths of a wheel
 _ALIKE = 0.03  # [-] largest difference of the wheels' radii
 _SAME_PLACE = 0.01  # [m] largest asymmetry of mirrored wheels
 _UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may be tilted by 10 degrees
-_STEERING_RATE = 1.5  # [rad/s]
+_STEERING_RATE = 1.5  # [rad/s] assumed steering rate
 _IN_LINE = 0.02  # [m] largest offset of the steered wheels along x
 _ON_FLOOR = 0.02  # [m] largest height above the base's lowest point
 _TRAVEL = 0.5  # [-] travel of a rigid suspension relative to the wheel's radius
@@ -98,18 +98,18 @@ def find_drive(
 ) -> Wheels:
     """Find the driven wheels of a base, and the steering of a car-like one.
 
-    A base without wheels in its URDF stands on the lowest point of its shapes and faces the x axis
-    of its link.
+    Without wheels in the URDF, the floor is at the lowest point of the base's shapes, and the base
+    faces the x axis of its link.
 
     Raises:
-        RobotFileError: The URDF lacks wheels or steering; names an option that helps.
+        RobotFileError: The URDF lacks wheels or steering; the message names an option that helps.
     """
     given = request.wheel_radius is not None and request.half_track is not None
     if request.kind == "holonomic" or given:
         if (low := _lowest(tree, arm, geometry, arm.base_links)) is None:
             raise RobotFileError(
-                f"--base: no link of {arm.base!r} has a shape; give one a <collision>, or another "
-                "--base"
+                f"--base: no link of {arm.base!r} has a shape; add a <collision> to one, or set a "
+                "different --base"
             )
         floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, low]))
         r, b = request.wheel_radius or 0.0, request.half_track or 0.0
@@ -166,14 +166,13 @@ def _find_wheels(
         if not _mirrored([left, right]):
             raise RobotFileError(
                 f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
-                f"{right.r:.4f} m are not two equal wheels across from each other: name one "
-                "wheel on each side"
+                f"{right.r:.4f} m are not two equal wheels on one axle: name one wheel on each side"
             )
     else:
         turn = ", ".join(found)
-        why = f"{turn}: no two across from each other" if found else "no joint turns without end"
+        why = f"{turn}: no two are on one axle" if found else "no joint turns without limits"
         why = "; ".join([*reasons.values(), why] if found else [*reasons.values()] or [why])
-        helps = "give --wheels LEFT RIGHT, their joints; " if found or reasons else ""
+        helps = "set --wheels LEFT RIGHT, their joints; " if found or reasons else ""
         left, right = _driven(_mirrored(list(found.values())), f"{arm.base!r} ({why}); {helps}")
     return _drive(left, right, list(found.values()))
 
@@ -183,7 +182,7 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
     if not pairs:
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {where}"
-            "give --wheel-radius and --half-track if the URDF has no wheels that turn; or --kind "
+            "set --wheel-radius and --half-track if the URDF has no wheels that turn; or --kind "
             "holonomic if the base drives sideways too"
         )
     lowest = min(left.centre[2] - left.r for left, _ in pairs)
@@ -192,7 +191,7 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
         names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
         raise RobotFileError(
             f"--wheels: pairs of different radius may be the driven ones: {names}; "
-            "give --wheels LEFT RIGHT"
+            "set --wheels LEFT RIGHT"
         )
     return pairs[0]
 
@@ -222,7 +221,7 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
 def _named(
     tree: Tree, arm: Arm, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
 ) -> _Wheel:
-    """The wheel of a named joint or link; an error says why it is no wheel."""
+    """The wheel of a named joint or link; an error states why it is no wheel."""
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is not None and joint.name in found:
         return found[joint.name]
@@ -235,7 +234,7 @@ def _named(
     else:
         why = reasons.get(joint.name, f"{joint.name} is a caster's wheel: its fork turns too")
     turning = ", ".join(j.name for j in tree.joints.values() if turns_round(j))
-    raise RobotFileError(f"--wheels: {why}; joints that turn without end: {turning or '(none)'}")
+    raise RobotFileError(f"--wheels: {why}; joints without limits: {turning or '(none)'}")
 
 
 def turns_round(joint: Joint) -> bool:
@@ -318,13 +317,13 @@ def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3
             places.append(float(T.translation[0]))
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
         raise RobotFileError(
-            f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, none of them or not "
-            "in line; give --wheelbase, from the rear axle to the front one"
+            f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, but two on one axle "
+            "are required; set --wheelbase, the distance from the rear to the front axle"
         )
     wheelbase = request.wheelbase or float(np.mean(places))
     if wheelbase <= 0:
         raise RobotFileError(
-            "--wheels: the steered wheels are behind the driven ones; give LEFT and RIGHT"
+            "--wheels: the steered wheels are behind the driven ones; set --wheels LEFT RIGHT"
         )
     limit = request.steering_limit or _tightest(found)
     speeds = [joint.velocity for joint in found if joint.velocity]
@@ -346,7 +345,7 @@ def _tightest(joints: Sequence[Joint]) -> float:
     ways = [min(-(j.lower or 0.0), j.upper or 0.0) for j in joints if j.kind == "revolute"]
     if not ways or not 0.0 < min(ways) < np.pi / 2:
         raise RobotFileError(
-            "--steering-limit: the URDF limits no steered joint to both sides, to less than a "
-            "right angle; give it"
+            "--steering-limit: the URDF has no steered joint with limits below 90° to both sides; "
+            "set this option"
         )
     return min(ways)

@@ -1,12 +1,12 @@
 """A base with a driven rear axle and steered front wheels (Ackermann): it moves along arcs.
 
-The frame's origin is the middle of the rear axle on the floor, the front axle is L ahead of it. The
+The frame's origin is the middle of the rear axle on the floor; the front axle is L ahead. The
 velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w_x and ω = w_y / L.
 The front wheels point along this velocity, so it is in the double cone |w_y| ≤ tan δ_max |w_x|: the
 curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.
 
-Let (v, ω) be the velocity that the force would give a differential base. A car-like base takes the
-velocity in the cone that is nearest to (v, ω) in the metric of kinetic energy, m v² + I ω². If
+Let (v, ω) be the velocity of a differential base under the same force. The velocity of a car-like
+base is the one in the cone nearest to (v, ω) in the metric of kinetic energy, m v² + I ω². If
 (v, ω) is outside of the cone, the nearest velocity is on an edge of the cone, κ = ±κ_max, and has
 the speed (m v + I κ ω) / (m + I κ²): the base moves along its tightest arc like an inertia m + I κ²
 under a force F_x + κ τ. It moves ahead if κ has the sign of ω, and backwards on the other edge.
@@ -42,19 +42,19 @@ def nearest_in_cone(
 ) -> tuple[float, float]:
     """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), in the norm √(v² + ρ² ω²).
 
-    If both edges of the cone are about equally near, the base keeps its direction of motion. At
-    rest, with both exactly equally near, it moves backwards: this brings the arm ahead of the rear
+    If both edges of the cone are about equally near, the base does not reverse. If it is at rest
+    and both are exactly equally near, it moves backwards: this brings the arm ahead of the rear
     axle, where the score is better.
 
     Args:
-        v: [m/s] desired.
-        w: [rad/s] desired.
+        v: [m/s] desired speed.
+        w: [rad/s] desired ω.
         kappa: [1/m] κ_max.
         radius: [m] ρ, √(I/m).
         before: [m/s] present speed of the base; its sign is the direction of motion.
 
     Returns:
-        [m/s] and [rad/s].
+        v [m/s] and ω [rad/s].
     """
     if abs(w) <= kappa * abs(v):
         return v, w
@@ -69,11 +69,12 @@ def nearest_in_cone(
 
 
 class CarLikeBase(BaseKind):
-    """An Ackermann base: ν = (v, ω) of the rear axle's middle, q̇_b = (w_x, w_y) of the front's.
+    """An Ackermann base.
 
-    The measure in (10) is sign(x) (2 κ_max x)². The velocities of a point on the two tightest arcs,
-    at unit speed, span the area 2 κ_max |x|. The measure is 0 on the rear axle's line, where all
-    arcs move a point in the same direction, positive ahead of this line and negative behind it.
+    ν = (v, ω) is the motion of the rear axle's middle, q̇_b = (w_x, w_y) [m/s] that of the front
+    axle's middle. The measure in (10) is sign(x) (2 κ_max x)²: the velocities of a point on the two
+    tightest arcs, at unit speed, span the area 2 κ_max |x|. It is 0 on the rear axle's line, where
+    all arcs move a point in the same direction, positive ahead of this line, and negative behind.
 
     The drive follows a command with its speed v and its steering angle δ: δ approaches the angle of
     the command's arc, v the speed nearest to the command along the arc of the present δ.
@@ -87,7 +88,7 @@ class CarLikeBase(BaseKind):
     steering_limit_rad: Annotated[Positive, Field(lt=math.pi / 2)]
     """[rad] δ_max of a wheel at the middle of the front axle."""
     steering_rate_radps: Positive
-    """[rad/s] steering rate, also at standstill."""
+    """[rad/s] largest steering rate, also at standstill."""
     wheel_radius_m: Positive
     """[m] radius of the wheels; for drawing only."""
     wheel_joints: tuple[str, ...]
@@ -119,12 +120,12 @@ class CarLikeBase(BaseKind):
 
     @property
     def yaw_limit_nm(self) -> float:
-        """The torque of the traction at the front axle."""
+        """[N m] the torque of the traction force at the front axle."""
         return self.traction_limit_n * self.wheelbase_m
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """The rolling wheels, and the steered ones."""
+        """The rolling wheels, then the steered ones."""
         return (
             Wheels("rolling", "wheel_joints", self.wheel_joints),
             Wheels("steering", "steering_joints", self.steering_joints),
@@ -140,7 +141,7 @@ class CarLikeBase(BaseKind):
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
-        """Straight, or along either of the tightest arcs once the wheels are steered."""
+        """Straight, or along one of the tightest arcs, with the delay of the steering."""
         kappa = self.curvature_max
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         late = self.steering_limit_rad / self.steering_rate_radps
@@ -191,11 +192,11 @@ class CarLikeBase(BaseKind):
     def _goal(
         self, speed: float, angle: float, v_cmd: Sequence[float] | Array
     ) -> tuple[float, float]:
-        """Speed [m/s] and steering angle [rad] for a command.
+        """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω).
 
         While the wheels steer, the motion is along the present arc. The speed on this arc is the
-        nearest to the command in the metric of kinetic energy. This speed never opposes the
-        command, and is reduced if the present arc and that of the command bend to opposite sides.
+        nearest to the command in the metric of kinetic energy, but 0 if it would oppose the
+        command. It is reduced if the present arc and that of the command bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
         v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)

@@ -19,7 +19,7 @@ def mobile_jacobian(r: float, b: float) -> Array:
         b: [m] distance between a wheel and the base's centre.
 
     Returns:
-        (2, 2) in m/rad and 1.
+        (2, 2), first row [m/rad], second row [1].
     """
     return np.array([[r / 2, r / 2], [r / (2 * b), -r / (2 * b)]])
 
@@ -31,7 +31,7 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
 
     Args:
         x: [m] from the base's centre to the control point, along the world's x axis.
-        y: [m] distance along the world's y axis.
+        y: [m] the same along the world's y axis.
         phi: [rad] heading of the base.
         r: [m] radius of the wheels.
         b: [m] distance between a wheel and the base's centre.
@@ -79,7 +79,7 @@ class DifferentialBase(TurningBase):
     left_wheel_joints: tuple[str, ...]
     """Wheel joints of the URDF on the left side; for drawing only, the drive uses r and b."""
     right_wheel_joints: tuple[str, ...]
-    """Wheel joints on the right side."""
+    """Wheel joints of the URDF on the right side; for drawing only."""
 
     @property
     def J_m(self) -> Array:

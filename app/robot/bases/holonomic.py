@@ -30,7 +30,7 @@ class HolonomicBase(TurningBase):
 
     @property
     def yaw_limit_nm(self) -> float:
-        """The torque of the traction at the radius of gyration."""
+        """[N m] the torque of the traction force at the radius of gyration."""
         return self.traction_limit_n * math.sqrt(self.inertia_kgm2 / self.mass_kg)
 
     @property

@@ -2,8 +2,8 @@
 
 A base has velocity axes ν (n_b,). `T` maps ν to the base's twist (v_x, v_y, ω_z) in the base's
 frame: origin on the floor, x forward. `J_m` maps the reduced velocities q̇_b (n_b,), such as the
-wheels' speeds, to ν. The method does not distinguish kinds. Only onboarding, which reads wheels,
-the plant with wheels in contact, and the dashboard's words do.
+wheels' speeds, to ν. The method does not distinguish kinds. Only three parts do: onboarding, which
+reads wheels; the plant with wheels in contact; and the dashboard's texts.
 """
 
 import math
@@ -22,9 +22,9 @@ class Axis(NamedTuple):
     symbol: str
     """Displayed name, such as "v"."""
     angular: bool
-    """Whether it turns the base; its unit is then rad/s, otherwise m/s."""
+    """Whether the motion turns the base; its unit is then rad/s, otherwise m/s."""
     way: Literal["forward", "left"] = "forward"
-    """Direction of the motion in the base's own frame, if it is not angular."""
+    """Direction of the motion in the base's frame; no meaning for an angular axis."""
 
 
 FORWARD = Axis("v", False)
@@ -32,25 +32,25 @@ TURN = Axis("ω", True)
 
 
 def acceleration_symbol(axis: Axis) -> str:
-    """Symbol of an acceleration with a dot over its first letter, such as v̇, v̇_x or ω̇."""
+    """Symbol of the acceleration along an axis: v̇, v̇_x or ω̇, for example."""
     return axis.symbol[:1] + "\u0307" + axis.symbol[1:]
 
 
 class Planar(NamedTuple):
-    """A motion of the base in its own frame: forward, to the left, and turning left."""
+    """A motion in the base's frame, in the units of its values, such as m/s, m/s and rad/s."""
 
     forward: float
     left: float
-    turn: float
+    turn: float  # positive to the left
 
 
 def planar(axes: Sequence[Axis], values: Sequence[float] | Array) -> Planar:
-    """The motion in the base's frame for values along the axes (n_b,)."""
+    """The motion in the base's frame for values (n_b,) along the axes, in the same units."""
     return Planar(*(twist_map(axes) @ np.asarray(values, dtype=float)).tolist())
 
 
 def twist_map(axes: Sequence[Axis]) -> Array:
-    """(3, n_b) from values along the axes to forward, left and turn; each axis is one of these."""
+    """(3, n_b) matrix from values along the axes to the fields of `Planar`; TᵀT = I."""
     rows = ("forward", "left", "turn")
     columns = [rows.index("turn" if axis.angular else axis.way) for axis in axes]
     return np.eye(3)[:, columns]
@@ -62,7 +62,7 @@ class Measure(NamedTuple):
     """
 
     constant: float
-    """[-] part that is independent of the point."""
+    """[the measure's unit] part that is independent of the point."""
     per_square_metre: float
     """[the measure's unit / m²] part that grows with x · |x|."""
 
@@ -141,7 +141,7 @@ class BaseKind(Sourced, ABC):
     @property
     @abstractmethod
     def J_m(self) -> Array:
-        """(n_b, n_b) from q̇_b to ν, invertible and constant."""
+        """(n_b, n_b) map from q̇_b to ν; it is invertible and constant."""
 
     @property
     @abstractmethod
@@ -165,7 +165,7 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """Divisor of the score in (13), because S_0 is a gain for the paper's measure."""
+        """Divisor of the score in (13), because S_0 is tuned for the paper's measure."""
         return 1.0
 
     @property
@@ -174,7 +174,7 @@ class BaseKind(Sourced, ABC):
         """Quality of the motion of a point, in place of the determinant of (7)."""
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The value of `measure` at points, which grows with x or is constant, and its gradient.
+        """The value of `measure` at points, and its gradient; it never decreases with x.
 
         It replaces sign(x) det(J_c J_cᵀ) in (10).
 
@@ -208,11 +208,11 @@ class BaseKind(Sourced, ABC):
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """The feasible velocity nearest to the desired one.
+        """The feasible velocity (n_b,) nearest to the desired one; here the desired one itself.
 
         Args:
-            wanted: (n_b,) desired velocity, within the limits of each axis.
-            before: (n_b,) previous velocity command.
+            wanted: (n_b,) [m/s or rad/s] desired velocity, within the limits of each axis.
+            before: (n_b,) [m/s or rad/s] previous velocity command.
         """
         del before
         return wanted
@@ -222,7 +222,7 @@ class BaseKind(Sourced, ABC):
         return np.zeros(0)
 
     def follower(self, dt: float) -> Follower:
-        """Function of the drive's response to a command, within the limits, in a period dt [s]."""
+        """The function that computes the drive's response in a period dt [s], within the limits."""
         # Exact for a constant command during the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
         limits = list(zip(self.max_velocity, (a * dt for a in self.max_acceleration), strict=True))
@@ -238,7 +238,7 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """Present response of the drive to a command, (n_b,): clip((v_cmd - v)/τ, ±limits)."""
+        """(n_b,) [m/s² or rad/s²] present response of the drive: clip((v_cmd − v)/τ, ±limits)."""
         del drive
         gain, velocities = 1.0 / self.drive_time_constant_s, (np.asarray(v), np.asarray(v_cmd))
         limits = self.max_velocity, self.max_acceleration
@@ -248,7 +248,7 @@ class BaseKind(Sourced, ABC):
         )
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
-        """The angles [rad] of `wheels` after a step with reduced velocities q̇_b (n_b,)."""
+        """(n_w,) [rad] the angles of `wheels` after a step of dt [s] with q̇_b (n_b,)."""
         del qd_b, drive, dt
         return angles
 

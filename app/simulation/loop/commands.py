@@ -135,7 +135,7 @@ class Reset(Beginning):
     q_m: tuple[float, ...] = ()
     """(n_m,) [rad or m] joint positions of the arm; empty means the free start."""
     base_pose: Point = (0.0, 0.0, 0.0)
-    """[m] [m] [rad] x, y and heading of the base; ignored if `q_m` is empty."""
+    """[m, m, rad] x, y and heading of the base in the world; ignored if `q_m` is empty."""
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.q_m, *self.base_pose))):
@@ -144,7 +144,7 @@ class Reset(Beginning):
 
 @dataclass(frozen=True)
 class Restart(Beginning):
-    """Start the scenario of the last start again; without one, repeat the last `Reset`."""
+    """Start the last scenario again; if the last start had no scenario, repeat the last `Reset`."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Play(Beginning):
 
 @dataclass(frozen=True)
 class Compare(Command):
-    """Start a comparison, at the present posture or the scenario's start, or end a comparison."""
+    """Start a comparison at the present posture or at the scenario's start, or end a comparison."""
 
     controllers: tuple[str, ...] = ()
     """Controllers of the compared robots, at most two; if there are none, the comparison ends and

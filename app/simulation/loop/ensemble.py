@@ -126,7 +126,7 @@ class Ensemble:
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
-        """Start a comparison with the named controllers, or end the comparison if none is named.
+        """Start a comparison with the named controllers; if none is named, end the comparison.
 
         While a scenario moves the robot, or if the end-effector holds a door, the comparison starts
         at the scenario's start; otherwise at the present posture, at rest.
@@ -175,9 +175,8 @@ class Ensemble:
         return step
 
     def scores(self) -> tuple[Score, ...]:
-        """Scores of the main robot and the ghosts since the start of the comparison.
-
-        There are none without ghosts. Steps after the end of a scenario do not count.
+        """Scores of the main robot and the ghosts since the start of the comparison; () without
+        ghosts. Steps after the end of a scenario do not count.
         """
         if not self.ghosts:
             return ()
@@ -253,7 +252,7 @@ class Runner:
     """One robot of the ensemble: session, driver and score."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
-        """Start at the beginning of a session; `driver` computes the input, or is None."""
+        """Start at the beginning of a session; `driver` computes the input; None means no input."""
         self.session, self._driver, self.scored = session, driver, False
         """`scored` states whether the robot takes part in a comparison."""
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)

@@ -60,7 +60,7 @@ class LoopHandle(Protocol):
     def history(self, after: float) -> list[Snapshot]:
         """Snapshots of the present run with t > `after` [s], oldest first.
 
-        Snapshots that are older than 60 s are no longer stored.
+        At most the newest 3000 snapshots of the run are stored, those of 60 simulated seconds.
         """
         ...
 
@@ -83,7 +83,7 @@ class LiveLoop(LoopHandle):
         """Call `begin`, if necessary, and wait for the first snapshot.
 
         Raises:
-            LoopError: The session could not be made.
+            LoopError: The session cannot be made.
         """
         if not self._begun:
             self.begin()

@@ -36,11 +36,11 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 def loop_child() -> Child:
     """Start a process that waits for a session to simulate.
 
-    The imports of the process take one or two seconds; the process can be started early and passed
-    to a `ProcessLoop` later. The process first receives a function that makes the session, together
-    with the arm's start posture, and then receives commands. It sends the outcome of the start (the
-    names of the frames at which people can hold the arm), then snapshots, with None as a heartbeat
-    in between, and finally the outcome of the end.
+    The imports of the process take one or two seconds; therefore a caller can start the process
+    early, and pass it to a `ProcessLoop` later. The process first receives a function that makes
+    the session, together with the arm's start posture; then it receives commands. It sends the
+    outcome of the start (the names of the frames at which people can hold the arm), then snapshots,
+    and None as a heartbeat while there are none, and finally the outcome of the end.
     """
     return Child(_run_loop)
 

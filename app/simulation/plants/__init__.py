@@ -52,7 +52,8 @@ def make_physics(
         UnknownNameError: The plant does not exist.
         ConfigError: The plant has no doors, does not suit the kind of base, or needs a library
             that is not installed.
-        AssetError: pybullet cannot load the robot.
+        AssetError: A mesh is missing, or pybullet cannot load the robot.
+        RobotFileError: As for `collision_shapes`, with MuJoCo.
     """
     kind = chosen_plant(kind)
     # Imported here, because each plant must work without the libraries of the other plants.
@@ -72,7 +73,7 @@ def make_physics(
         base = model.description.base
         if not isinstance(base, DifferentialBase):
             raise ConfigError(
-                "the plant mujoco-contact turns the wheels of differential bases only; "
+                "the plant mujoco-contact suits only differential bases; the base of "
                 f"{model.description.name} is {base.kind}: choose mujoco, planar or kinematic"
             )
         from app.simulation.plants.mujoco_wheels import MujocoWheels

@@ -95,7 +95,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         return M[np.ix_(order, order)], h[order]
 
     def _press(self, link: int, point: Sequence[float], force: Array) -> None:
-        """Apply a force (3,) [N] in the world to a point (3,) [m] in a joint's frame."""
+        """Apply a force (3,) [N] in the world to a point (3,) [m] in the frame of a link."""
         fx, fy, fz = np.asarray(force).tolist()
         if fx == fy == fz == 0.0:
             return

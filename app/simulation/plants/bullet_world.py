@@ -149,7 +149,7 @@ class BulletWorld:
         return body
 
     def allow_contacts(self, pairs: ContactPairs) -> None:
-        """Let only these pairs of links touch; other pairs pass through each other."""
+        """Let only these pairs touch; other links, or a link and the floor, overlap freely."""
         places = {name: (self.robot, i) for name, i in self.links.items()}
         places[FLOOR] = self.floor, -1
         for a, b in combinations(places, 2):
@@ -204,6 +204,6 @@ class BulletWorld:
 
 
 def touches(contact: tuple[Any, ...]) -> bool:
-    """Whether a contact point of pybullet is a real contact: without a gap, or with a force."""
+    """Whether bodies touch at a contact point of pybullet: without a gap, or with a force."""
     distance, normal_force = contact[8], contact[9]  # [m], [N]
     return distance <= 0 or normal_force > 0

@@ -85,7 +85,10 @@ class Door:
         return pin.SE3(turn, np.array([*self.hinge_position, 0.0]))
 
     def handle(self, angle: float) -> pin.SE3:
-        """Pose of an end-effector at the handle: z points into the door, x up."""
+        """Pose in the world of an end-effector at the handle, at an opening angle [rad].
+
+        z points into the door, x up.
+        """
         place = np.array(
             [
                 -self.thickness / 2 - self.handle_reach,
@@ -97,7 +100,7 @@ class Door:
         return self.pose(angle) * pin.SE3(axes, place)
 
     def radial(self, p_hand: Array) -> Array:
-        """(2,) horizontal unit vector from an end-effector at `p_hand` (3,) [m] to the hinge."""
+        """(2,) horizontal unit vector in the world from a point `p_hand` (3,) [m] to the hinge."""
         to_hinge = np.subtract(self.hinge_position, p_hand[:2])
         return to_hinge / np.linalg.norm(to_hinge)
 
@@ -134,7 +137,7 @@ class OpenDoor(NamedTuple):
 
     door: Door
     angle: float
-    """[rad] opening angle at the start."""
+    """[rad] opening angle at the plant's reset."""
 
 
 class Cabinet:

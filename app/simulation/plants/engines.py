@@ -50,6 +50,7 @@ def compare_engines(
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
+        ConfigError: pybullet is not installed.
     """
     plants = planar_plant("pybullet", model), planar_plant("mujoco", model)
     worlds = plants[0].world, plants[1].world

@@ -20,7 +20,7 @@ class Contacts(NamedTuple):
     arm_floor: bool = False
     """Whether arm and floor touch."""
     door_base: bool = False
-    """Whether a held door and the base touch."""
+    """Whether the base and a door that the end-effector holds touch."""
 
     @classmethod
     def of(cls, groups: Iterable[str]) -> Self:
@@ -71,7 +71,7 @@ class Physics(ABC):
     dt: float
     """[s] duration of one step."""
     door: HeldDoor | None
-    """The door that the end-effector holds; None in a plant without one."""
+    """The door that the end-effector holds; None in a plant without a door."""
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -112,14 +112,14 @@ class PlanarWorld(ABC):
     """A robot on planar joints in an engine.
 
     Positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world, then of the
-    arm's joints.
+    arm's joints. `door` is as in `Physics`.
     """
 
     door: HeldDoor | None
 
     @abstractmethod
     def reset(self, q: Array) -> None:
-        """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps the door."""
+        """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps a `door`."""
 
     @abstractmethod
     def read(self) -> tuple[Array, list[float], Array, Array]:

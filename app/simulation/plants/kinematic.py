@@ -97,8 +97,9 @@ class Kinematic(Physics):
 def _within_limits(
     M: Array, u: Array, q: Array, qd: Array, lower: Array, upper: Array, dt: float
 ) -> Array:
-    """The acceleration of joints with ideal stops: each joint that would leave its range in this
-    step moves to its nearer limit.
+    """The acceleration of joints with ideal stops.
+
+    Each joint that would leave its range in this step moves to its nearer limit.
 
     Args:
         M: (n, n) mass matrix.

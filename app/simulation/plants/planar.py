@@ -19,7 +19,7 @@ from app.strict import Array
 
 
 class Planar(Physics):
-    """`Physics` with an ideal contact of the wheels within their traction."""
+    """`Physics` with wheels that neither slip nor lift; their force is limited to the traction."""
 
     def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
         """Start with the robot of an engine's world at rest in the ready position."""
@@ -87,6 +87,8 @@ def planar_plant(
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
+        ConfigError: The engine is pybullet, which is not installed.
+        RobotFileError: As for `collision_shapes`, with MuJoCo.
     """
     # Imported here, because each engine must work without the other engine's library.
     if engine == "pybullet":
@@ -103,7 +105,7 @@ def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float
     """The mean twist (3,) in the world during a step of dt [s], for a twist in the base's frame.
 
     Both twists are v_x, v_y [m/s] and ω [rad/s]; `heading` [rad] is that at the start of the step.
-    The direction in the middle of the step is used, which is exact on a circle.
+    The mean has the direction in the middle of the step.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt

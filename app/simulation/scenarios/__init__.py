@@ -69,10 +69,10 @@ def scenario_by_name(name: str) -> Scenario:
 
 
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
-    """The scenario with a name.
+    """The scenario with a name, for a robot.
 
     If the description has a line (start and displacement of the end-effector) for this scenario,
-    the line replaces that of the scenario.
+    this line replaces the scenario's own line.
 
     Args:
         description: The robot.

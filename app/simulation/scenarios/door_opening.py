@@ -1,7 +1,7 @@
-"""Opening a door with an unknown hinge: velocity control along the estimated tangent, force control
-along the estimated radius (§4.2.3; Karayiannidis et al., 2016).
+"""Opening a door with an unknown hinge (§4.2.3; Karayiannidis et al., 2016).
 
-The hinge is vertical, so the problem is planar. The end-effector holds the door rigidly, so the
+The end-effector has velocity control along the estimated tangent, and force control along the
+estimated radius. The hinge is vertical, so the problem is planar. The grasp is rigid, so the
 radial direction is constant in the end-effector's frame, which turns with the door. During the
 motion the controller estimates the radial direction from the radial force, and the path's curvature
 from the torque.
@@ -113,8 +113,8 @@ class DoorOpening:
         into_door = tangent(self.radial(T_world_ee), 1.0) @ self._R_start[:, 2]
         self._sense = -1.0 if into_door > 0.0 else 1.0
         self.curvature = self.speed = self._integral = self._t = 0.0
-        """κ̂ [1/m], positive for counter-clockwise turns, and the commanded speed [m/s] along the
-        tangent."""
+        """`curvature` is κ̂ [1/m], positive for counter-clockwise turns; `speed` [m/s] is the
+        commanded speed along the tangent."""
         self._felt = np.zeros(6)
 
     def radial(self, T_world_ee: pin.SE3) -> Array:
@@ -179,7 +179,7 @@ def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver
     """The driver that opens a door with the adaptive controller and the sensors of a session.
 
     Args:
-        door: The held door.
+        door: The door that the end-effector holds.
         session: The session, which is at its start.
         rate: [deg/s] desired rotation rate of the door.
         guess: [deg] error of the initial estimate of the direction to the hinge.

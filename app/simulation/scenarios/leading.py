@@ -55,7 +55,9 @@ class Setting(NamedTuple):
     q_m: Array
     """(n_m,) [rad or m] joint positions of the arm."""
     config: Config
+    """The parameters of the run."""
     door: OpenDoor | None = None
+    """The door that the end-effector holds, or None."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,8 @@ class Scenario(ABC):
 
     name: str
     duration: float
-    """[s] duration of the run. A motion along a line takes a fixed share of the duration, unless
-    the person releases the end-effector during the run."""
+    """[s] duration of the run. A motion along a line takes a fixed share of the duration; if the
+    person releases the end-effector during the run, the option changes only the end of the run."""
     about: str
     """Description in one line."""
 
@@ -109,13 +111,13 @@ class Scenario(ABC):
         known = {field.name for field in fields(self)} - {"name", "about"}
         for name in given:
             if name not in known:
-                raise self.without(name)
+                raise self.unknown_option(name)
         try:
             return replace(self, **given)
         except (TypeError, ValueError) as error:  # for example a text, or a point of two numbers
             raise ConfigError(f"options of {self.name}: {error}") from None
 
-    def without(self, name: str) -> ConfigError:
+    def unknown_option(self, name: str) -> ConfigError:
         """The error for an option that this scenario does not have."""
         options = ", ".join(sorted(option.replace("_", "-") for option in self.options))
         option = name.replace("_", "-")

@@ -62,7 +62,7 @@ class PostureSearch:
         self._shoulder, self._length = _arm_length(model)
 
     def stand(self, base_pose: Array) -> None:
-        """Put the base at a pose (3,): x, y [m] and heading [rad]; the initial pose is zero."""
+        """Put the base at a pose (3,): x, y [m] and heading [rad] in the world; initially zero."""
         self._base_pose, self._placed = base_pose, None
 
     def place(self, q_m: Array) -> None:
@@ -148,7 +148,7 @@ class PostureSearch:
 
     @property
     def J_hand(self) -> Array:
-        """(6, n_m) Jacobian of the end-effector for the arm's joints, in the world."""
+        """(6, n_m) Jacobian of the end-effector for the arm's joints, in axes of the world."""
         return self.state.J_ee[:, self.model.n_b :]
 
     def beyond(self, p: Array) -> float:

@@ -41,8 +41,7 @@ OUT_OF_REACH = "out of the arm's reach"
 
 
 class StartSolver:
-    """Finds an arm configuration for an end-effector position, with the base at the origin facing
-    +x.
+    """Finds an arm configuration for an end-effector position; the base at the origin faces +x.
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its limits. If the

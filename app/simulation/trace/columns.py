@@ -157,7 +157,7 @@ class Column(NamedTuple):
     kind: Kind = "float"
     """Type of the cells."""
     optional: bool = False
-    """Whether a cell can be empty; in memory, an empty cell is not-a-number."""
+    """Whether a cell can be empty; in memory, an empty cell is NaN."""
     often: bool = False
     """Whether the column has a number at each control step, not only at snapshots."""
 

@@ -203,7 +203,7 @@ def _check_times(times: np.ndarray) -> None:
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
     """The cells of a column for a file.
 
-    None becomes an empty cell. In an optional column, not-a-number becomes an empty cell too.
+    None becomes an empty cell. In an optional column, NaN becomes an empty cell too.
     """
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):

@@ -108,7 +108,7 @@ def path(run: Trace) -> float:
 
 
 def largest(values: Array, at_least: float = 0.0) -> float:
-    """The largest of `at_least` and of all values; not-a-number is ignored."""
+    """The largest of `at_least` and of all values; NaN is ignored."""
     return float(np.fmax.reduce(values, axis=None, initial=at_least))
 
 

@@ -83,7 +83,7 @@ class ActingReading(NamedTuple):
 
 
 class DoorView(NamedTuple):
-    """A door that the end-effector holds; after the scenario, unknown values are not-a-number."""
+    """A door that the end-effector holds; after the scenario, unknown values are NaN."""
 
     door: Door
     """The door's constant geometry; `door.pose(angle)` is T_world_door."""
@@ -291,7 +291,7 @@ def _smallest_force_bound(session: Session, step: Step) -> float:
 
     Each pair in its buffer has a bound. The force on the end-effector has a further bound: up to
     this bound, each joint can hold its speed against the force, so that no joint exceeds its speed
-    limit. The result is not-a-number if there is no bound, if no person holds the robot, and for
+    limit. The result is NaN if there is no bound, if no person holds the robot, and for
     the fallback command, which does not respect limits.
     """
     w, tau_max = step.control, session.model.tau_max
@@ -328,7 +328,7 @@ class Snapshot:
     base_velocity_command: Annotated[
         Array, numbers("command_{velocity}", lambda s, o: o.base_command)
     ]
-    """(n_b,) [m/s or rad/s] velocity command, renewed every `admittance.period`."""
+    """(n_b,) [m/s or rad/s] velocity command; it changes once in each `admittance.period`."""
     base_acceleration: Annotated[
         Array, numbers("base_{acceleration}", lambda s, o: o.control.a_base_cmd)
     ]
@@ -439,7 +439,7 @@ class Snapshot:
     )
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] smallest upper bound of a person's force that the arm resists; not-a-number without a
+    """[N] smallest upper bound of a person's force that the arm resists; NaN without a
     bound."""
     run: int = 0
     """Number of the run since the start of the loop."""

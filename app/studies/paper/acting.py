@@ -91,8 +91,7 @@ def deepest(sources: Sources) -> int:
 def turning(sources: Sources) -> Force:
     """The force in a row of the run along the wheel axis in which both its components are large.
 
-    In each row the smaller component counts. Every 20th row in the buffer is compared, and the row
-    in which the smaller component is largest is chosen.
+    Of every 20th row in the buffer, it is the row with the largest smaller component.
     """
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]

@@ -87,9 +87,9 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of (29) as printed, with the diagonal of B (k,), which is stored in the step.
+    """q̈ (n,) of (29) as printed, with the diagonal of B (k,); NaN if a level has no solution.
 
-    It is NaN if a level has no solution.
+    The function stores the diagonal in the step `w`.
     """
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)

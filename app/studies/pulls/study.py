@@ -50,10 +50,10 @@ def study(
 ) -> dict[str, Any]:
     """Run the missing cases of a study, and write its results into an existing folder.
 
-    If the folder has fewer than `cases` finished cases, the missing ones run. If it has more, the
-    results are computed from the first `cases` of them. The cases run on the workers of a dask
-    `scheduler`, which is given by its address; without a scheduler, they run in processes of this
-    machine. `on_progress` gets the number of finished cases.
+    The cases have the numbers from 0 to `cases` - 1; those without a stored result run. The results
+    of further stored cases are ignored. The cases run on the workers of the dask scheduler with the
+    address `scheduler`; without one, they run in processes of this machine. `on_progress` gets the
+    number of finished cases.
 
     Returns:
         The content of `study.json`.

@@ -1,6 +1,4 @@
-"""The maps of a sweep: results of horizontal paths by their direction, of paths from above by their
-place.
-"""
+"""The maps of a sweep: horizontal paths by their direction, paths from above by their place."""
 
 import math
 from collections.abc import Sequence

@@ -156,7 +156,7 @@ class SweepPlan:
     hold: float = 3.0
     """[s] duration of the rest at the end of each path."""
     start_distance: float | None = None
-    """[m] distance between arm and base at the start; default: 0.02 more than d_b."""
+    """[m] distance between arm and base at the start; default: d_b + 0.02."""
     physics: str = field(default_factory=default_plant)
     """planar, mujoco, mujoco-contact or kinematic."""
     seed: int = 0
@@ -208,7 +208,7 @@ class SweepPlan:
         return found
 
     def trials(self, starts: list[Start]) -> Iterator[tuple[Start, str, float]]:
-        """The arguments of `spec` for each controller, speed, and start that exists."""
+        """The arguments of `spec` for each controller, each speed, and each existing start."""
         for controller, speed, start in product(self.controllers, self.speeds, starts):
             if not start.reason:
                 yield start, controller, speed
