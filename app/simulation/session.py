@@ -56,9 +56,11 @@ class Step(NamedTuple):
     duration: float
     """[s] real time of the controller's computation."""
     truth: Measurement
-    """The true state of the robot; equal to `measurement` without sensor errors."""
-    distances: tuple[float, ...]
-    """[m] true signed distances of the pairs, in the order of the control step's pairs."""
+    """The true readings; equal to `measurement` without sensor errors."""
+    state: RobotState
+    """The true state of the robot, as `Session.state`; the next step overwrites it."""
+    distances: Array
+    """(n_p,) [m] true signed distances of the pairs, in the order of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
     door: DoorReading | None = None
@@ -71,6 +73,16 @@ class Step(NamedTuple):
     """The tracked reference, or None while a person guides the arm."""
     hand_speed: float = 0.0
     """[m/s] true speed of the end-effector."""
+
+    @property
+    def people(self) -> int:
+        """Number of people who hold the robot."""
+        return len(self.pulls)
+
+    @property
+    def duration_us(self) -> float:
+        """[µs] real time of the controller's computation."""
+        return 1e6 * self.duration
 
 
 class Session:
@@ -225,6 +237,7 @@ class Session:
             self.physics.contacts(),
             duration,
             truth,
+            state,
             distances,
             self._look(control),
             door,
@@ -254,18 +267,18 @@ class Session:
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
-    ) -> tuple[RobotState, tuple[float, ...]]:
-        """The robot's true state, and the distances [m] of all pairs.
+    ) -> tuple[RobotState, Array]:
+        """The robot's true state, and the distances (n_p,) [m] of all pairs.
 
         Without sensor errors both are taken from the controller's estimate, which saves a second
         computation; the estimate deviates by hundredths of a millimetre from the truth.
         """
         if sensed is truth:
             self.state = self.controller.state
-            return self.state, tuple(control.d[: len(control.pairs)].tolist())
+            return self.state, control.d[: len(control.pairs)].copy()
         self.state = self._own_state
         self.state.update_kinematics(truth)
-        return self.state, self._distances.distances()
+        return self.state, np.array(self._distances.distances())
 
     def _look(self, control: ControlStep) -> BufferReading:
         way = self.controller.name in MOVES_BASE

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import compress
+from operator import attrgetter
+from struct import Struct
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.columns import Column, Take, TraceMeta
+from app.simulation.trace.columns import Column, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
 from app.strict import Array
 
@@ -210,10 +211,8 @@ class Recorder:
             drawn: Whether to take snapshots at 50 Hz, beginning with the first step.
         """
         self._scenario, self._drawn = scenario, drawn
-        rows = (quantity.row for quantity in QUANTITIES.values())
-        self._rows: list[Take] = [row for row in rows if row is not None]
         self._layout: Layout | None = None
-        self._cells = array("d")  # needs a fifth of a list's memory, and no garbage collection
+        self._rows = bytearray()  # needs a fifth of a list's memory, and no garbage collection
         self._last: tuple[Session, Step] | None = None
         self._faults: dict[str, float] = {}
         self._farthest: Step | None = None  # step with the largest tracking error
@@ -229,15 +228,14 @@ class Recorder:
             self._farthest = step._replace(control=step.control.copy())
         if len(session.loop.reported) > len(self._faults):
             self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
-        cells: list[float] = []
-        for row in self._rows:
-            cells += row(session, step)
-        self._cells.extend(cells)
+        computed = [x for row in self._computed for x in row(session, step)]
+        numbers = self._packed(*self._numbers(step), *computed)
+        self._rows += b"".join((*self._arrays(step), numbers))
         if self._drawn:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """The recorded trace. Its table shares the recorder's memory: `add` must not follow."""
+        """The recorded trace."""
         assert self._layout is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
@@ -247,10 +245,12 @@ class Recorder:
         results = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
         results["faults"] = self._faults
         meta = self._layout.meta.model_copy(update=results)
-        table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
+        rows = np.frombuffer(self._rows).reshape(-1, len(self._order))
+        table = rows.take(self._order, axis=1)
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
     def _begin(self, session: Session, step: Step) -> None:
+        """Prepare the rows. A row has the bytes of arrays, then numbers, then computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
         meta = TraceMeta.of(
@@ -262,6 +262,19 @@ class Recorder:
             seed=session.seed,
         )
         self._layout = Layout.of(meta)
+        sources = [each for q in QUANTITIES.values() for each in q.paths or (q.row,) if each]
+        kinds, sizes = [], []
+        for each in sources:
+            value = attrgetter(each)(step) if isinstance(each, str) else each(session, step)
+            kinds.append(2 if callable(each) else 0 if isinstance(value, np.ndarray) else 1)
+            sizes.append(np.size(value))
+        arrays, numbers, self._computed = (
+            list(compress(sources, np.equal(kinds, kind))) for kind in range(3)
+        )
+        self._arrays, self._numbers = attrgetter(*arrays), attrgetter(*numbers)
+        of_column = np.repeat(kinds, sizes)
+        self._packed = Struct(f"{np.count_nonzero(of_column)}d").pack
+        self._order = np.argsort(np.argsort(of_column, kind="stable"))
 
     def _draw(self, session: Session, step: Step) -> None:
         if round(step.t / DT) % EVERY:
