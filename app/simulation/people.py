@@ -17,6 +17,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Push
 from app.strict import Array
+from app.structs import put
 
 _ARM = 2  # pinocchio's index of the arm's first joint; joint 1 is the base's planar joint
 _QUICKNESS = 20.0  # [rad/s] bandwidth of the hand's motion towards a new target
@@ -94,8 +95,7 @@ class People:
         Raises:
             TargetError: A target is invalid, as in `checked_target`.
         """
-        hands, readings, pushes = {}, [], []
-        total = np.zeros(3)
+        hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
             same = who, link, point
             hand = hands[same] = self._hands.get(same) or PersonHand(self.config, self._dt)
@@ -103,7 +103,7 @@ class People:
             if link is None:
                 p = state.p_ee
                 force = hand.force(p, state.v_ee[:3], target)
-                total = total + force
+                total += force
             else:
                 joint, at = held_point(self._model, link, point)
                 p = state.data.oMi[joint].act(at)
@@ -154,18 +154,25 @@ class PersonHand:
         place = checked_target(target)
         if self.motion is None:
             self.motion = np.array([p_ee, np.zeros(3)], dtype=float)
-        config = self.config
+        config, force = self.config, np.empty(3)
         spring = config.stiffness, config.damping, config.f_max
-        self.motion, force = _pull_once(self.motion, place, p_ee, v_ee, *spring, self._dt)
+        _pull_once(self.motion, place, p_ee, v_ee, *spring, self._dt, force)
         if config.mass == 0.0:
             self._mass = None
             return force
         if self._mass is None:  # the mass starts with the robot's velocity
             self._mass = np.array([p_ee, v_ee], dtype=float)
-        self._mass, force = _push_once(
-            self._mass, self.motion[0], p_ee, v_ee, *spring, config.mass, self._dt
-        )
+        dynamics = *spring, config.mass, self._dt
+        _push_once(self._mass, self.motion[0], p_ee, v_ee, *dynamics, force)
         return force
+
+
+def first_target(holds: Sequence[Hold]) -> Array | None:
+    """(3,) [m] target of the first hold at the end-effector, in the world, or None."""
+    for hold in holds:
+        if hold.link is None:
+            return hold.target
+    return None
 
 
 def held_links(model: RobotModel) -> tuple[str, ...]:
@@ -187,13 +194,15 @@ def checked_target(target: Sequence[float] | Array) -> Array:
         TargetError: The target is below the floor, a coordinate exceeds 10 km, or the target is
             not three finite numbers.
     """
-    place = _finite_point(target, "the hand's target")
+    place = _point(target, what := "the hand's target")
     x, y, z = place.tolist()
+    if 0.0 <= z <= _FARTHEST and -_FARTHEST <= x <= _FARTHEST and -_FARTHEST <= y <= _FARTHEST:
+        return place
+    if not np.isfinite(place).all():
+        raise _not_finite(target, what)
     if z < 0:
         raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor at z = 0")
-    if max(abs(x), abs(y), z) > _FARTHEST:
-        raise TargetError(f"a coordinate of the hand's target exceeds {_FARTHEST:g} m: {target!r}")
-    return place
+    raise TargetError(f"a coordinate of the hand's target exceeds {_FARTHEST:g} m: {target!r}")
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
@@ -203,31 +212,41 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
         TargetError: The point is farther than 1 m from the link's origin, or is not three finite
             numbers.
     """
-    place = _finite_point(point, "the held point")
-    if np.linalg.norm(place) > _LINK_SIZE:
-        raise TargetError(
-            f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
-        )
-    return place
+    place = _point(point, what := "the held point")
+    if np.linalg.norm(place) <= _LINK_SIZE:
+        return place
+    if not np.isfinite(place).all():
+        raise _not_finite(point, what)
+    raise TargetError(
+        f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
+    )
 
 
-def _finite_point(point: Sequence[float] | Array, name: str) -> Array:
+def _point(point: Sequence[float] | Array, name: str) -> Array:
+    """The point as an array (3,)."""
     try:
         place = np.array(point, dtype=float)
     except (TypeError, ValueError):
-        place = np.empty(0)
-    if place.shape != (3,) or not all(map(math.isfinite, place.tolist())):
-        raise TargetError(f"{name} must be three finite numbers, not {point!r}")
+        raise _not_finite(point, name) from None
+    if place.shape != (3,):
+        raise _not_finite(point, name)
     return place
 
 
+def _not_finite(point: Sequence[float] | Array, name: str) -> TargetError:
+    return TargetError(f"{name} must be three finite numbers, not {point!r}")
+
+
 @compiled()
-def _shortened(vector: Array, longest: float) -> Array:
+def _shorten(vector: Array, longest: float) -> None:
+    """Scale a vector (3,) to a length if it is longer."""
     length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    return vector * (longest / length) if length > longest else vector
+    if length > longest:
+        for i in range(3):
+            vector[i] *= longest / length
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
+@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8[:])")
 def _pull(
     hand: Array,
     target: Array,
@@ -237,11 +256,12 @@ def _pull(
     damping: float,
     f_max: float,
     dt: float,
-) -> tuple[Array, Array]:
+    force: Array,
+) -> None:
     """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
 
     Args:
-        hand: (2, 3) position p [m] and velocity ṗ [m/s] of the hand.
+        hand: (2, 3) position p [m] and velocity ṗ [m/s] of the hand; changed in place.
         target: (3,) [m] target of the hand.
         p_ee: (3,) [m] position of the held point.
         v_ee: (3,) [m/s] velocity of the held point.
@@ -249,17 +269,19 @@ def _pull(
         damping: [N s/m] damping against the world.
         f_max: [N] largest force.
         dt: [s] period.
-
-    Returns:
-        The hand (2, 3) after the period, and the force (3,) [N] in the period.
+        force: (3,) [N] result: the force in the period.
     """
-    a = _QUICKNESS**2 * (target - hand[0]) - 2 * _QUICKNESS * hand[1]
-    v = _shortened(hand[1] + a * dt, _TOP_SPEED)
-    p = hand[0] + v * dt
-    return np.stack((p, v)), _shortened(stiffness * (p - p_ee) - damping * v_ee, f_max)
+    p, v = hand
+    for i in range(3):
+        v[i] += (_QUICKNESS**2 * (target[i] - p[i]) - 2 * _QUICKNESS * v[i]) * dt
+    _shorten(v, _TOP_SPEED)
+    for i in range(3):
+        p[i] += v[i] * dt
+        force[i] = stiffness * (p[i] - p_ee[i]) - damping * v_ee[i]
+    _shorten(force, f_max)
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8)")
+@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8, f8[:])")
 def _push_mass(
     held: Array,
     p: Array,
@@ -270,7 +292,8 @@ def _push_mass(
     f_max: float,
     mass: float,
     dt: float,
-) -> tuple[Array, Array]:
+    force: Array,
+) -> None:
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
     F = K' (p - x) - D ẋ, limited to f_max, acts on the mass. The grip's force G = k (x - p_ee) +
@@ -280,7 +303,7 @@ def _push_mass(
     direction of F.
 
     Args:
-        held: (2, 3) position x [m] and velocity ẋ [m/s] of the mass.
+        held: (2, 3) position x [m] and velocity ẋ [m/s] of the mass; changed in place.
         p: (3,) [m] position of the spring's free end, p of `PersonHand`.
         p_ee: (3,) [m] position of the held point.
         v_ee: (3,) [m/s] velocity of the held point.
@@ -289,9 +312,7 @@ def _push_mass(
         f_max: [N] limit of F.
         mass: [kg] m, mass of the hand.
         dt: [s] period.
-
-    Returns:
-        The mass (2, 3) after the period, and the grip's force G (3,) [N].
+        force: (3,) [N] result: the grip's force G.
     """
     K = stiffness * _GRIP / (_GRIP - stiffness)
     grip_damping = 2.0 * _GRIP_DAMPING * math.sqrt(_GRIP * mass)
@@ -300,10 +321,11 @@ def _push_mass(
     driven = mass * held[1] + dt * (grip_damping * v_ee - _GRIP * (held[0] - grip))
     pull = K * (p - held[0])
     unlimited = (driven + dt * pull) / (alone + dt * (damping + dt * K))  # [m/s]
-    push = _shortened(pull - (damping + dt * K) * unlimited, f_max)
-    v = (driven + dt * push) / alone
-    x = held[0] + dt * v
-    return np.stack((x, v)), _GRIP * (x - grip) + grip_damping * (v - v_ee)
+    push = pull - (damping + dt * K) * unlimited
+    _shorten(push, f_max)
+    put(held[1], (driven + dt * push) / alone)
+    put(held[0], held[0] + dt * held[1])
+    put(force, _GRIP * (held[0] - grip) + grip_damping * (held[1] - v_ee))
 
 
 _pull_once, _push_once = direct(_pull), direct(_push_mass)

@@ -21,7 +21,7 @@ from app.control.tasks import Reference
 from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.people import Hold, People, PersonForces, PullReading
+from app.simulation.people import Hold, People, PersonForces, PullReading, first_target
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorReading, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, Push
@@ -217,8 +217,9 @@ class Session:
             holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
         person = own if forces is None else forces
-        target = next((hold.target for hold in holds if hold.link is None), None)
-        aim = target if target is not None else reference.pose.translation if reference else p_ee
+        target = aim = first_target(holds)
+        if aim is None:
+            aim = reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
         pushes = (*person.pushes, *self._weights[self.t >= self.config.disturbance.begins])
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
@@ -239,7 +240,7 @@ class Session:
             truth,
             state,
             distances,
-            self._look(control),
+            self._watch.update(state, control, DT, gives_way=self.controller.name in MOVES_BASE),
             door,
             pulls,
             person,
@@ -279,10 +280,6 @@ class Session:
         self.state = self._own_state
         self.state.update_kinematics(truth)
         return self.state, np.array(self._distances.distances())
-
-    def _look(self, control: ControlStep) -> BufferReading:
-        way = self.controller.name in MOVES_BASE
-        return self._watch.update(self.state, control, DT, gives_way=way)
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.configure(config)

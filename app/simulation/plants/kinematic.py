@@ -20,7 +20,7 @@ from app.robot.link_pairs import distance_view
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
-from app.simulation.plants.interface import Contacts, Physics, Push
+from app.simulation.plants.interface import NO_CONTACTS, Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist
 from app.strict import Array
 
@@ -72,7 +72,7 @@ class Kinematic(Physics):
     def contacts(self) -> Contacts:
         """Overlaps of the convex bodies, which are larger than the links."""
         if not self._stepped:
-            return Contacts()
+            return NO_CONTACTS
         return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
 
     def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
@@ -154,5 +154,5 @@ class _Overlaps:
         """Overlaps at pinocchio's configuration `q`."""
         pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
         if self._distances.min(initial=np.inf) > 0.0:
-            return Contacts()
+            return NO_CONTACTS
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))

@@ -182,8 +182,9 @@ class Quantity(NamedTuple):
     control step, such as `truth.q_m`; empty if they have to be computed, or are recorded at
     snapshots only."""
     row: Take | None = None
-    """Computation of the numbers that are recorded at each control step, if there are no `paths`;
-    None if the quantity is recorded at snapshots only."""
+    """Computation of the numbers that are recorded at each control step, if there are no `paths`.
+    Without a held door it is called at 50 Hz only, and all other cells are empty. None if the
+    quantity is recorded at snapshots only."""
 
 
 def number(

@@ -20,7 +20,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.columns import Column, TraceMeta
+from app.simulation.trace.columns import NAN, Column, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
 from app.strict import Array
 
@@ -228,10 +228,13 @@ class Recorder:
             self._farthest = step._replace(control=step.control.copy())
         if len(session.loop.reported) > len(self._faults):
             self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
-        computed = [x for row in self._computed for x in row(session, step)]
+        seldom = round(step.t / DT) % EVERY == 0
+        computed = self._nothing
+        if seldom or session.door is not None:
+            computed = [x for row in self._computed for x in row(session, step)]
         numbers = self._packed(*self._numbers(step), *computed)
         self._rows += b"".join((*self._arrays(step), numbers))
-        if self._drawn:
+        if seldom and self._drawn:
             self._draw(session, step)
 
     def trace(self) -> Trace:
@@ -274,11 +277,10 @@ class Recorder:
         self._arrays, self._numbers = attrgetter(*arrays), attrgetter(*numbers)
         of_column = np.repeat(kinds, sizes)
         self._packed = Struct(f"{np.count_nonzero(of_column)}d").pack
+        self._nothing = [NAN] * np.count_nonzero(of_column == 2)
         self._order = np.argsort(np.argsort(of_column, kind="stable"))
 
     def _draw(self, session: Session, step: Step) -> None:
-        if round(step.t / DT) % EVERY:
-            return
         fields: dict[str, Any] = {"explained": False}  # no file stores explanations
         if self._scenario is not None:
             fields |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
