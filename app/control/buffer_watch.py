@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from operator import itemgetter
 from typing import NamedTuple
 
 from app.config import Config, parameter
@@ -74,8 +75,8 @@ class BufferWatch:
                 self._sample(state, control, i, look=look)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
-            self._speed = max((v for _, v, _ in self._recent), default=0.0)
-            self._needed = max((need for _, _, need in self._recent), default=0.0)
+            self._speed = max(map(itemgetter(1), self._recent), default=0.0)
+            self._needed = max(map(itemgetter(2), self._recent), default=0.0)
             d_b = self.config.border.d_b
             self._reading = BufferReading(
                 self._speed,

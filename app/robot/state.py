@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled
+from app.compiled import compiled, direct
 from app.errors import MeasurementError
 from app.robot.model import RobotModel
 from app.strict import Array
@@ -195,6 +195,9 @@ def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
         twist[1] + w_z * p[0] - w_x * p[2],
         twist[2] + w_x * p[1] - w_y * p[0],
     )
+
+
+_velocity_once = direct(point_velocity)
 
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
@@ -510,7 +513,7 @@ class RobotState:
 
     def point_velocity(self, joint: int, p_world: Array) -> Array:
         """(3,) [m/s] velocity of the point of a joint's body at the present place `p_world`."""
-        return np.array(point_velocity(self.twists[joint], p_world))
+        return np.array(_velocity_once(self.twists[joint], p_world))
 
     def point_bias(self, joint: int, p_world: Array) -> Array:
         """(3,) [m/s²] J̇ q̇ of the point of a joint's body at `p_world`: its acceleration at

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
-from app.config import Config, DisturbanceConfig, parameter
+from app.config import Config, DisturbanceConfig
 from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.control_loop import ControlLoop
 from app.control.controller import Controller
@@ -308,19 +308,23 @@ class Disturbances:
         """
         self._dt = dt
         self._seed = seed
+        self._commands: deque[Array] = deque()
+        self._sent: deque[Measurement] = deque()
         self.configure(config)
-        longest = round(parameter("disturbance.base_delay").high / dt)
-        self._commands: deque[Array] = deque(maxlen=longest + 1)
-        oldest = round(parameter("disturbance.sensor_delay").high / dt)
-        self._sent: deque[Measurement] = deque(maxlen=oldest + 1)
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Use these disturbances from the next step on."""
+        """Use these disturbances from the next step on.
+
+        At the beginning of a longer delay, the oldest known command and reading stay in force.
+        """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip = config.slip
-        self._command_late = round(config.base_delay / self._dt)  # [-] steps
+        late = round(config.base_delay / self._dt)  # [-] steps
+        known = list(self._commands)
+        self._commands = deque(known[:1] * (late + 1 - len(known)) + known, late + 1)
         self._sensor_late = round(config.sensor_delay / self._dt)
+        self._sent = deque(self._sent, self._sensor_late + 1)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
         self._begins = round(config.begins / self._dt)
 
@@ -370,9 +374,9 @@ class Disturbances:
             command: (n_b,) [m/s or rad/s] the controller's command in this control step. Until the
                 first command arrives, the result is zero.
         """
-        self._commands.append(command)
-        steps = self._command_late
-        late = self._commands[-1 - steps] if steps < len(self._commands) else np.zeros_like(command)
+        commands = self._commands
+        commands.append(command)
+        late = commands[0] if len(commands) == commands.maxlen else np.zeros_like(command)
         return late if self._slip == 0.0 else (1.0 - self._slip) * late
 
 

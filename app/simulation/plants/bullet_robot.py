@@ -61,9 +61,10 @@ class BulletRobot(BulletWorld, PlanarWorld):
         if self.door is not None:
             self.door.reset()
 
-    def read(self) -> tuple[Array, Array]:
+    def read(self) -> tuple[Array, list[float], Array, Array]:
         states = self.client.getJointStates(self.robot, self.moving)
-        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+        q, v = [state[0] for state in states], [state[1] for state in states]
+        return np.array(q[:3]), v[:3], np.array(q[3:]), np.array(v[3:])
 
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()

@@ -125,8 +125,8 @@ class PlanarWorld(ABC):
         """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps the door."""
 
     @abstractmethod
-    def read(self) -> tuple[Array, Array]:
-        """Copies of the positions and velocities."""
+    def read(self) -> tuple[Array, list[float], Array, Array]:
+        """Copies of position (3,) and velocity (3,) of x, y and yaw, and of q_m and q̇_m (n_m,)."""
 
     @abstractmethod
     def step(

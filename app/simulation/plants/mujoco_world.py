@@ -89,7 +89,8 @@ class MujocoWorld(PlanarWorld):
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
         self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
         """Indices of the arm's positions and velocities."""
-        self._planar_q, self._planar_v = self.q[: self.arm_q.stop], self.v[: self.arm_v.stop]
+        self._planar_q = self.q[: self.arm_q.stop]
+        self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         data, tool = self.data, source.pin.frames[source.ee_frame]
         self._torques = data.qfrc_applied[self.arm_v]
@@ -122,8 +123,9 @@ class MujocoWorld(PlanarWorld):
         if self.door is not None:
             self.door.take_hold(self)
 
-    def read(self) -> tuple[Array, Array]:
-        return self._planar_q.copy(), self._planar_v.copy()
+    def read(self) -> tuple[Array, list[float], Array, Array]:
+        base_q, base_v, q_m, qd_m = self._read
+        return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
     def mass_matrix(self) -> Array:
         """(n_v, n_v) mass matrix after the last step or forward computation."""

@@ -36,13 +36,13 @@ class Planar(Physics):
         self._heading: float | None = None  # [rad] measured since the last step
 
     def measure(self) -> Measurement:
-        q, v = self.world.read()
-        self._heading = heading = q.item(2)
+        pose, v, q_m, qd_m = self.world.read()
+        self._heading = heading = pose.item(2)
         c, s = math.cos(heading), math.sin(heading)
-        x, y, w = v[:3].tolist()
+        x, y, w = v
         twist = c * x + s * y, c * y - s * x, w
         velocity = np.array([twist[axis] for axis in self._axes])
-        return Measurement(q[:3], velocity, q[3:], v[3:], self._drive.state)
+        return Measurement(pose, velocity, q_m, qd_m, self._drive.state)
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
