@@ -17,7 +17,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Push
 from app.strict import Array
-from app.structs import put
+from app.structs import fill, put
 
 _ARM = 2  # pinocchio's index of the arm's first joint; joint 1 is the base's planar joint
 _QUICKNESS = 20.0  # [rad/s] bandwidth of the hand's motion towards a new target
@@ -76,9 +76,14 @@ class People:
             config: The strength of each person.
             dt: [s] the period of `pull`.
         """
-        self.config = config
-        self._model, self._dt = model, dt
+        self._model, self._config, self._dt = model, config, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
+
+    def configure(self, config: PersonConfig) -> None:
+        """Use another strength of each person from the next period on."""
+        self._config = config
+        for hand in self._hands.values():
+            hand.configure(config)
 
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
@@ -98,12 +103,11 @@ class People:
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
             same = who, link, point
-            hand = hands[same] = self._hands.get(same) or PersonHand(self.config, self._dt)
-            hand.config = self.config
+            hand = hands[same] = self._hands.get(same) or PersonHand(self._config, self._dt)
             if link is None:
                 p = state.p_ee
-                force = hand.force(p, state.v_ee[:3], target)
-                total += force
+                force = hand.force(p, state.v_ee, target)
+                _add_once(total, force)
             else:
                 joint, at = held_point(self._model, link, point)
                 p = state.data.oMi[joint].act(at)
@@ -134,36 +138,32 @@ class PersonHand:
             config: The strength and the mass of the hand.
             dt: [s] period of `force`.
         """
-        self.config, self._dt = config, dt
-        """`config` can be replaced at any time."""
-        self.motion: Array | None = None
-        """(2, 3) p [m] and its velocity [m/s]; None before the first call of `force`."""
-        self._mass: Array | None = None  # (2, 3) position and velocity of the hand's mass
+        self._dt, self._motion = dt, np.full((4, 3), np.nan)
+        self.configure(config)
+
+    def configure(self, config: PersonConfig) -> None:
+        """Use another strength and mass from the next period on."""
+        spring = config.stiffness, config.damping, config.f_max, config.mass
+        self._spring = np.array([*spring, self._dt])
+
+    @property
+    def motion(self) -> Array:
+        """(2, 3) p [m] and its velocity [m/s]; NaN before the first call of `force`."""
+        return self._motion[:2].copy()
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
         """Compute the person's force (3,) [N] on the held point for one period, in the world.
 
         Args:
             p_ee: (3,) [m] position of the held point.
-            v_ee: (3,) [m/s] velocity of the held point.
+            v_ee: (3,) [m/s] velocity of the held point; further entries are not used.
             target: (3,) [m] target of the held point.
 
         Raises:
             TargetError: The target is invalid, as in `checked_target`.
         """
-        place = checked_target(target)
-        if self.motion is None:
-            self.motion = np.array([p_ee, np.zeros(3)], dtype=float)
-        config, force = self.config, np.empty(3)
-        spring = config.stiffness, config.damping, config.f_max
-        _pull_once(self.motion, place, p_ee, v_ee, *spring, self._dt, force)
-        if config.mass == 0.0:
-            self._mass = None
-            return force
-        if self._mass is None:  # the mass starts with the robot's velocity
-            self._mass = np.array([p_ee, v_ee], dtype=float)
-        dynamics = *spring, config.mass, self._dt
-        _push_once(self._mass, self.motion[0], p_ee, v_ee, *dynamics, force)
+        force = np.empty(3)
+        _pull_once(self._motion, checked_target(target), p_ee, v_ee, self._spring, force)
         return force
 
 
@@ -246,53 +246,9 @@ def _shorten(vector: Array, longest: float) -> None:
             vector[i] *= longest / length
 
 
-@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8[:])")
-def _pull(
-    hand: Array,
-    target: Array,
-    p_ee: Array,
-    v_ee: Array,
-    stiffness: float,
-    damping: float,
-    f_max: float,
-    dt: float,
-    force: Array,
-) -> None:
-    """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
-
-    Args:
-        hand: (2, 3) position p [m] and velocity ṗ [m/s] of the hand; changed in place.
-        target: (3,) [m] target of the hand.
-        p_ee: (3,) [m] position of the held point.
-        v_ee: (3,) [m/s] velocity of the held point.
-        stiffness: [N/m] stiffness of the spring.
-        damping: [N s/m] damping against the world.
-        f_max: [N] largest force.
-        dt: [s] period.
-        force: (3,) [N] result: the force in the period.
-    """
-    p, v = hand
-    for i in range(3):
-        v[i] += (_QUICKNESS**2 * (target[i] - p[i]) - 2 * _QUICKNESS * v[i]) * dt
-    _shorten(v, _TOP_SPEED)
-    for i in range(3):
-        p[i] += v[i] * dt
-        force[i] = stiffness * (p[i] - p_ee[i]) - damping * v_ee[i]
-    _shorten(force, f_max)
-
-
-@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8, f8[:])")
+@compiled()
 def _push_mass(
-    held: Array,
-    p: Array,
-    p_ee: Array,
-    v_ee: Array,
-    stiffness: float,
-    damping: float,
-    f_max: float,
-    mass: float,
-    dt: float,
-    force: Array,
+    x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
@@ -303,29 +259,71 @@ def _push_mass(
     direction of F.
 
     Args:
-        held: (2, 3) position x [m] and velocity ẋ [m/s] of the mass; changed in place.
+        x: (3,) [m] position of the mass; changed in place.
+        x_dot: (3,) [m/s] velocity of the mass; changed in place.
         p: (3,) [m] position of the spring's free end, p of `PersonHand`.
         p_ee: (3,) [m] position of the held point.
         v_ee: (3,) [m/s] velocity of the held point.
-        stiffness: [N/m] K, stiffness of spring and grip in series.
-        damping: [N s/m] D, damping against the world.
-        f_max: [N] limit of F.
-        mass: [kg] m, mass of the hand.
-        dt: [s] period.
+        spring: (5,) as in `_pull`: K of spring and grip in series, D, limit of F, m and period.
         force: (3,) [N] result: the grip's force G.
     """
+    stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)
     grip_damping = 2.0 * _GRIP_DAMPING * math.sqrt(_GRIP * mass)
     alone = mass + dt * (grip_damping + dt * _GRIP)  # [kg] mass that F moves in this rule
     grip = p_ee + dt * v_ee
-    driven = mass * held[1] + dt * (grip_damping * v_ee - _GRIP * (held[0] - grip))
-    pull = K * (p - held[0])
+    driven = mass * x_dot + dt * (grip_damping * v_ee - _GRIP * (x - grip))
+    pull = K * (p - x)
     unlimited = (driven + dt * pull) / (alone + dt * (damping + dt * K))  # [m/s]
     push = pull - (damping + dt * K) * unlimited
     _shorten(push, f_max)
-    put(held[1], (driven + dt * push) / alone)
-    put(held[0], held[0] + dt * held[1])
-    put(force, _GRIP * (held[0] - grip) + grip_damping * (held[1] - v_ee))
+    put(x_dot, (driven + dt * push) / alone)
+    put(x, x + dt * x_dot)
+    put(force, _GRIP * (x - grip) + grip_damping * (x_dot - v_ee))
 
 
-_pull_once, _push_once = direct(_pull), direct(_push_mass)
+@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:])")
+def _pull(
+    motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
+) -> None:
+    """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
+
+    Args:
+        motion: (4, 3) p [m] and ṗ [m/s] of the hand, position and velocity of its mass; NaN before
+            the first period. Changed in place.
+        target: (3,) [m] target of the hand.
+        p_ee: (3,) [m] position of the held point.
+        v_ee: (3,) [m/s] velocity of the held point.
+        spring: (5,) stiffness [N/m], damping against the world [N s/m], largest force [N], mass of
+            the hand [kg] and period [s].
+        force: (3,) [N] result: the force on the held point in the period.
+    """
+    p, v, x, x_dot = motion
+    stiffness, damping, f_max, mass, dt = spring
+    if math.isnan(p[0]):
+        put(p, p_ee)
+        fill(v, 0.0)
+    for i in range(3):
+        v[i] += (_QUICKNESS**2 * (target[i] - p[i]) - 2 * _QUICKNESS * v[i]) * dt
+    _shorten(v, _TOP_SPEED)
+    for i in range(3):
+        p[i] += v[i] * dt
+        force[i] = stiffness * (p[i] - p_ee[i]) - damping * v_ee[i]
+    _shorten(force, f_max)
+    if mass == 0.0:
+        fill(x, np.nan)
+        return
+    if math.isnan(x[0]):  # the mass starts with the robot's velocity
+        put(x, p_ee)
+        put(x_dot, v_ee[:3])
+    _push_mass(x, x_dot, p, p_ee, v_ee[:3], spring, force)
+
+
+@compiled("void(f8[:], f8[:])")
+def _add(total: Array, force: Array) -> None:
+    """Add a force (3,) to a total (3,)."""
+    for i in range(3):
+        total[i] += force[i]
+
+
+_pull_once, _add_once = direct(_pull), direct(_add)

@@ -160,8 +160,7 @@ class Session:
         self.loop.reset()
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
-        self.wheel_angles = np.zeros(len(self._base.wheels))
-        """(n_w,) [rad] angles of the base's wheels, for drawing."""
+        self._wheel_angles = [0.0] * len(self._base.wheels)
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
         """The true state of the robot at the last step; without sensor errors, the controller's
@@ -172,7 +171,7 @@ class Session:
         """Use other parameters from the next step on."""
         self.config = config
         self.loop.configure(config)
-        self._people.config = config.hand
+        self._people.configure(config.hand)
         self._watch.config = config
         self._disturb(config.disturbance)
         self._weights = self._weights_of(config)
@@ -186,6 +185,11 @@ class Session:
     def T_world_ee(self) -> pin.SE3:
         """The controller's pose of the end-effector at the last step, from the readings."""
         return self.controller.state.T_world_ee
+
+    @property
+    def wheel_angles(self) -> Array:
+        """(n_w,) [rad] angles of the base's wheels, for drawing."""
+        return np.array(self._wheel_angles)
 
     def step(
         self,
@@ -223,9 +227,8 @@ class Session:
         error = math.dist(p_ee.tolist(), aim.tolist())
         pushes = (*person.pushes, *self._weights[self.t >= self.config.disturbance.begins])
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
-        self.wheel_angles = self._base.turned(
-            self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
-        )
+        qd_b = state.qd[: self.model.n_b].tolist()
+        self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
         felt = person.hand if door is None else door.force
         step = Step(
             self.t,

@@ -27,7 +27,7 @@ from app.simulation.plants.interface import (
 )
 from app.simulation.plants.mujoco_spec import RobotSpec
 from app.strict import Array
-from app.structs import fill, struct_type
+from app.structs import fill, put, struct_type
 
 # Otherwise MuJoCo writes a file into the working directory.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
@@ -43,6 +43,8 @@ _BODIES = {
     "centres": _ROWS,
     "axes": types.Array(types.f8, 3, "C"),
     "motors": types.Array(types.i8, 1, "C"),
+    "speeds": types.Array(types.f8, 1, "C"),
+    "torques": types.Array(types.f8, 1, "C"),
     "guess": types.Array(types.f8, 1, "C"),
     "per_step": types.f8,
     "hand": types.i8,
@@ -64,6 +66,10 @@ class _Bodies(NamedTuple):
     """(n, 3, 3) orientations of the bodies, in the world."""
     motors: Array
     """(k,) indices of the motors' velocities."""
+    speeds: Array
+    """(k,) [m/s or rad/s] speeds of the motors."""
+    torques: Array
+    """(n_m,) [N m or N] torques of the arm."""
     guess: Array
     """(n_v,) [m/s², rad/s²] accelerations with which the solver starts."""
     per_step: float
@@ -93,7 +99,7 @@ class MujocoWorld(PlanarWorld):
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         data, tool = self.data, source.pin.frames[source.ee_frame]
-        self._torques = data.qfrc_applied[self.arm_v]
+        self._speeds = np.zeros(len(robot.motors))
         self._bodies = _WORLD.made_of(
             _Bodies(
                 data.xfrc_applied,
@@ -101,6 +107,8 @@ class MujocoWorld(PlanarWorld):
                 data.xipos,
                 data.xmat.reshape(-1, 3, 3),
                 np.array([model.joint(name).dofadr[0] for name in robot.motors], dtype=np.int64),
+                self._speeds,
+                data.qfrc_applied[self.arm_v],
                 data.qacc_warmstart,
                 1.0 / model.opt.timestep,
                 self._body_of[source.pin.names[tool.parentJoint]],
@@ -148,9 +156,10 @@ class MujocoWorld(PlanarWorld):
         """Advance by one step, as in `PlanarWorld`; `speeds` are the references of the motors."""
         data = self.data
         mujoco.mj_step1(self.model, data)
-        self._torques[:] = u_a
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
-        _drive_once(self._bodies, data.efc_aref, row, np.array(speeds), hand_force)
+        for k, speed in enumerate(speeds):
+            self._speeds[k] = speed
+        _drive_once(self._bodies, data.efc_aref, row, u_a, hand_force)
         for push in pushes:
             _press_once(self._bodies, self._body_of[push.joint], push.p, push.force)
         mujoco.mj_step2(self.model, data)
@@ -201,8 +210,9 @@ def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
 
 
 @compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR, _VECTOR), None))
-def _drive(bodies: Any, aref: Array, row: int, speeds: Array, force: Array) -> None:
-    """Set the references of the motors, and the hand's force as the only force on the bodies.
+def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None:
+    """Set the references of the motors, the arm's torques, and the hand's force as the only force
+    on the bodies.
 
     Dry friction has the reference acceleration -v / dt, which stops a joint. A motor's reference
     acceleration is (speed - v) / dt. The solver starts with the motors at their speeds; from the
@@ -212,12 +222,13 @@ def _drive(bodies: Any, aref: Array, row: int, speeds: Array, force: Array) -> N
         bodies: `_Bodies`.
         aref: (m,) [m/s², rad/s²] reference accelerations of all constraints; changed in place.
         row: Index of the first motor in `aref`.
-        speeds: (k,) [m/s or rad/s] speeds of the motors.
+        u_a: (n_m,) [N m or N] torques of the arm.
         force: (3,) [N] force on the end-effector's origin, in the world.
     """
-    for k in range(len(speeds)):
-        aref[row + k] += bodies.per_step * speeds[k]
+    for k in range(len(bodies.speeds)):
+        aref[row + k] += bodies.per_step * bodies.speeds[k]
         bodies.guess[bodies.motors[k]] = aref[row + k]
+    put(bodies.torques, u_a)
     fill(bodies.forces.ravel(), 0.0)
     _press(bodies, bodies.hand, bodies.tool, force)
 
