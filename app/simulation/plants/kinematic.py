@@ -14,7 +14,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled
+from app.compiled import compiled, direct
 from app.control.drive import Drive
 from app.robot.link_pairs import distance_view
 from app.robot.model import RobotModel
@@ -58,15 +58,15 @@ class Kinematic(Physics):
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        self._state.update(self.measure())
-        before = self._drive.velocity
-        now = self._drive.step(base_velocity)
-        rolling = self._model.J_m_inv
-        qdd_b = rolling @ np.subtract(now, before) / self.dt
-        self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
-        self._q += self._qd * self.dt
-        twist = world_twist((self._T @ now).tolist(), float(self._base_pose[2]), self.dt)
-        self._base_pose += np.array(twist) * self.dt
+        model, state, n_b, dt = self._model, self._state, self._model.n_b, self.dt
+        state.update(self.measure())
+        before, now = self._drive.velocity, self._drive.step(base_velocity)
+        qdd_b = model.J_m_inv @ np.array([b - a for a, b in zip(before, now, strict=True)]) / dt
+        forces = u_a, self._felt(hand_force, pushes), state.M[n_b:, :n_b] @ qdd_b
+        limits = model.q_lower, model.q_upper
+        _move_arm_once(state.M, state.h, *forces, self._q, self._qd, *limits, dt)
+        twist = world_twist((self._T @ now).tolist(), self._base_pose.item(2), dt)
+        self._base_pose += np.array(twist) * dt
         self._stepped = True
 
     def contacts(self) -> Contacts:
@@ -85,15 +85,8 @@ class Kinematic(Physics):
             felt = felt + state.point_jacobian(joint, p_world)[:, n_b:].T @ push.force
         return felt
 
-    def _arm_acceleration(self, u_a: Array, qdd_b: Array) -> Array:
-        """(n_m,) q̈_a from the arm's rows of the equation of motion, within the joint limits."""
-        M, h, n_b = self._state.M, self._state.h, self._model.n_b
-        u = u_a - h[n_b:] - M[n_b:, :n_b] @ qdd_b
-        limits = self._model.q_lower, self._model.q_upper
-        return _within_limits(M[n_b:, n_b:], u, self._q, self._qd, *limits, self.dt)
 
-
-@compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8)")
+@compiled()
 def _within_limits(
     M: Array, u: Array, q: Array, qd: Array, lower: Array, upper: Array, dt: float
 ) -> Array:
@@ -132,6 +125,53 @@ def _within_limits(
     return qdd
 
 
+@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8)")
+def _move_arm(
+    M: Array,
+    h: Array,
+    u_a: Array,
+    felt: Array,
+    coupled: Array,
+    q: Array,
+    qd: Array,
+    lower: Array,
+    upper: Array,
+    dt: float,
+) -> None:
+    """Integrate the arm's rows of the equation of motion over one step, within the joint limits.
+
+    Args:
+        M: (n, n) inertia matrix of (26).
+        h: (n,) C q̇ + g of (26).
+        u_a: (n_m,) [N m or N] torques of the arm.
+        felt: (n_m,) [N m or N] joint torques of the forces on the arm.
+        coupled: (n_m,) [N m or N] M_ab q̈_b.
+        q: (n_m,) [rad or m] positions, changed in place.
+        qd: (n_m,) [rad/s or m/s] velocities, changed in place.
+        lower: (n_m,) [rad or m] lower limits.
+        upper: (n_m,) [rad or m] upper limits.
+        dt: [s] duration of the step.
+    """
+    n_b = len(h) - len(q)
+    u = u_a + felt - h[n_b:] - coupled
+    qdd = _within_limits(M[n_b:, n_b:], u, q, qd, lower, upper, dt)
+    for i in range(len(q)):
+        qd[i] += qdd[i] * dt
+        q[i] += qd[i] * dt
+
+
+@compiled("b1(f8[:])")
+def _any_overlap(distances: Array) -> bool:
+    """Whether any of some distances (k,) [m] is not positive."""
+    found = False
+    for d in distances:
+        found = found or d <= 0.0
+    return found
+
+
+_move_arm_once, _overlap = direct(_move_arm), direct(_any_overlap)
+
+
 class _Overlaps:
     """Overlaps of the convex bodies, by the fields of `Contacts`."""
 
@@ -153,6 +193,6 @@ class _Overlaps:
     def at(self, q: Array) -> Contacts:
         """Overlaps at pinocchio's configuration `q`."""
         pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
-        if self._distances.min(initial=np.inf) > 0.0:
+        if not _overlap(self._distances):
             return NO_CONTACTS
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))
