@@ -14,13 +14,16 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 import pinocchio as pin
+from numba import types
+from numba.core.typing.templates import Signature
 from pydantic import TypeAdapter
 
+from app.compiled import compiled, direct
 from app.config import BorderConfig, Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound, steady_torques
-from app.control.quantities import ControlStep
+from app.control.quantities import STEP, ControlStep
 from app.robot.state import RobotState
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
@@ -292,19 +295,39 @@ def _smallest_force_bound(session: Session, step: Step) -> float:
     limit. The result is not-a-number if there is no bound, if no person holds the robot, and for
     the fallback command, which does not respect limits.
     """
-    w, tau_max = step.control, session.model.tau_max
-    if not (step.pulls and w.solved):
+    if not (step.pulls and step.control.solved):
         return NAN
-    qdd = w.qdd.copy()
-    qdd[w.n_b :] += w.x_est[2]
+    force, size = step.person.hand, math.hypot(*step.person.hand.tolist())
+    return _least_bound_once(step.control.struct, force, size, session.model.tau_max)
+
+
+_VECTOR = types.Array(types.f8, 1, "A")
+
+
+@compiled(Signature(types.f8, (STEP.type, _VECTOR, types.f8, _VECTOR), None))
+def _least_bound(w: Any, force: Array, size: float, tau_max: Array) -> float:
+    """[N] the least `force_bound`; not-a-number without a bound.
+
+    Args:
+        w: `STEP`.
+        force: (3,) [N] force on the end-effector, in the world.
+        size: [N] size of this force.
+        tau_max: (n_m,) [N m or N] torque limits.
+    """
+    qdd, n_b, least = w.qdd.copy(), len(w.qdd) - len(tau_max), np.inf
+    qdd[n_b:] += w.x_est[2]
     load = steady_torques(w.M, w.h, qdd)
-    near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
-    found = [force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, load, tau_max) for i in near]
-    force = step.person.hand
-    if size := math.hypot(*force.tolist()):
+    for i in range(len(w.beta)):
+        if w.beta[i] > 0.0:
+            bound = force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, load, tau_max)
+            least = min(least, bound)
+    if size > 0.0:
         against = -(force / size) @ w.J_ee[:3]
-        found.append(force_bound(math.inf, against, 0.0, w.M, load, tau_max))
-    return min(found, default=NAN)
+        least = min(least, force_bound(np.inf, against, 0.0, w.M, load, tau_max))
+    return least if least < np.inf else np.nan
+
+
+_least_bound_once = direct(_least_bound)
 
 
 @dataclass(frozen=True)
