@@ -221,9 +221,8 @@ class Session:
             holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
         person = own if forces is None else forces
-        target = aim = first_target(holds)
-        if aim is None:
-            aim = reference.pose.translation if reference else p_ee
+        target = first_target(holds)
+        aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
         pushes = (*person.pushes, *self._weights[self.t >= self.config.disturbance.begins])
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)

@@ -23,6 +23,7 @@ from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
 from app.simulation.plants.interface import NO_CONTACTS, Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist
 from app.strict import Array
+from app.structs import fill
 
 
 class Kinematic(Physics):
@@ -86,45 +87,6 @@ class Kinematic(Physics):
         return felt
 
 
-@compiled()
-def _within_limits(
-    M: Array, u: Array, q: Array, qd: Array, lower: Array, upper: Array, dt: float
-) -> Array:
-    """The acceleration of joints with ideal stops: each joint that would leave its range in this
-    step moves to its nearer limit.
-
-    Args:
-        M: (n, n) mass matrix.
-        u: (n,) [N m or N] generalised forces.
-        q: (n,) [rad or m] positions.
-        qd: (n,) [rad/s or m/s] velocities.
-        lower: (n,) [rad or m] lower limits.
-        upper: (n,) [rad or m] upper limits.
-        dt: [s] duration of the step.
-
-    Returns:
-        (n,) [rad/s² or m/s²] accelerations.
-    """
-    n = len(u)
-    if not math.isfinite(u.sum() + M.sum()):  # a solver raises an error for these
-        return np.full(n, np.nan)
-    A, b = M.copy(), u.copy()
-    stopped = np.zeros(n, np.bool_)
-    qdd = np.linalg.solve(A, b)
-    for _ in range(n):
-        beyond = False
-        for i in range(n):
-            after = q[i] + (qd[i] + qdd[i] * dt) * dt
-            if not stopped[i] and (after < lower[i] or after > upper[i]):
-                limit = lower[i] if q[i] - lower[i] < upper[i] - q[i] else upper[i]
-                A[i], A[i, i], b[i] = 0.0, 1.0, ((limit - q[i]) / dt - qd[i]) / dt
-                stopped[i] = beyond = True
-        if not beyond:
-            break
-        qdd = np.linalg.solve(A, b)
-    return qdd
-
-
 @compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8)")
 def _move_arm(
     M: Array,
@@ -138,7 +100,8 @@ def _move_arm(
     upper: Array,
     dt: float,
 ) -> None:
-    """Integrate the arm's rows of the equation of motion over one step, within the joint limits.
+    """Integrate the arm's rows of the equation of motion over one step. The joints have ideal
+    stops: each joint that would leave its range in this step moves to its nearer limit.
 
     Args:
         M: (n, n) inertia matrix of (26).
@@ -152,10 +115,26 @@ def _move_arm(
         upper: (n_m,) [rad or m] upper limits.
         dt: [s] duration of the step.
     """
-    n_b = len(h) - len(q)
-    u = u_a + felt - h[n_b:] - coupled
-    qdd = _within_limits(M[n_b:, n_b:], u, q, qd, lower, upper, dt)
-    for i in range(len(q)):
+    n = len(q)
+    A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled
+    if not math.isfinite(b.sum() + A.sum()):  # a solver raises an error for these
+        fill(q, np.nan)
+        fill(qd, np.nan)
+        return
+    stopped = np.zeros(n, np.bool_)
+    qdd = np.linalg.solve(A, b)
+    for _ in range(n):
+        beyond = False
+        for i in range(n):
+            after = q[i] + (qd[i] + qdd[i] * dt) * dt
+            if not stopped[i] and (after < lower[i] or after > upper[i]):
+                limit = lower[i] if q[i] - lower[i] < upper[i] - q[i] else upper[i]
+                A[i], A[i, i], b[i] = 0.0, 1.0, ((limit - q[i]) / dt - qd[i]) / dt
+                stopped[i] = beyond = True
+        if not beyond:
+            break
+        qdd = np.linalg.solve(A, b)
+    for i in range(n):
         qd[i] += qdd[i] * dt
         q[i] += qd[i] * dt
 

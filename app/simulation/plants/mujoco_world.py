@@ -37,47 +37,22 @@ _SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
 _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
 _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 _VECTOR, _ROWS = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "C")
-_BODIES = {
-    "forces": _ROWS,
-    "origins": _ROWS,
-    "centres": _ROWS,
-    "axes": types.Array(types.f8, 3, "C"),
-    "motors": types.Array(types.i8, 1, "C"),
-    "speeds": types.Array(types.f8, 1, "C"),
-    "torques": types.Array(types.f8, 1, "C"),
-    "guess": types.Array(types.f8, 1, "C"),
-    "per_step": types.f8,
-    "hand": types.i8,
-    "tool": types.Array(types.f8, 1, "C"),
+_FIELDS = {
+    "forces": _ROWS,  # (n, 6) [N, N m] on each body, torque about its centre of mass
+    "origins": _ROWS,  # (n, 3) [m] of the bodies
+    "centres": _ROWS,  # (n, 3) [m] centres of mass
+    "axes": types.Array(types.f8, 3, "C"),  # (n, 3, 3) orientations of the bodies
+    "motors": types.Array(types.i8, 1, "C"),  # (k,) indices of the motors' velocities
+    "speeds": types.Array(types.f8, 1, "C"),  # (k,) [m/s or rad/s] of the motors
+    "torques": types.Array(types.f8, 1, "C"),  # (n_m,) [N m or N] of the arm
+    "guess": types.Array(types.f8, 1, "C"),  # (n_v,) accelerations with which the solver starts
+    "per_step": types.f8,  # [1/s] reciprocal of the step's duration
+    "hand": types.i8,  # number of the body that carries the end-effector
+    "tool": types.Array(types.f8, 1, "C"),  # (3,) [m] the end-effector in this body's frame
 }
-_WORLD = struct_type("World", _BODIES)
-
-
-class _Bodies(NamedTuple):
-    """Views of MuJoCo's memory, which exists as long as they do."""
-
-    forces: Array
-    """(n, 6) [N, N m] force on each body and torque about its centre of mass, in the world."""
-    origins: Array
-    """(n, 3) [m] origins of the bodies, in the world."""
-    centres: Array
-    """(n, 3) [m] centres of mass of the bodies, in the world."""
-    axes: Array
-    """(n, 3, 3) orientations of the bodies, in the world."""
-    motors: Array
-    """(k,) indices of the motors' velocities."""
-    speeds: Array
-    """(k,) [m/s or rad/s] speeds of the motors."""
-    torques: Array
-    """(n_m,) [N m or N] torques of the arm."""
-    guess: Array
-    """(n_v,) [m/s², rad/s²] accelerations with which the solver starts."""
-    per_step: float
-    """[1/s] reciprocal of the step's duration."""
-    hand: int
-    """Number of the body that carries the end-effector."""
-    tool: Array
-    """(3,) [m] the end-effector's origin in the frame of this body."""
+_WORLD = struct_type("World", _FIELDS)
+"""Views of MuJoCo's memory; forces, origins, centres and axes are in the world."""
+_Views: Any = NamedTuple("_Views", [(name, Any) for name in _FIELDS])  # type: ignore[misc]
 
 
 class MujocoWorld(PlanarWorld):
@@ -101,7 +76,7 @@ class MujocoWorld(PlanarWorld):
         data, tool = self.data, source.pin.frames[source.ee_frame]
         self._speeds = np.zeros(len(robot.motors))
         self._bodies = _WORLD.made_of(
-            _Bodies(
+            _Views(
                 data.xfrc_applied,
                 data.xpos,
                 data.xipos,
@@ -194,7 +169,7 @@ def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
     """Add a force on a point of a body to the bodies' forces.
 
     Args:
-        bodies: `_Bodies`.
+        bodies: `_WORLD`.
         body: Number of the body.
         point: (3,) [m] the point in the body's frame.
         force: (3,) [N] the force in the world.
@@ -219,7 +194,7 @@ def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None
     last step's solution it would need three iterations.
 
     Args:
-        bodies: `_Bodies`.
+        bodies: `_WORLD`.
         aref: (m,) [m/s², rad/s²] reference accelerations of all constraints; changed in place.
         row: Index of the first motor in `aref`.
         u_a: (n_m,) [N m or N] torques of the arm.

@@ -20,7 +20,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.columns import NAN, Column, TraceMeta
+from app.simulation.trace.columns import NAN, Column, Take, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
 from app.strict import Array
 
@@ -265,20 +265,21 @@ class Recorder:
             seed=session.seed,
         )
         self._layout = Layout.of(meta)
-        sources = [each for q in QUANTITIES.values() for each in q.paths or (q.row,) if each]
-        kinds, sizes = [], []
-        for each in sources:
-            value = attrgetter(each)(step) if isinstance(each, str) else each(session, step)
-            kinds.append(2 if callable(each) else 0 if isinstance(value, np.ndarray) else 1)
-            sizes.append(np.size(value))
-        arrays, numbers, self._computed = (
-            list(compress(sources, np.equal(kinds, kind))) for kind in range(3)
-        )
+        arrays, numbers, kinds = list[str](), list[str](), list[int]()
+        self._computed = list[Take]()
+        for quantity in QUANTITIES.values():
+            for path in quantity.paths:
+                value = attrgetter(path)(step)
+                is_array = isinstance(value, np.ndarray)
+                (arrays if is_array else numbers).append(path)
+                kinds += [0 if is_array else 1] * np.size(value)
+            if quantity.row is not None:
+                self._computed.append(quantity.row)
+                kinds += [2] * len(quantity.row(session, step))
         self._arrays, self._numbers = attrgetter(*arrays), attrgetter(*numbers)
-        of_column = np.repeat(kinds, sizes)
-        self._packed = Struct(f"{np.count_nonzero(of_column)}d").pack
-        self._nothing = [NAN] * np.count_nonzero(of_column == 2)
-        self._order = np.argsort(np.argsort(of_column, kind="stable"))
+        self._packed = Struct(f"{len(kinds) - kinds.count(0)}d").pack
+        self._nothing = [NAN] * kinds.count(2)
+        self._order = np.argsort(np.argsort(kinds, kind="stable"))
 
     def _draw(self, session: Session, step: Step) -> None:
         fields: dict[str, Any] = {"explained": False}  # no file stores explanations
