@@ -12,6 +12,7 @@ import pytest
 from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.config import Config
+from app.control.controller import Controller
 from app.control.limits import force_bound, steady_torques
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -106,11 +107,10 @@ def test_steady_torques_plus_own_inertia_are_the_torques_of_a_motion(robot, bord
 
 def test_bound_is_in_every_snapshot_and_in_a_table_at_50_hz(robot, border_data):
     near = Near(robot, border_data, 0)
-    d, J, d_dot = (np.array([each, each]) for each in near.distance())
-    pairs = {"n_mob": 2, "beta": np.array([0.5, 0.0]), "d": d, "J": J, "d_dot": d_dot}
-    state = near.state
-    moves = {"n_b": 2, "h": state.g, "qdd": np.zeros(9), "x_est": np.zeros((3, 7)), "solved": True}
-    control = SimpleNamespace(**pairs, **moves, M=state.M, J_ee=state.J_ee)
+    state, control = near.state, Controller(robot, border_data, Config()).last
+    control.beta[0], (control.d[0], control.J[0], control.d_dot[0]) = 0.5, near.distance()
+    control.h[:], control.M[:], control.J_ee[:] = state.g, state.M, state.J_ee
+    control.qdd[:], control.solved[...] = 0.0, 1.0
     nobody = SimpleNamespace(hand=np.zeros(3))
     session: Any = SimpleNamespace(model=robot)
     quantity: Any = QUANTITIES["force_bound"]
@@ -125,5 +125,5 @@ def test_bound_is_in_every_snapshot_and_in_a_table_at_50_hz(robot, border_data):
     assert known == [0, 20, 40]
     assert quantity.take(session, step(0.007)) == rows[0] == near.bound()
     assert math.isnan(quantity.take(session, step(0.007, pulls=())))
-    control.solved = False  # the fallback command
+    control.solved[...] = 0.0  # the fallback command
     assert math.isnan(quantity.take(session, step(0.007)))

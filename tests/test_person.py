@@ -115,7 +115,7 @@ def test_impact_force_grows_with_the_mass_of_the_hand():
         person = PersonHand(PersonConfig(stiffness=2000.0, mass=mass, f_max=60.0), DT)
         x, hits = AT[0], []
         for _ in range(2000):
-            v = 0.0 if person.motion is None or x >= AT[0] + 0.2 else 1.2
+            v = 0.0 if not hits or x >= AT[0] + 0.2 else 1.2
             x = min(x + v * DT, AT[0] + 0.2)
             at = np.array([x, *AT[1:]])
             hits.append(person.force(at, np.array([v, 0, 0]), AT + np.array([0.4, 0, 0])))
@@ -201,5 +201,5 @@ def test_changed_parameters_apply_at_once():
     person = PersonHand(PersonConfig(), DT)
     target = AT + np.array([0.05, 0.0, 0.0])
     before = settled_force(person, AT, target)
-    person.config = PersonConfig(stiffness=600.0)
+    person.configure(PersonConfig(stiffness=600.0))
     np.testing.assert_allclose(person.force(AT, np.zeros(3), target), 2 * before, rtol=1e-6)

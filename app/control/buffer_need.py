@@ -32,7 +32,6 @@ drives the base along its own side, until the force has a lever.
 """
 
 import math
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -119,6 +118,31 @@ def _bound(
     return found
 
 
+@compiled("i8(f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
+def _first(
+    sizes: Array,
+    channels: Array,
+    v: float,
+    late: float,
+    kept: float,
+    f_max: float,
+    alpha_min: float,
+    d_full: float,
+) -> int:
+    """Index of the first sufficient d_b of ascending `sizes` (k,) [m]; k without any.
+
+    The other arguments are those of `_bound`, which grows with d_b.
+    """
+    low, high = 0, len(sizes)
+    while low < high:
+        middle = (low + high) // 2
+        if _bound(sizes[middle], channels, v, late, kept, f_max, alpha_min, d_full) >= RESERVE:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
 class Approach(NamedTuple):
     """Approach of the arm to the base."""
 
@@ -153,16 +177,12 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
     `sizes` (k,) [m] are ascending; the result is between two of them, because `_bound` grows with
     d_b.
     """
-
-    def first(ascending: Array) -> int:
-        return bisect_left(ascending, True, key=lambda d_b: _bound(d_b, *way) >= RESERVE)
-
-    low = first(sizes)
+    low = _first(sizes, *way)
     if low == len(sizes):
         return math.inf
     if low > 0:
         sizes = np.linspace(sizes[low - 1], sizes[low], 20)
-        low = min(first(sizes), len(sizes) - 1)
+        low = min(_first(sizes, *way), len(sizes) - 1)
     return float(sizes[low])
 
 

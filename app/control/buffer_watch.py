@@ -2,14 +2,18 @@
 
 import math
 from collections import deque
+from operator import itemgetter
 from typing import NamedTuple
 
+import numpy as np
+
+from app.compiled import compiled, direct
 from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
 from app.control.quantities import ControlStep
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import Pair
-from app.robot.state import RobotState
+from app.robot.state import RobotState, point_velocity
 from app.strict import Array
 
 _SAMPLE = 10  # control steps between two readings of the speed
@@ -73,8 +77,8 @@ class BufferWatch:
                 self._sample(state, control, i, look=look)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
-            self._speed = max((v for _, v, _ in self._recent), default=0.0)
-            self._needed = max((need for _, _, need in self._recent), default=0.0)
+            self._speed = max(map(itemgetter(1), self._recent), default=0.0)
+            self._needed = max(map(itemgetter(2), self._recent), default=0.0)
             d_b = self.config.border.d_b
             self._reading = BufferReading(
                 self._speed,
@@ -128,11 +132,26 @@ def approach_speeds(state: RobotState, pair: Pair, p_b: Array, n: Array) -> tupl
         [m/s] the speed relative to the floor, and the speed relative to the base, which the arm's
         motion alone causes.
     """
-    arm, base = (
-        -float(n @ state.point_velocity(state.model.body_joints[body], p_b))
-        for body in (pair.b, pair.a)
-    )
-    return arm, arm - base
+    joints = state.model.body_joints
+    return _speeds_once(state.twists, joints[pair.b], joints[pair.a], p_b, n)
+
+
+@compiled("UniTuple(f8, 2)(f8[:,:], i8, i8, f8[::1], f8[::1])")
+def _speeds(twists: Array, arm: int, base: int, p_b: Array, n: Array) -> tuple[float, float]:
+    """The result of `approach_speeds`, for bodies on two joints.
+
+    Args:
+        twists: (n_j, 6) twist of the body on each joint, as in `RobotState`.
+        arm: Number of the arm's joint.
+        base: Number of the base's joint.
+        p_b: (3,) [m] the arm's closest point, in the world.
+        n: (3,) the pair's normal, in the world.
+    """
+    v = -np.dot(n, np.array(point_velocity(twists[arm], p_b)))
+    return v, v + np.dot(n, np.array(point_velocity(twists[base], p_b)))
+
+
+_speeds_once = direct(_speeds)
 
 
 def needed_text(needed: float) -> str:

@@ -228,6 +228,7 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
     return float(max(static - min(d_dot, 0.0) ** 2 / (2.0 * d) / (a**2).sum(), 0.0))
 
 
+@compiled()
 def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
     """(n,) torque of each joint that keeps this joint's speed constant, without external forces.
 

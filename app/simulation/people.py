@@ -17,6 +17,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Push
 from app.strict import Array
+from app.structs import fill, put
 
 _ARM = 2  # pinocchio's index of the arm's first joint; joint 1 is the base's planar joint
 _QUICKNESS = 20.0  # [rad/s] bandwidth of the hand's motion towards a new target
@@ -75,9 +76,14 @@ class People:
             config: The strength of each person.
             dt: [s] the period of `pull`.
         """
-        self.config = config
-        self._model, self._dt = model, dt
+        self._model, self._config, self._dt = model, config, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
+
+    def configure(self, config: PersonConfig) -> None:
+        """Use another strength of each person from the next period on."""
+        self._config = config
+        for hand in self._hands.values():
+            hand.configure(config)
 
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
@@ -94,16 +100,14 @@ class People:
         Raises:
             TargetError: A target is invalid, as in `checked_target`.
         """
-        hands, readings, pushes = {}, [], []
-        total = np.zeros(3)
+        hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
             same = who, link, point
-            hand = hands[same] = self._hands.get(same) or PersonHand(self.config, self._dt)
-            hand.config = self.config
+            hand = hands[same] = self._hands.get(same) or PersonHand(self._config, self._dt)
             if link is None:
                 p = state.p_ee
-                force = hand.force(p, state.v_ee[:3], target)
-                total = total + force
+                force = hand.force(p, state.v_ee, target)
+                _add_once(total, force)
             else:
                 joint, at = held_point(self._model, link, point)
                 p = state.data.oMi[joint].act(at)
@@ -134,38 +138,41 @@ class PersonHand:
             config: The strength and the mass of the hand.
             dt: [s] period of `force`.
         """
-        self.config, self._dt = config, dt
-        """`config` can be replaced at any time."""
-        self.motion: Array | None = None
-        """(2, 3) p [m] and its velocity [m/s]; None before the first call of `force`."""
-        self._mass: Array | None = None  # (2, 3) position and velocity of the hand's mass
+        self._dt, self._motion = dt, np.full((4, 3), np.nan)
+        self.configure(config)
+
+    def configure(self, config: PersonConfig) -> None:
+        """Use another strength and mass from the next period on."""
+        spring = config.stiffness, config.damping, config.f_max, config.mass
+        self._spring = np.array([*spring, self._dt])
+
+    @property
+    def motion(self) -> Array:
+        """(2, 3) p [m] and its velocity [m/s]; NaN before the first call of `force`."""
+        return self._motion[:2].copy()
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
         """Compute the person's force (3,) [N] on the held point for one period, in the world.
 
         Args:
             p_ee: (3,) [m] position of the held point.
-            v_ee: (3,) [m/s] velocity of the held point.
+            v_ee: (3,) [m/s] velocity of the held point; further entries are not used.
             target: (3,) [m] target of the held point.
 
         Raises:
             TargetError: The target is invalid, as in `checked_target`.
         """
-        place = checked_target(target)
-        if self.motion is None:
-            self.motion = np.array([p_ee, np.zeros(3)], dtype=float)
-        config = self.config
-        spring = config.stiffness, config.damping, config.f_max
-        self.motion, force = _pull_once(self.motion, place, p_ee, v_ee, *spring, self._dt)
-        if config.mass == 0.0:
-            self._mass = None
-            return force
-        if self._mass is None:  # the mass starts with the robot's velocity
-            self._mass = np.array([p_ee, v_ee], dtype=float)
-        self._mass, force = _push_once(
-            self._mass, self.motion[0], p_ee, v_ee, *spring, config.mass, self._dt
-        )
+        force = np.empty(3)
+        _pull_once(self._motion, checked_target(target), p_ee, v_ee, self._spring, force)
         return force
+
+
+def first_target(holds: Sequence[Hold]) -> Array | None:
+    """(3,) [m] target of the first hold at the end-effector, in the world, or None."""
+    for hold in holds:
+        if hold.link is None:
+            return hold.target
+    return None
 
 
 def held_links(model: RobotModel) -> tuple[str, ...]:
@@ -187,13 +194,15 @@ def checked_target(target: Sequence[float] | Array) -> Array:
         TargetError: The target is below the floor, a coordinate exceeds 10 km, or the target is
             not three finite numbers.
     """
-    place = _finite_point(target, "the hand's target")
+    place = _point(target, what := "the hand's target")
     x, y, z = place.tolist()
+    if 0.0 <= z <= _FARTHEST and -_FARTHEST <= x <= _FARTHEST and -_FARTHEST <= y <= _FARTHEST:
+        return place
+    if not np.isfinite(place).all():
+        raise _not_finite(target, what)
     if z < 0:
         raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor at z = 0")
-    if max(abs(x), abs(y), z) > _FARTHEST:
-        raise TargetError(f"a coordinate of the hand's target exceeds {_FARTHEST:g} m: {target!r}")
-    return place
+    raise TargetError(f"a coordinate of the hand's target exceeds {_FARTHEST:g} m: {target!r}")
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
@@ -203,74 +212,44 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
         TargetError: The point is farther than 1 m from the link's origin, or is not three finite
             numbers.
     """
-    place = _finite_point(point, "the held point")
-    if np.linalg.norm(place) > _LINK_SIZE:
-        raise TargetError(
-            f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
-        )
-    return place
+    place = _point(point, what := "the held point")
+    if np.linalg.norm(place) <= _LINK_SIZE:
+        return place
+    if not np.isfinite(place).all():
+        raise _not_finite(point, what)
+    raise TargetError(
+        f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
+    )
 
 
-def _finite_point(point: Sequence[float] | Array, name: str) -> Array:
+def _point(point: Sequence[float] | Array, name: str) -> Array:
+    """The point as an array (3,)."""
     try:
         place = np.array(point, dtype=float)
     except (TypeError, ValueError):
-        place = np.empty(0)
-    if place.shape != (3,) or not all(map(math.isfinite, place.tolist())):
-        raise TargetError(f"{name} must be three finite numbers, not {point!r}")
+        raise _not_finite(point, name) from None
+    if place.shape != (3,):
+        raise _not_finite(point, name)
     return place
 
 
+def _not_finite(point: Sequence[float] | Array, name: str) -> TargetError:
+    return TargetError(f"{name} must be three finite numbers, not {point!r}")
+
+
 @compiled()
-def _shortened(vector: Array, longest: float) -> Array:
+def _shorten(vector: Array, longest: float) -> None:
+    """Scale a vector (3,) to a length if it is longer."""
     length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    return vector * (longest / length) if length > longest else vector
+    if length > longest:
+        for i in range(3):
+            vector[i] *= longest / length
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
-def _pull(
-    hand: Array,
-    target: Array,
-    p_ee: Array,
-    v_ee: Array,
-    stiffness: float,
-    damping: float,
-    f_max: float,
-    dt: float,
-) -> tuple[Array, Array]:
-    """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
-
-    Args:
-        hand: (2, 3) position p [m] and velocity ṗ [m/s] of the hand.
-        target: (3,) [m] target of the hand.
-        p_ee: (3,) [m] position of the held point.
-        v_ee: (3,) [m/s] velocity of the held point.
-        stiffness: [N/m] stiffness of the spring.
-        damping: [N s/m] damping against the world.
-        f_max: [N] largest force.
-        dt: [s] period.
-
-    Returns:
-        The hand (2, 3) after the period, and the force (3,) [N] in the period.
-    """
-    a = _QUICKNESS**2 * (target - hand[0]) - 2 * _QUICKNESS * hand[1]
-    v = _shortened(hand[1] + a * dt, _TOP_SPEED)
-    p = hand[0] + v * dt
-    return np.stack((p, v)), _shortened(stiffness * (p - p_ee) - damping * v_ee, f_max)
-
-
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8)")
+@compiled()
 def _push_mass(
-    held: Array,
-    p: Array,
-    p_ee: Array,
-    v_ee: Array,
-    stiffness: float,
-    damping: float,
-    f_max: float,
-    mass: float,
-    dt: float,
-) -> tuple[Array, Array]:
+    x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
+) -> None:
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
     F = K' (p - x) - D ẋ, limited to f_max, acts on the mass. The grip's force G = k (x - p_ee) +
@@ -280,30 +259,71 @@ def _push_mass(
     direction of F.
 
     Args:
-        held: (2, 3) position x [m] and velocity ẋ [m/s] of the mass.
+        x: (3,) [m] position of the mass; changed in place.
+        x_dot: (3,) [m/s] velocity of the mass; changed in place.
         p: (3,) [m] position of the spring's free end, p of `PersonHand`.
         p_ee: (3,) [m] position of the held point.
         v_ee: (3,) [m/s] velocity of the held point.
-        stiffness: [N/m] K, stiffness of spring and grip in series.
-        damping: [N s/m] D, damping against the world.
-        f_max: [N] limit of F.
-        mass: [kg] m, mass of the hand.
-        dt: [s] period.
-
-    Returns:
-        The mass (2, 3) after the period, and the grip's force G (3,) [N].
+        spring: (5,) as in `_pull`: K of spring and grip in series, D, limit of F, m and period.
+        force: (3,) [N] result: the grip's force G.
     """
+    stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)
     grip_damping = 2.0 * _GRIP_DAMPING * math.sqrt(_GRIP * mass)
     alone = mass + dt * (grip_damping + dt * _GRIP)  # [kg] mass that F moves in this rule
     grip = p_ee + dt * v_ee
-    driven = mass * held[1] + dt * (grip_damping * v_ee - _GRIP * (held[0] - grip))
-    pull = K * (p - held[0])
+    driven = mass * x_dot + dt * (grip_damping * v_ee - _GRIP * (x - grip))
+    pull = K * (p - x)
     unlimited = (driven + dt * pull) / (alone + dt * (damping + dt * K))  # [m/s]
-    push = _shortened(pull - (damping + dt * K) * unlimited, f_max)
-    v = (driven + dt * push) / alone
-    x = held[0] + dt * v
-    return np.stack((x, v)), _GRIP * (x - grip) + grip_damping * (v - v_ee)
+    push = pull - (damping + dt * K) * unlimited
+    _shorten(push, f_max)
+    put(x_dot, (driven + dt * push) / alone)
+    put(x, x + dt * x_dot)
+    put(force, _GRIP * (x - grip) + grip_damping * (x_dot - v_ee))
 
 
-_pull_once, _push_once = direct(_pull), direct(_push_mass)
+@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:])")
+def _pull(
+    motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
+) -> None:
+    """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
+
+    Args:
+        motion: (4, 3) p [m] and ṗ [m/s] of the hand, position and velocity of its mass; NaN before
+            the first period. Changed in place.
+        target: (3,) [m] target of the hand.
+        p_ee: (3,) [m] position of the held point.
+        v_ee: (3,) [m/s] velocity of the held point.
+        spring: (5,) stiffness [N/m], damping against the world [N s/m], largest force [N], mass of
+            the hand [kg] and period [s].
+        force: (3,) [N] result: the force on the held point in the period.
+    """
+    p, v, x, x_dot = motion
+    stiffness, damping, f_max, mass, dt = spring
+    if math.isnan(p[0]):
+        put(p, p_ee)
+        fill(v, 0.0)
+    for i in range(3):
+        v[i] += (_QUICKNESS**2 * (target[i] - p[i]) - 2 * _QUICKNESS * v[i]) * dt
+    _shorten(v, _TOP_SPEED)
+    for i in range(3):
+        p[i] += v[i] * dt
+        force[i] = stiffness * (p[i] - p_ee[i]) - damping * v_ee[i]
+    _shorten(force, f_max)
+    if mass == 0.0:
+        fill(x, np.nan)
+        return
+    if math.isnan(x[0]):  # the mass starts with the robot's velocity
+        put(x, p_ee)
+        put(x_dot, v_ee[:3])
+    _push_mass(x, x_dot, p, p_ee, v_ee[:3], spring, force)
+
+
+@compiled("void(f8[:], f8[:])")
+def _add(total: Array, force: Array) -> None:
+    """Add a force (3,) to a total (3,)."""
+    for i in range(3):
+        total[i] += force[i]
+
+
+_pull_once, _add_once = direct(_pull), direct(_add)

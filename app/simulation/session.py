@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
-from app.config import Config, DisturbanceConfig, parameter
+from app.config import Config, DisturbanceConfig
 from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.control_loop import ControlLoop
 from app.control.controller import Controller
@@ -21,7 +21,7 @@ from app.control.tasks import Reference
 from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.people import Hold, People, PersonForces, PullReading
+from app.simulation.people import Hold, People, PersonForces, PullReading, first_target
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorReading, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, Push
@@ -56,9 +56,11 @@ class Step(NamedTuple):
     duration: float
     """[s] real time of the controller's computation."""
     truth: Measurement
-    """The true state of the robot; equal to `measurement` without sensor errors."""
-    distances: tuple[float, ...]
-    """[m] true signed distances of the pairs, in the order of the control step's pairs."""
+    """The true readings; equal to `measurement` without sensor errors."""
+    state: RobotState
+    """The true state of the robot, as `Session.state`; the next step overwrites it."""
+    distances: Array
+    """(n_p,) [m] true signed distances of the pairs, in the order of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
     door: DoorReading | None = None
@@ -71,6 +73,16 @@ class Step(NamedTuple):
     """The tracked reference, or None while a person guides the arm."""
     hand_speed: float = 0.0
     """[m/s] true speed of the end-effector."""
+
+    @property
+    def people(self) -> int:
+        """Number of people who hold the robot."""
+        return len(self.pulls)
+
+    @property
+    def duration_us(self) -> float:
+        """[µs] real time of the controller's computation."""
+        return 1e6 * self.duration
 
 
 class Session:
@@ -148,8 +160,7 @@ class Session:
         self.loop.reset()
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
-        self.wheel_angles = np.zeros(len(self._base.wheels))
-        """(n_w,) [rad] angles of the base's wheels, for drawing."""
+        self._wheel_angles = [0.0] * len(self._base.wheels)
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
         """The true state of the robot at the last step; without sensor errors, the controller's
@@ -164,7 +175,7 @@ class Session:
         """
         self.loop.configure(config)
         self.config = config
-        self._people.config = config.hand
+        self._people.configure(config.hand)
         self._watch.config = config
         self._disturb(config.disturbance)
         self._weights = self._weights_of(config)
@@ -178,6 +189,11 @@ class Session:
     def T_world_ee(self) -> pin.SE3:
         """The controller's pose of the end-effector at the last step, from the readings."""
         return self.controller.state.T_world_ee
+
+    @property
+    def wheel_angles(self) -> Array:
+        """(n_w,) [rad] angles of the base's wheels, for drawing."""
+        return np.array(self._wheel_angles)
 
     def step(
         self,
@@ -209,14 +225,13 @@ class Session:
             holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
         person = own if forces is None else forces
-        target = next((hold.target for hold in holds if hold.link is None), None)
+        target = first_target(holds)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
         pushes = (*person.pushes, *self._weights[self.t >= self.config.disturbance.begins])
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
-        self.wheel_angles = self._base.turned(
-            self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
-        )
+        qd_b = state.qd[: self.model.n_b].tolist()
+        self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
         felt = person.hand if door is None else door.force
         step = Step(
             self.t,
@@ -229,8 +244,9 @@ class Session:
             self.physics.contacts(),
             duration,
             truth,
+            state,
             distances,
-            self._look(control),
+            self._watch.update(state, control, DT, gives_way=self.controller.name in MOVES_BASE),
             door,
             pulls,
             person,
@@ -258,22 +274,18 @@ class Session:
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
-    ) -> tuple[RobotState, tuple[float, ...]]:
-        """The robot's true state, and the distances [m] of all pairs.
+    ) -> tuple[RobotState, Array]:
+        """The robot's true state, and the distances (n_p,) [m] of all pairs.
 
         Without sensor errors both are those of the controller, which saves a second computation;
         they deviate by hundredths of a millimetre from the truth.
         """
         if sensed is truth:
             self.state = self.controller.state
-            return self.state, tuple(control.d[: len(control.pairs)].tolist())
+            return self.state, control.d[: len(control.pairs)].copy()
         self.state = self._own_state
         self.state.update_kinematics(truth)
-        return self.state, self._distances.distances()
-
-    def _look(self, control: ControlStep) -> BufferReading:
-        way = self.controller.name in MOVES_BASE
-        return self._watch.update(self.state, control, DT, gives_way=way)
+        return self.state, np.array(self._distances.distances())
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.configure(config)
@@ -302,19 +314,23 @@ class Disturbances:
         """
         self._dt = dt
         self._seed = seed
+        self._commands: deque[Array] = deque()
+        self._sent: deque[Measurement] = deque()
         self.configure(config)
-        longest = round(parameter("disturbance.base_delay").high / dt)
-        self._commands: deque[Array] = deque(maxlen=longest + 1)
-        oldest = round(parameter("disturbance.sensor_delay").high / dt)
-        self._sent: deque[Measurement] = deque(maxlen=oldest + 1)
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Use these disturbances from the next step on."""
+        """Use these disturbances from the next step on.
+
+        At the beginning of a longer delay, the oldest known command and reading stay in force.
+        """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip = config.slip
-        self._command_late = round(config.base_delay / self._dt)  # [-] steps
+        late = round(config.base_delay / self._dt)  # [-] steps
+        known = list(self._commands)
+        self._commands = deque(known[:1] * (late + 1 - len(known)) + known, late + 1)
         self._sensor_late = round(config.sensor_delay / self._dt)
+        self._sent = deque(self._sent, self._sensor_late + 1)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
         self._begins = round(config.begins / self._dt)
 
@@ -364,9 +380,9 @@ class Disturbances:
             command: (n_b,) [m/s or rad/s] the controller's command in this control step. Until the
                 first command arrives, the result is zero.
         """
-        self._commands.append(command)
-        steps = self._command_late
-        late = self._commands[-1 - steps] if steps < len(self._commands) else np.zeros_like(command)
+        commands = self._commands
+        commands.append(command)
+        late = commands[0] if len(commands) == commands.maxlen else np.zeros_like(command)
         return late if self._slip == 0.0 else (1.0 - self._slip) * late
 
 

@@ -179,8 +179,10 @@ class CarLikeBase(BaseKind):
         slope = math.tan(angle)
         return np.array([a, (a * slope + speed * rate * (1.0 + slope**2)) / self.wheelbase_m])
 
-    def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
-        return np.array([angles[0] + qd_b[0] / self.wheel_radius_m * dt, drive[0]])
+    def turned(
+        self, angles: list[float], qd_b: list[float], drive: Array, dt: float
+    ) -> list[float]:
+        return [angles[0] + qd_b[0] / self.wheel_radius_m * dt, drive.item(0)]
 
     @property
     def _radius(self) -> float:

@@ -104,6 +104,8 @@ class DifferentialBase(TurningBase):
         r, b = self.wheel_radius_m, self.half_track_m
         return Measure(0.0, 4 * b**2 * (r / (2 * b)) ** 4)
 
-    def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
+    def turned(
+        self, angles: list[float], qd_b: list[float], drive: Array, dt: float
+    ) -> list[float]:
         del drive
-        return angles + qd_b * dt
+        return [angle + rate * dt for angle, rate in zip(angles, qd_b, strict=True)]

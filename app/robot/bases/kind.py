@@ -247,7 +247,9 @@ class BaseKind(Sourced, ABC):
             [clamp((clamp(cmd, top) - now) * gain, a_max) for now, cmd, top, a_max in axes]
         )
 
-    def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
+    def turned(
+        self, angles: list[float], qd_b: list[float], drive: Array, dt: float
+    ) -> list[float]:
         """(n_w,) [rad] the angles of `wheels` after a step of dt [s] with q̇_b (n_b,)."""
         del qd_b, drive, dt
         return angles

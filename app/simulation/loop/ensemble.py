@@ -277,7 +277,7 @@ class Runner:
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
-            self._clearance = min(step.distances[: step.control.n_mob])
+            self._clearance = step.distances[: step.control.n_mob].min().item()
             if not self._complete:
                 self._count(step)
         return step

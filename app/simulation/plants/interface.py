@@ -28,6 +28,9 @@ class Contacts(NamedTuple):
         return cls(**dict.fromkeys(groups, True))
 
 
+NO_CONTACTS = Contacts()
+
+
 class Wrench(NamedTuple):
     """A force and a torque about the end-effector's origin, in the world."""
 

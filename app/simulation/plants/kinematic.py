@@ -14,15 +14,16 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled
+from app.compiled import compiled, direct
 from app.control.drive import Drive
 from app.robot.link_pairs import distance_view
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
-from app.simulation.plants.interface import Contacts, Physics, Push
+from app.simulation.plants.interface import NO_CONTACTS, Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist
 from app.strict import Array
+from app.structs import fill
 
 
 class Kinematic(Physics):
@@ -58,21 +59,21 @@ class Kinematic(Physics):
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        self._state.update(self.measure())
-        before = self._drive.velocity
-        now = self._drive.step(base_velocity)
-        rolling = self._model.J_m_inv
-        qdd_b = rolling @ np.subtract(now, before) / self.dt
-        self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
-        self._q += self._qd * self.dt
-        twist = world_twist((self._T @ now).tolist(), float(self._base_pose[2]), self.dt)
-        self._base_pose += np.array(twist) * self.dt
+        model, state, n_b, dt = self._model, self._state, self._model.n_b, self.dt
+        state.update(self.measure())
+        before, now = self._drive.velocity, self._drive.step(base_velocity)
+        qdd_b = model.J_m_inv @ np.array([b - a for a, b in zip(before, now, strict=True)]) / dt
+        torques = np.asarray(u_a, dtype=float), self._felt(hand_force, pushes)
+        limits, coupled = (model.q_lower, model.q_upper), state.M[n_b:, :n_b] @ qdd_b
+        _move_arm_once(state.M, state.h, *torques, coupled, self._q, self._qd, *limits, dt)
+        twist = world_twist((self._T @ now).tolist(), self._base_pose.item(2), dt)
+        self._base_pose += np.array(twist) * dt
         self._stepped = True
 
     def contacts(self) -> Contacts:
         """Overlaps of the convex bodies, which are larger than the links."""
         if not self._stepped:
-            return Contacts()
+            return NO_CONTACTS
         return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
 
     def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
@@ -85,38 +86,41 @@ class Kinematic(Physics):
             felt = felt + state.point_jacobian(joint, p_world)[:, n_b:].T @ push.force
         return felt
 
-    def _arm_acceleration(self, u_a: Array, qdd_b: Array) -> Array:
-        """(n_m,) q̈_a from the arm's rows of the equation of motion, within the joint limits."""
-        M, h, n_b = self._state.M, self._state.h, self._model.n_b
-        u = u_a - h[n_b:] - M[n_b:, :n_b] @ qdd_b
-        limits = self._model.q_lower, self._model.q_upper
-        return _within_limits(M[n_b:, n_b:], u, self._q, self._qd, *limits, self.dt)
 
-
-@compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8)")
-def _within_limits(
-    M: Array, u: Array, q: Array, qd: Array, lower: Array, upper: Array, dt: float
-) -> Array:
-    """The acceleration of joints with ideal stops.
-
-    Each joint that would leave its range in this step moves to its nearer limit.
+@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8)")
+def _move_arm(
+    M: Array,
+    h: Array,
+    u_a: Array,
+    felt: Array,
+    coupled: Array,
+    q: Array,
+    qd: Array,
+    lower: Array,
+    upper: Array,
+    dt: float,
+) -> None:
+    """Integrate the arm's rows of the equation of motion over one step. The joints have ideal
+    stops: each joint that would leave its range in this step moves to its nearer limit.
 
     Args:
-        M: (n, n) mass matrix.
-        u: (n,) [N m or N] generalised forces.
-        q: (n,) [rad or m] positions.
-        qd: (n,) [rad/s or m/s] velocities.
-        lower: (n,) [rad or m] lower limits.
-        upper: (n,) [rad or m] upper limits.
+        M: (n, n) inertia matrix of (26).
+        h: (n,) C q̇ + g of (26).
+        u_a: (n_m,) [N m or N] torques of the arm.
+        felt: (n_m,) [N m or N] joint torques of the forces on the arm.
+        coupled: (n_m,) [N m or N] M_ab q̈_b.
+        q: (n_m,) [rad or m] positions, changed in place.
+        qd: (n_m,) [rad/s or m/s] velocities, changed in place.
+        lower: (n_m,) [rad or m] lower limits.
+        upper: (n_m,) [rad or m] upper limits.
         dt: [s] duration of the step.
-
-    Returns:
-        (n,) [rad/s² or m/s²] accelerations.
     """
-    n = len(u)
-    if not math.isfinite(u.sum() + M.sum()):  # a solver raises an error for these
-        return np.full(n, np.nan)
-    A, b = M.copy(), u.copy()
+    n = len(q)
+    A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled
+    if not math.isfinite(b.sum() + A.sum()):  # a solver raises an error for these
+        fill(q, np.nan)
+        fill(qd, np.nan)
+        return
     stopped = np.zeros(n, np.bool_)
     qdd = np.linalg.solve(A, b)
     for _ in range(n):
@@ -130,7 +134,21 @@ def _within_limits(
         if not beyond:
             break
         qdd = np.linalg.solve(A, b)
-    return qdd
+    for i in range(n):
+        qd[i] += qdd[i] * dt
+        q[i] += qd[i] * dt
+
+
+@compiled("b1(f8[:])")
+def _any_overlap(distances: Array) -> bool:
+    """Whether any of some distances (k,) [m] is not positive."""
+    found = False
+    for d in distances:
+        found = found or d <= 0.0
+    return found
+
+
+_move_arm_once, _overlap = direct(_move_arm), direct(_any_overlap)
 
 
 class _Overlaps:
@@ -154,6 +172,6 @@ class _Overlaps:
     def at(self, q: Array) -> Contacts:
         """Overlaps at pinocchio's configuration `q`."""
         pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
-        if self._distances.min(initial=np.inf) > 0.0:
-            return Contacts()
+        if not _overlap(self._distances):
+            return NO_CONTACTS
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))

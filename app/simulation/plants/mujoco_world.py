@@ -6,18 +6,28 @@ The end-effector can hold the door of a refrigerator, which stands on the floor.
 import logging
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 import pinocchio as pin
+from numba import types
+from numba.core.typing.templates import Signature
 
 from app.compiled import compiled, direct
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
-from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
+from app.simulation.plants.interface import (
+    NO_CONTACTS,
+    Contacts,
+    HeldDoor,
+    PlanarWorld,
+    Push,
+    Wrench,
+)
 from app.simulation.plants.mujoco_spec import RobotSpec
 from app.strict import Array
+from app.structs import fill, struct_type
 
 # Otherwise MuJoCo writes a file into the working directory.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
@@ -26,6 +36,22 @@ _AWAY = 100.0  # [m] displacement of the refrigerator while a base settles on it
 _SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
 _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
 _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
+_VECTOR, _ROWS = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "C")
+_FIELDS = {
+    "forces": _ROWS,  # (n, 6) [N, N m] on each body, torque about its centre of mass
+    "origins": _ROWS,  # (n, 3) [m] of the bodies
+    "centres": _ROWS,  # (n, 3) [m] centres of mass
+    "axes": types.Array(types.f8, 3, "C"),  # (n, 3, 3) orientations of the bodies
+    "motors": types.Array(types.i8, 1, "C"),  # (k,) indices of the motors' velocities
+    "speeds": types.Array(types.f8, 1, "C"),  # (k,) [m/s or rad/s] of the motors
+    "guess": types.Array(types.f8, 1, "C"),  # (n_v,) accelerations with which the solver starts
+    "per_step": types.f8,  # [1/s] reciprocal of the step's duration
+    "hand": types.i8,  # number of the body that carries the end-effector
+    "tool": types.Array(types.f8, 1, "C"),  # (3,) [m] the end-effector in this body's frame
+}
+_WORLD = struct_type("World", _FIELDS)
+"""Views of MuJoCo's memory; forces, origins, centres and axes are in the world."""
+_Views: Any = NamedTuple("_Views", [(name, Any) for name in _FIELDS])  # type: ignore[misc]
 
 
 class MujocoWorld(PlanarWorld):
@@ -45,16 +71,23 @@ class MujocoWorld(PlanarWorld):
         """Indices of the arm's positions and velocities."""
         self._planar_q = self.q[: self.arm_q.stop]
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
-        self._per_step = 1.0 / model.opt.timestep
-        self._motors = [int(model.joint(name).dofadr[0]) for name in robot.motors]
-        data = self.data
-        self._guess, self._torques = data.qacc_warmstart, data.qfrc_applied[self.arm_v]
-        self._forces = data.xfrc_applied
-        self._places = data.xpos, data.xmat.reshape(-1, 3, 3), data.xipos
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
-        tool = source.pin.frames[source.ee_frame]
-        self._hand = model.body(source.pin.names[tool.parentJoint]).id
-        self._tool = tool.placement.translation.copy()
+        data, tool = self.data, source.pin.frames[source.ee_frame]
+        self._speeds, self._torques = np.zeros(len(robot.motors)), data.qfrc_applied[self.arm_v]
+        self._bodies = _WORLD.made_of(
+            _Views(
+                data.xfrc_applied,
+                data.xpos,
+                data.xipos,
+                data.xmat.reshape(-1, 3, 3),
+                np.array([model.joint(name).dofadr[0] for name in robot.motors], dtype=np.int64),
+                self._speeds,
+                data.qacc_warmstart,
+                1.0 / model.opt.timestep,
+                self._body_of[source.pin.names[tool.parentJoint]],
+                tool.placement.translation.copy(),
+            )
+        )
         ids = {model.geom(i).name: i for i in range(model.ngeom)}
         self._group = {}
         for pair, group in robot.pairs.items():
@@ -96,24 +129,16 @@ class MujocoWorld(PlanarWorld):
         """Advance by one step, as in `PlanarWorld`; `speeds` are the references of the motors."""
         data = self.data
         mujoco.mj_step1(self.model, data)
-        # Dry friction has the reference acceleration -v / dt, which stops a joint. A motor's
-        # reference acceleration is (speed - v) / dt. The solver starts with the motors at their
-        # speeds; from the last step's solution it would need three iterations.
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
-        aref, guess = data.efc_aref, self._guess
-        for joint, speed in zip(self._motors, speeds, strict=True):
-            aref[row] = guess[joint] = aref.item(row) + self._per_step * speed
-            row += 1
-        self._torques[:] = u_a
-        self._forces.fill(0.0)
-        _press_once(self._forces, *self._places, self._hand, self._tool, hand_force)
+        self._speeds[:], self._torques[:] = speeds, u_a
+        _drive_once(self._bodies, data.efc_aref, row, np.asarray(hand_force, dtype=float))
         for push in pushes:
-            _press_once(self._forces, *self._places, self._body_of[push.joint], push.p, push.force)
+            _press_once(self._bodies, self._body_of[push.joint], push.p, push.force)
         mujoco.mj_step2(self.model, data)
 
     def contacts(self) -> Contacts:
         if not self.data.ncon:
-            return Contacts()
+            return NO_CONTACTS
         touching = self.data.contact.geom.tolist()
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
@@ -136,39 +161,48 @@ class MujocoWorld(PlanarWorld):
         return found
 
 
-@compiled("void(f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], i8, f8[:], f8[:])")
-def _press(
-    forces: Array,
-    origins: Array,
-    axes: Array,
-    centres: Array,
-    body: int,
-    point: Array,
-    force: Array,
-) -> None:
+@compiled(Signature(types.void, (_WORLD.type, types.i8, _VECTOR, _VECTOR), None))
+def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
     """Add a force on a point of a body to the bodies' forces.
 
     Args:
-        forces: (n, 6) [N, N m] force on each body and torque about its centre of mass, in the
-            world; changed in place.
-        origins: (n, 3) [m] origins of the bodies, in the world.
-        axes: (n, 3, 3) orientations of the bodies, in the world.
-        centres: (n, 3) [m] centres of mass of the bodies, in the world.
+        bodies: `_WORLD`.
         body: Number of the body.
         point: (3,) [m] the point in the body's frame.
         force: (3,) [N] the force in the world.
     """
-    R = axes[body]
-    arm = R[:, 0] * point[0] + R[:, 1] * point[1] + R[:, 2] * point[2]
-    x, y, z = origins[body] + arm - centres[body]
-    f_x, f_y, f_z = force
-    forces[body, :3] += force
-    forces[body, 3] += y * f_z - z * f_y
-    forces[body, 4] += z * f_x - x * f_z
-    forces[body, 5] += x * f_y - y * f_x
+    R, arm, felt = bodies.axes[body], np.empty(3), bodies.forces[body]
+    for i in range(3):
+        turned = R[i, 0] * point[0] + R[i, 1] * point[1] + R[i, 2] * point[2]
+        arm[i] = bodies.origins[body, i] + turned - bodies.centres[body, i]
+        felt[i] += force[i]
+    felt[3] += arm[1] * force[2] - arm[2] * force[1]
+    felt[4] += arm[2] * force[0] - arm[0] * force[2]
+    felt[5] += arm[0] * force[1] - arm[1] * force[0]
 
 
-_press_once = direct(_press)
+@compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR), None))
+def _drive(bodies: Any, aref: Array, row: int, force: Array) -> None:
+    """Set the references of the motors, and the person's force as the only force on the bodies.
+
+    Dry friction has the reference acceleration -v / dt, which stops a joint. A motor's reference
+    acceleration is (speed - v) / dt. The solver starts with the motors at their speeds; from the
+    last step's solution it would need three iterations.
+
+    Args:
+        bodies: `_WORLD`.
+        aref: (m,) [m/s², rad/s²] reference accelerations of all constraints; changed in place.
+        row: Index of the first motor in `aref`.
+        force: (3,) [N] force on the end-effector's origin, in the world.
+    """
+    for k in range(len(bodies.speeds)):
+        aref[row + k] += bodies.per_step * bodies.speeds[k]
+        bodies.guess[bodies.motors[k]] = aref[row + k]
+    fill(bodies.forces.ravel(), 0.0)
+    _press(bodies, bodies.hand, bodies.tool, force)
+
+
+_press_once, _drive_once = direct(_press), direct(_drive)
 
 
 class MujocoDoor(HeldDoor):

@@ -122,8 +122,8 @@ class LineScenario(Scenario):
         """(3,) [m] target of the end-effector at time t [s], in the world."""
         s = self._passed(t)
         share = s * s * (3 - 2 * s)
-        moves = zip(self.start, self.move, strict=True)
-        return np.array([begin + share * move for begin, move in moves])
+        (x, y, z), (to_x, to_y, to_z) = self.start, self.move
+        return np.array([x + share * to_x, y + share * to_y, z + share * to_z])
 
     def holds(self, t: float) -> bool:
         """Whether the person holds the end-effector at time t [s]."""

@@ -5,6 +5,7 @@ from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import product
+from operator import attrgetter
 from typing import Any, Literal, NamedTuple, get_type_hints
 
 import numpy as np
@@ -176,15 +177,20 @@ class Quantity(NamedTuple):
     publisher of the snapshot sets the value."""
     single: bool = False
     """Whether the quantity is a single number."""
+    paths: tuple[str, ...] = ()
+    """Attributes of a control step with the numbers and float arrays that are recorded at each
+    control step, such as `truth.q_m`; empty if they have to be computed, or are recorded at
+    snapshots only."""
     row: Take | None = None
-    """Computation of the numbers that are recorded at each control step; None if the quantity is
-    recorded at snapshots only."""
+    """Computation of the numbers that are recorded at each control step, if there are no `paths`.
+    Without a held door it is called at 50 Hz only, and all other cells are empty. None if the
+    quantity is recorded at snapshots only."""
 
 
 def number(
     name: str,
     kind: Kind,
-    take: Take | None = None,
+    source: str | Take | None = None,
     *,
     often: bool = True,
     optional: bool = False,
@@ -194,23 +200,27 @@ def number(
     Args:
         name: Name of the column.
         kind: Type of the cells.
-        take: Computation of the value, as in `Quantity`.
+        source: The attribute of the control step with the value, as in `Quantity.paths`, or the
+            computation of the value, as in `Quantity.take`.
         often: Whether the value is recorded at each control step; if not, at snapshots only.
         optional: Whether the value can be None.
     """
-    column = Column(name, kind, optional, often)
+    column, cast = Column(name, kind, optional, often), _CASTS[kind]
 
     def value(cells: Sequence[Any], _: TraceMeta) -> Any:
-        return None if optional and np.isnan(cells[0]) else _CASTS[kind](cells[0])
+        return None if optional and np.isnan(cells[0]) else cast(cells[0])
 
     def cells(value: Any, _: TraceMeta) -> Sequence[Cell]:
         return (NAN if value is None else value,)
 
-    row = None if take is None or not often else lambda s, o: (take(s, o),)
-    return Quantity(lambda _: (column,), cells, value, take, single=True, row=row)
+    paths = (source,) if isinstance(source, str) else ()
+    take = _reader(source, cast) if isinstance(source, str) else source
+    return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths)
 
 
-def numbers(template: str, take: Take, *, often: bool = True, optional: bool = False) -> Quantity:
+def numbers(
+    template: str, source: str | Take, *, often: bool = True, optional: bool = False
+) -> Quantity:
     """A quantity of an array (k,), by default recorded at each control step.
 
     `column_names` explains `template`, and `number` explains the other arguments.
@@ -225,8 +235,15 @@ def numbers(template: str, take: Take, *, often: bool = True, optional: bool = F
     def value(cells: Sequence[float], _: TraceMeta) -> Array | None:
         return None if optional and np.isnan(cells).all() else frozen(cells)
 
-    row = (lambda s, o: take(s, o).tolist()) if often else None
-    return Quantity(columns, cells, value, take, row=row)
+    paths = (source,) if isinstance(source, str) else ()
+    take = _reader(source, np.asarray) if isinstance(source, str) else source
+    return Quantity(columns, cells, value, take, paths=paths)
+
+
+def _reader(path: str, convert: Callable[[Any], Any]) -> Take:
+    """The computation of a value from an attribute of the control step."""
+    read = attrgetter(path)
+    return lambda _, step: convert(read(step))
 
 
 drawn = partial(number, often=False)

@@ -14,13 +14,16 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 import pinocchio as pin
+from numba import types
+from numba.core.typing.templates import Signature
 from pydantic import TypeAdapter
 
+from app.compiled import compiled, direct
 from app.config import BorderConfig, Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound, steady_torques
-from app.control.quantities import ControlStep
+from app.control.quantities import STEP, ControlStep
 from app.robot.state import RobotState
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
@@ -159,14 +162,12 @@ def _pairs() -> Quantity:
     def take(session: Session, step: Step) -> tuple[PairReading, ...]:
         base = session.model.body_names[0]
         w = step.control
-        of_pair = zip(w.pairs, step.distances, w.beta.tolist(), w.p_a, w.p_b, strict=False)
+        numbers = step.distances.tolist(), w.beta.tolist()
+        of_pair = zip(w.pairs, *numbers, w.p_a, w.p_b, strict=False)
         return tuple(
             PairReading(pair.name, pair.a == base, d, beta, frozen(p_a), frozen(p_b))
             for pair, d, beta, p_a, p_b in of_pair
         )
-
-    def row(_: Session, step: Step) -> Sequence[float]:
-        return [*step.distances, *step.control.beta.tolist()]
 
     def cells(pairs: Sequence[PairReading], _: TraceMeta) -> Sequence[Cell]:
         of_pairs = list(zip(*pairs, strict=True))[2:]  # without name and kind
@@ -179,7 +180,7 @@ def _pairs() -> Quantity:
         of_pair = zip(meta.pairs, mobile, cells[:n], cells[n : 2 * n], p_a, p_b, strict=True)
         return tuple(map(PairReading._make, of_pair))
 
-    return Quantity(columns, cells, value, take, row=row)
+    return Quantity(columns, cells, value, take, paths=("distances", "control.beta"))
 
 
 def _acting() -> Quantity:
@@ -229,7 +230,7 @@ def _buffer() -> Quantity:
         lambda buffer, _: buffer,
         lambda cells, _: BufferReading(*cells[:4], *map(bool, cells[4:])),
         lambda _, step: step.buffer,
-        row=lambda _, step: step.buffer,
+        paths=tuple(f"buffer.{field}" for field in BufferReading._fields),
     )
 
 
@@ -294,19 +295,39 @@ def _smallest_force_bound(session: Session, step: Step) -> float:
     limit. The result is NaN if there is no bound, if no person holds the robot, and for
     the fallback command, which does not respect limits.
     """
-    w, tau_max = step.control, session.model.tau_max
-    if not (step.pulls and w.solved):
+    if not (step.pulls and step.control.solved):
         return NAN
-    qdd = w.qdd.copy()
-    qdd[w.n_b :] += w.x_est[2]
+    force, size = step.person.hand, math.hypot(*step.person.hand.tolist())
+    return _least_bound_once(step.control.struct, force, size, session.model.tau_max)
+
+
+_VECTOR = types.Array(types.f8, 1, "A")
+
+
+@compiled(Signature(types.f8, (STEP.type, _VECTOR, types.f8, _VECTOR), None))
+def _least_bound(w: Any, force: Array, size: float, tau_max: Array) -> float:
+    """[N] the least `force_bound`; not-a-number without a bound.
+
+    Args:
+        w: `STEP`.
+        force: (3,) [N] force on the end-effector, in the world.
+        size: [N] size of this force.
+        tau_max: (n_m,) [N m or N] torque limits.
+    """
+    qdd, n_b, least = w.qdd.copy(), len(w.qdd) - len(tau_max), np.inf
+    qdd[n_b:] += w.x_est[2]
     load = steady_torques(w.M, w.h, qdd)
-    near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
-    found = [force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, load, tau_max) for i in near]
-    force = step.person.hand
-    if size := math.hypot(*force.tolist()):
+    for i in range(len(w.beta)):
+        if w.beta[i] > 0.0:
+            bound = force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, load, tau_max)
+            least = min(least, bound)
+    if size > 0.0:
         against = -(force / size) @ w.J_ee[:3]
-        found.append(force_bound(math.inf, against, 0.0, w.M, load, tau_max))
-    return min(found, default=NAN)
+        least = min(least, force_bound(np.inf, against, 0.0, w.M, load, tau_max))
+    return least if least < np.inf else np.nan
+
+
+_least_bound_once = direct(_least_bound)
 
 
 @dataclass(frozen=True)
@@ -315,36 +336,33 @@ class Snapshot:
 
     Most fields are quantities with one or several columns in a trace. A quantity of `number` or
     `numbers` is recorded at each control step, a quantity of `drawn` at snapshots. The declaration
-    computes the value from a step o and the session s after the step; otherwise the publisher of
-    the snapshot sets the value. Fields without columns are not recorded.
+    names the attribute of the step with the value, or computes the value from a step o and the
+    session s after the step; otherwise the publisher of the snapshot sets the value. Fields without
+    columns are not recorded.
     """
 
-    t: Annotated[float, number("t_s", "float", lambda s, o: o.t)]
+    t: Annotated[float, number("t_s", "float", "t")]
     """[s] simulated time since the last reset."""
-    base_pose: Annotated[Array, numbers("base_{pose}", lambda s, o: o.truth.base_pose)]
+    base_pose: Annotated[Array, numbers("base_{pose}", "truth.base_pose")]
     """(3,) x, y [m] and heading φ [rad] of the base."""
-    base_velocity: Annotated[Array, numbers("base_{velocity}", lambda s, o: o.truth.base_velocity)]
+    base_velocity: Annotated[Array, numbers("base_{velocity}", "truth.base_velocity")]
     """(n_b,) [m/s or rad/s] true velocity along the base's axes; v and ω of a differential base."""
-    base_velocity_command: Annotated[
-        Array, numbers("command_{velocity}", lambda s, o: o.base_command)
-    ]
+    base_velocity_command: Annotated[Array, numbers("command_{velocity}", "base_command")]
     """(n_b,) [m/s or rad/s] velocity command; it changes once in each `admittance.period`."""
-    base_acceleration: Annotated[
-        Array, numbers("base_{acceleration}", lambda s, o: o.control.a_base_cmd)
-    ]
+    base_acceleration: Annotated[Array, numbers("base_{acceleration}", "control.a_base_cmd")]
     """(n_b,) [m/s² or rad/s²] commanded base acceleration of the QP."""
     avoidance_acceleration: Annotated[
-        Array, numbers("avoidance_{acceleration}", lambda s, o: o.control.base_avoidance)
+        Array, numbers("avoidance_{acceleration}", "control.base_avoidance")
     ]
     """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 if the controller does
     not move the base out of the way."""
     wheel_angles: Annotated[Array, drawn_numbers("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] angles of the base's wheels, for drawing."""
-    q_m: Annotated[Array, numbers("q_{joint}_{position}", lambda s, o: o.truth.q_m)]
+    q_m: Annotated[Array, numbers("q_{joint}_{position}", "truth.q_m")]
     """(n_m,) [rad or m] joint positions of the arm."""
-    u_a: Annotated[Array, numbers("u_{joint}_{effort}", lambda s, o: o.control.u_cmd)]
+    u_a: Annotated[Array, numbers("u_{joint}_{effort}", "control.u_cmd")]
     """(n_m,) [N m or N] commanded joint torques of the arm."""
-    p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.p_ee)]
+    p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", "state.p_ee")]
     """(3,) [m] position of the end-effector in the world."""
     wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
     """(4,) orientation of the end-effector as a quaternion, w first."""
@@ -352,26 +370,24 @@ class Snapshot:
     """All link pairs; the pairs of L_m are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs of L_m inside their buffer, if the controller uses them."""
-    beta_m: Annotated[float, number("beta_m", "float", lambda s, o: float(o.control.beta_m))]
+    beta_m: Annotated[float, number("beta_m", "float", "control.beta_m")]
     """[-] β_m of (28)."""
     hand_target: Annotated[
         Array | None,
         drawn_numbers("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
     ]
     """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
-    hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", lambda s, o: o.hand_force)]
+    hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", "hand_force")]
     """(3,) [N] force of all people on the end-effector, in the world; while a scenario opens a
     door, the force of the end-effector on the door."""
-    ee_error: Annotated[float, number("ee_error_m", "float", lambda s, o: o.ee_error)]
+    ee_error: Annotated[float, number("ee_error_m", "float", "ee_error")]
     """[m] true distance of the end-effector from the person's target; without a person, from its
     reference; 0 if there is neither."""
-    in_contact: Annotated[bool, number("contact", "bool", lambda s, o: o.contacts.arm_base)]
+    in_contact: Annotated[bool, number("contact", "bool", "contacts.arm_base")]
     """Whether arm and base touch."""
-    arm_in_contact: Annotated[bool, number("arm_contact", "bool", lambda s, o: o.contacts.arm_arm)]
+    arm_in_contact: Annotated[bool, number("arm_contact", "bool", "contacts.arm_arm")]
     """Whether parts of the arm touch."""
-    solver_failures: Annotated[
-        int, number("solver_failures", "int", lambda s, o: int(o.control.failures))
-    ]
+    solver_failures: Annotated[int, number("solver_failures", "int", "control.failures")]
     """Number of steps with the fallback command since the last reset."""
     step_time_us: Annotated[float, drawn("step_time_us", "float")]
     """[µs] mean real time of the controller in the steps of the last simulated second."""
@@ -414,29 +430,19 @@ class Snapshot:
     """The door that the end-effector holds, also after the scenario."""
     speed: Annotated[float, drawn("speed", "float")] = 1.0
     """[-] desired ratio of simulated to real time."""
-    qd_m: Annotated[
-        Array | None, numbers("qd_{joint}_{speed}", lambda s, o: o.truth.qd_m, optional=True)
-    ] = None
+    qd_m: Annotated[Array | None, numbers("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
     """(n_m,) [rad/s or m/s] joint speeds of the arm, if known."""
-    activation: Annotated[
-        float, number("activation", "float", lambda s, o: float(o.control.activation))
-    ] = 0.0
+    activation: Annotated[float, number("activation", "float", "control.activation")] = 0.0
     """[-] largest activation of the rows that the controller has inserted; 0 without rows."""
-    floor_contact: Annotated[
-        bool, number("floor_contact", "bool", lambda s, o: o.contacts.arm_floor)
-    ] = False
+    floor_contact: Annotated[bool, number("floor_contact", "bool", "contacts.arm_floor")] = False
     """Whether arm and floor touch."""
-    given_up: Annotated[
-        int, number("solver_given_up", "int", lambda s, o: int(o.control.given_up))
-    ] = 0
+    given_up: Annotated[int, number("solver_given_up", "int", "control.given_up")] = 0
     """Number of steps since the last reset in which the base's QP had no solution."""
-    hand_speed: Annotated[float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed)] = 0.0
+    hand_speed: Annotated[float, number("hand_speed_mps", "float", "hand_speed")] = 0.0
     """[m/s] true speed of the end-effector."""
-    people: Annotated[int, number("people", "int", lambda s, o: len(o.pulls))] = 0
+    people: Annotated[int, number("people", "int", "people")] = 0
     """Number of people who hold the robot."""
-    duration_us: Annotated[float, number("duration_us", "float", lambda s, o: 1e6 * o.duration)] = (
-        NAN
-    )
+    duration_us: Annotated[float, number("duration_us", "float", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
     """[N] smallest upper bound of a person's force that the arm resists; NaN without a

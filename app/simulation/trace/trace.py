@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import compress
+from operator import attrgetter
+from struct import Struct
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.columns import Column, Take, TraceMeta
+from app.simulation.trace.columns import NAN, Column, Take, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
 from app.strict import Array
 
@@ -210,10 +211,8 @@ class Recorder:
             drawn: Whether to take snapshots at 50 Hz, beginning with the first step.
         """
         self._scenario, self._drawn = scenario, drawn
-        rows = (quantity.row for quantity in QUANTITIES.values())
-        self._rows: list[Take] = [row for row in rows if row is not None]
         self._layout: Layout | None = None
-        self._cells = array("d")  # needs a fifth of a list's memory, and no garbage collection
+        self._rows = bytearray()  # needs a fifth of a list's memory, and no garbage collection
         self._last: tuple[Session, Step] | None = None
         self._faults: dict[str, float] = {}
         self._farthest: Step | None = None  # step with the largest tracking error
@@ -229,15 +228,17 @@ class Recorder:
             self._farthest = step._replace(control=step.control.copy())
         if len(session.loop.reported) > len(self._faults):
             self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
-        cells: list[float] = []
-        for row in self._rows:
-            cells += row(session, step)
-        self._cells.extend(cells)
-        if self._drawn:
+        seldom = round(step.t / DT) % EVERY == 0
+        computed = self._nothing
+        if seldom or session.door is not None:
+            computed = [x for row in self._computed for x in row(session, step)]
+        numbers = self._packed(*self._numbers(step), *computed)
+        self._rows += b"".join((*self._arrays(step), numbers))
+        if seldom and self._drawn:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """The recorded trace. Its table shares the recorder's memory: `add` must not follow."""
+        """The recorded trace."""
         assert self._layout is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
@@ -247,10 +248,12 @@ class Recorder:
         results = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
         results["faults"] = self._faults
         meta = self._layout.meta.model_copy(update=results)
-        table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
+        rows = np.frombuffer(self._rows).reshape(-1, len(self._order))
+        table = rows.take(self._order, axis=1)
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
     def _begin(self, session: Session, step: Step) -> None:
+        """Prepare the rows. A row has the bytes of arrays, then numbers, then computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
         meta = TraceMeta.of(
@@ -262,10 +265,23 @@ class Recorder:
             seed=session.seed,
         )
         self._layout = Layout.of(meta)
+        arrays, numbers, kinds = list[str](), list[str](), list[int]()
+        self._computed = list[Take]()
+        for quantity in QUANTITIES.values():
+            for path in quantity.paths:
+                value = attrgetter(path)(step)
+                is_array = isinstance(value, np.ndarray)
+                (arrays if is_array else numbers).append(path)
+                kinds += [0 if is_array else 1] * np.size(value)
+            if quantity.row is not None:
+                self._computed.append(quantity.row)
+                kinds += [2] * len(quantity.row(session, step))
+        self._arrays, self._numbers = attrgetter(*arrays), attrgetter(*numbers)
+        self._packed = Struct(f"{len(kinds) - kinds.count(0)}d").pack
+        self._nothing = [NAN] * kinds.count(2)
+        self._order = np.argsort(np.argsort(kinds, kind="stable"))
 
     def _draw(self, session: Session, step: Step) -> None:
-        if round(step.t / DT) % EVERY:
-            return
         fields: dict[str, Any] = {"explained": False}  # no file stores explanations
         if self._scenario is not None:
             fields |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
