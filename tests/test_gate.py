@@ -555,15 +555,31 @@ values = st.recursive(
 
 @given(st.sampled_from([1, 0.5, True, "a", (1.0, 2.0), ("a", "b")]), values)
 def test_a_value_of_the_same_kind_can_be_cast_like_viser_does(current, value):
+    """A cast to an integer loses at most a fraction."""
     if not is_alike(value, current):
         return
-    if isinstance(current, tuple):
-        cast = tuple(type(current[0])(each) for each in value)
-        assert len(cast) == len(current)
-    elif isinstance(value, int | float) and not math.isfinite(value):
-        return  # refused before
-    else:
-        assert type(current)(value) == value or isinstance(current, int)
+    for own, new in zip(current, value, strict=True) if type(current) is tuple else [(current, value)]:
+        if isinstance(new, float) and not math.isfinite(new):
+            continue  # refused before
+        cast = type(own)(new)
+        assert abs(cast - new) < 1.0 if type(own) is int else cast == new
+
+
+@pytest.mark.parametrize(
+    ("current", "accepted"),
+    [
+        (1, [2, 0.5]),
+        (0.5, [2, 0.5]),
+        (False, [True]),
+        ("a", ["b"]),
+        ((1.0, 2.0), [[0.5, 2]]),
+        (("a", "b"), [["b", "c"]]),
+    ],
+)
+def test_a_widget_accepts_only_values_of_its_own_kind(current, accepted):
+    offered = [2, 0.5, True, "b", [0.5, 2], ["b", "c"], [0.5], [], None, {}]
+    found = [value for value in offered if is_alike(value, current)]
+    assert [str(value) for value in found] == [str(value) for value in accepted]  # True == 1
 
 
 def test_a_value_that_is_not_among_the_choices_is_refused():
