@@ -609,7 +609,7 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     path = write(request.out.parent, urdf)
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
-    meetings = sample_meetings(bare, units, samples=4000, seed=1, d_b=0.15)
+    meetings = sample_meetings(bare, units, samples=2000, seed=1, d_b=0.15)
     shares: list[float] = []
     found = find_grouping(bare, meetings, d_b=0.15, on_progress=shares.append)
     assert shares[0] == 0.0  # progress is reported within the fit of many parts

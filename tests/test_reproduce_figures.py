@@ -245,12 +245,12 @@ def test_picture_shows_a_limited_number_of_distinct_points():
 
 @pytest.mark.slow
 def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeypatch):
-    """Both rows of Figure 13, with two pictures each."""
-    monkeypatch.setattr(approach, "_SHARES", (0.0, 0.2))
+    """Both rows of Figure 13, with four pictures each."""
+    monkeypatch.setattr(approach, "_SHARES", (0.0, 0.05, 0.1, 0.2))
     with styled():
         drawing = approach.figure_13.draw(sources)
     pictures = [ax for ax in drawing.figure.axes if ax.images]
-    assert len(pictures) == 4
+    assert len(pictures) == 8
     images = [np.asarray(ax.images[0].get_array()) for ax in pictures]
     assert all(image.std() > 15 for image in images)
     table = drawing.tables[""]
@@ -261,10 +261,9 @@ def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeyp
 
 @pytest.mark.slow
 def test_figures_of_the_refrigerator_show_door_and_robot(
-    robot: RobotModel, border_data: BorderData, monkeypatch
+    robot: RobotModel, border_data: BorderData
 ):
     """The run lasts 0.2 s; the shape of the door is magenta."""
-    monkeypatch.setattr(approach, "_DOOR_TIMES", (0.0, 0.2))
     run = short_run(robot, border_data, DOOR, 0.2, physics="planar")
     sources = sources_of(robot, border_data, every([DOOR, DOOR_NONE], run))
     with styled():
@@ -273,7 +272,7 @@ def test_figures_of_the_refrigerator_show_door_and_robot(
     _, shapes = (np.asarray(ax.images[0].get_array()) for ax in drawings[0].figure.axes)
     r, g, b = np.moveaxis(shapes.astype(int), -1, 0)
     assert np.mean((r - g > 60) & (b - g > 30)) > 0.01
-    assert sum(bool(ax.images) for ax in drawings[1].figure.axes) == 4
+    assert sum(bool(ax.images) for ax in drawings[1].figure.axes) == 8
     for _, x, y in lines(drawings[2]):
         assert contains(drawings[2].tables[""], x)
         assert contains(drawings[2].tables[""], y)
