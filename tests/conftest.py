@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from typing import Any
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from app.border import cache
 from app.border.cache import BorderData, load_border_data
@@ -31,7 +31,9 @@ if hasattr(signal, "SIGHUP"):
 
 
 # A busy machine must not fail a property test.
-settings.register_profile("patient", deadline=None)
+settings.register_profile(
+    "patient", deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("patient")
 
 

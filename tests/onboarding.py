@@ -14,7 +14,7 @@ from app.border.cache import BorderData
 from app.border.config import SamplingConfig
 from app.jobs.progress import OnProgress
 from app.onboarding import new_robot, numbers
-from app.onboarding.fit import postures
+from app.onboarding.fit import bodies, grouping, postures
 from app.onboarding.fit.postures import Place
 from app.robot import assets
 from app.robot.model import RobotModel
@@ -139,8 +139,8 @@ def zipped(folder: Path, files: Mapping[str, str | bytes]) -> Path:
     return path
 
 
-FAST_LINES = {name: line.changed(duration=4.0) for name, line in LINES.items()}
-"""The scenarios' lines with half of their duration: their runs take half of the onboarding time."""
+FAST_LINES = {name: line.changed(duration=3.0) for name, line in LINES.items()}
+"""The scenarios' lines in short runs: runs take most of the onboarding time."""
 
 
 def line_without_a_run(
@@ -153,6 +153,13 @@ def line_without_a_run(
         return postures.find_place(model, data.pairs, name, on_progress=on_progress)
 
 
+def few_poses(patch: pytest.MonkeyPatch) -> None:
+    """Let bodies be fitted and judged with a third of the product's random poses."""
+    patch.setattr(grouping, "UNSEEN_POSES", 1300)
+    for module in (new_robot, grouping, bodies):
+        patch.setattr(module, "ENOUGH", 200)
+
+
 @contextmanager
 def few_samples(cache: Path) -> Iterator[SamplingConfig]:
     """Makes onboarding fast: few samples, short runs, the border stored in `cache`.
@@ -160,6 +167,7 @@ def few_samples(cache: Path) -> Iterator[SamplingConfig]:
     Yields the configuration of the sampling.
     """
     with pytest.MonkeyPatch.context() as patch:
+        few_poses(patch)
         patch.setattr(assets, "cache_folder", lambda: cache)
         patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
         patch.setattr(postures, "_SAMPLES", 800)

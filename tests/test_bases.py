@@ -14,9 +14,8 @@ from app.control.admittance import largest_command
 from app.control.drive import Drive
 from app.robot.bases.car_like import CarLikeBase, nearest_in_cone
 from app.robot.bases.kind import planar
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState
 from app.simulation.plants import make_physics
-from app.simulation.plants.planar import planar_plant
 from tests.admittance import RunningAdmittance
 from tests.bases import KINDS, base_of, robot_on
 from tests.finite_differences import jacobian
@@ -72,21 +71,6 @@ def test_a_holonomic_base_moves_along_any_force() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
-def test_reduced_dynamics_are_those_of_the_engines(kind: str, engine: str) -> None:
-    model, rng = robot_on(kind), np.random.default_rng(0)
-    other, state = planar_plant(engine, model), RobotState(model)
-    for _ in range(3):
-        q_m, qd = rng.uniform(model.q_lower, model.q_upper), rng.uniform(-0.5, 0.5, model.n)
-        n_b = model.n_b
-        state.update(Measurement(np.zeros(3), model.J_m @ qd[:n_b], q_m, qd[n_b:]))
-        M, h = other.mass_and_bias(q_m, qd)
-        np.testing.assert_allclose(state.M, M, atol=1e-8)
-        np.testing.assert_allclose(state.h, h, atol=1e-7)
-    other.close()
-
-
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("plant", ["kinematic", "planar", "mujoco"])
 def test_plant_follows_its_drive_and_measures_the_motion(kind: str, plant: str) -> None:
     model, command = robot_on(kind), np.array([0.2, 0.15, -0.3])[-robot_on(kind).n_b :]
@@ -107,6 +91,50 @@ def test_plant_follows_its_drive_and_measures_the_motion(kind: str, plant: str) 
     np.testing.assert_allclose(measured.base_pose - start, way, atol=2e-4)
     np.testing.assert_allclose(measured.base_velocity, velocity, atol=2e-3)
     np.testing.assert_allclose(measured.drive, drive.state, atol=1e-12)
+
+
+def steps_of(drive: Drive, command: tuple[float, float], count: int) -> np.ndarray:
+    """(count, 2) [m/s, rad/s] velocities of the following steps."""
+    return np.array([drive.step(command) for _ in range(count)])
+
+
+def test_a_small_command_is_followed_exponentially_with_the_time_constant() -> None:
+    """The limits act only on commands above v = a_max τ."""
+    base, dt, small = base_of("differential"), 0.001, np.array([0.05, 0.1])
+    t = dt * np.arange(1, 301)[:, None]
+    expected = small * (1 - np.exp(-t / base.drive_time_constant_s))
+    np.testing.assert_allclose(steps_of(Drive(base, dt), (0.05, 0.1), 300), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.0001, 0.001, 0.01, 0.1, 1.0])
+def test_drive_overshoots_at_no_period(dt: float) -> None:
+    v = steps_of(Drive(base_of("differential"), dt), (1.0, -2.0), max(20, int(3 / dt)))
+    assert np.all(np.diff(v[:, 0]) >= 0)
+    assert np.all(np.diff(v[:, 1]) <= 0)
+    np.testing.assert_allclose(v[-1], (1.0, -2.0), rtol=1e-6)
+
+
+def test_drive_uses_its_whole_velocity_and_acceleration() -> None:
+    base, rng = base_of("differential"), np.random.default_rng(0)
+    drive = Drive(base, 0.001)
+    v = np.vstack([steps_of(drive, tuple(rng.normal(0, 10, 2)), 200) for _ in range(30)])
+    limits = base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2
+    np.testing.assert_allclose(np.abs(np.diff(v, axis=0)).max(axis=0) / 0.001, limits, rtol=1e-9)
+    fastest = np.abs(v).max(axis=0)
+    assert (fastest <= base.max_velocity).all()
+    assert fastest[0] > 0.9 * base.max_linear_velocity_mps
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reset_brings_the_drive_to_rest(kind: str) -> None:
+    base = base_of(kind)
+    drive = Drive(base, 0.001)
+    for _ in range(10):
+        drive.step(np.full(base.n_b, 0.05))
+    assert np.abs(drive.velocity).max() > 0.0
+    drive.reset()
+    np.testing.assert_array_equal(drive.velocity, np.zeros(base.n_b))
+    np.testing.assert_array_equal(drive.state, Drive(base, 0.001).state)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -155,8 +155,7 @@ def test_simulation_confirms_the_required_buffer_as_tight_bound(base, v, options
     need = buffer_need(Approach(v, *FRONT), base, config)
     assert math.isfinite(need)
     assert simulated(v, need, base, config) >= RESERVE
-    if need > 0.12:
-        assert simulated(v, 0.45 * need, base, config) < RESERVE
+    assert simulated(v, 0.45 * need, base, config) < RESERVE
 
 
 # The monitor

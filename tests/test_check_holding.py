@@ -27,7 +27,8 @@ def test_stretch_gets_a_warning_for_forward_motion() -> None:
         pytest.skip("pip install '.[robots]'")
     row = holding_row(RobotModel(load_robot("stretch_se3")))
     assert row.outcome == "warned"
-    assert "while the base moves forward at 0.5 m/s (in 100% of the poses" in row.text
+    for stated in ("forward", "0.5 m/s", "100% of the poses"):
+        assert stated in row.text
     assert row.numbers["place_lost_v_share"] > 0.9
 
 
@@ -53,7 +54,7 @@ def test_check_warns_if_a_person_can_push_the_arm_into_the_base(
     weak = RobotModel(strong.description.model_copy(update={"arm": arm}))
     row = push_row(weak, border_data)
     assert row.outcome == "warned"
-    assert "a person of 40 N can push the arm against the base" in row.text
+    assert "40 N" in row.text
     assert (borne_push(weak, pairs) <= borne_push(strong, pairs)).all()
 
 

@@ -215,9 +215,7 @@ def test_sentence_states_distance_buffer_side_and_motion_of_the_base(blank):
 
 def test_sentence_announces_the_motion_of_a_base_at_rest(blank):
     why = explanation(NEAR["base"], base_asked=(-0.3, -0.2))
-    assert "so the base is about to back away and turn right" in sentence_for(
-        blank, why, base_velocity=(0.0, 0.0)
-    )
+    assert "about to back away and turn right" in sentence_for(blank, why, base_velocity=(0.0, 0.0))
     idle = explanation(NEAR["base"])
     assert "the base does not need to move yet" in sentence_for(
         blank, idle, base_velocity=(0.0, 0.0)

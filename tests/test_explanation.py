@@ -134,6 +134,7 @@ def test_a_pairs_force_and_its_parts_give_the_base_acceleration(robot, dbb, seed
 def test_the_turn_moves_a_higher_score_towards_the_end_effector(robot, dbb, seed):
     """The other part of the force moves the base away from the end-effector."""
     why, output = explained(dbb, near(robot, "lm-lEE", seed))
+    assert why.forces
     for pair in why.near:
         if pair.force is None:
             continue
@@ -147,6 +148,7 @@ def test_the_turn_moves_a_higher_score_towards_the_end_effector(robot, dbb, seed
 @pytest.mark.parametrize("seed", SEEDS)
 def test_determinant_reachability_and_score_are_the_fields_at_p_act(robot, dbb, seed):
     why, output = explained(dbb, near(robot, "lm-l3", seed))
+    assert not np.isnan(output.p_act[:, 0]).all()
     for pair, p_act, p_n in zip(output.pairs, output.p_act, output.p_n, strict=False):
         if np.isnan(p_act[0]):
             continue

@@ -111,7 +111,7 @@ def test_choosing_dbb_after_hqp_restores_the_configured_border(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["tracking", "guiding-lateral", "guiding-front"])
+@pytest.mark.parametrize("name", ["tracking", "guiding-front"])
 def test_results_of_the_paper_section_4_2(
     robot: RobotModel, border_data: BorderData, name: str
 ) -> None:

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 MEASURED = 2.0  # [s]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def dashboard(robot, border_data) -> Iterator[DashboardServer]:
     make_session = partial(Session, robot, border_data, Config(), physics="kinematic")
     loop = ProcessLoop(make_session, np.array(robot.description.arm.ready_position))
@@ -75,6 +75,7 @@ def test_page_shows_a_banner_while_the_simulation_process_is_stopped(dashboard):
     """Both while the simulation runs and while it is paused."""
     loop = dashboard.shared.loop
     child = loop._child._process.pid
+    wait_for(lambda: not dashboard.pages, what="the end of earlier viewers")
     with RawClient(dashboard.address):
         wait_for(lambda: dashboard.pages, what="a page")
         [page] = dashboard.pages.values()

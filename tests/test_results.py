@@ -65,13 +65,12 @@ def test_rows_of_another_commit_or_of_changed_files_are_measured_again(
 
 
 def test_a_caption_names_command_commit_and_machine(counting: Path) -> None:
-    assert (
-        results.caption("counting") == "*Not measured yet; `make results ARGS=counting` does it.*"
-    )
+    assert "Not measured" in results.caption("counting")
+    assert "`make results ARGS=counting`" in results.caption("counting")
     assert results.measure("counting", again=False)
     caption = results.caption("counting")
-    assert "`make results ARGS=counting`, at commit abc1234, on " in caption
-    assert results.machine() in caption
+    for stated in ("`make results ARGS=counting`", "abc1234", results.machine()):
+        assert stated in caption
     assert "not measured" not in caption
     results.write("counting", {"a": results.read("counting")["a"]})
     assert results.caption("counting").endswith(" Empty cells are not measured yet.*")

@@ -233,7 +233,7 @@ def test_unsuitable_parameters_are_reset_and_the_viewers_notified() -> None:
         assert title(server) == "The other robot"
         assert server.shared.tuning.config == server.shared.tuning.usual == OWN
         (note,) = notes
-        assert "all parameters are at their defaults: the robot cannot start with yours" in note
+        assert "defaults" in note
         assert "(the hand does not come there)" in note
         server.shared.tuning.undo()  # the change can be undone
         assert server.shared.tuning.config.border.d_b == 0.3

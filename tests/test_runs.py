@@ -178,6 +178,10 @@ def mirrored_run(robot: RobotModel, q_start: np.ndarray) -> tuple[dict[str, Any]
     return metrics(recorder.trace()), began
 
 
-def test_every_controller_is_tested_in_whole_runs():
-    """Tests of a new controller belong here or in test_methods.py."""
-    assert set(CONTROLLERS) == {"dbb", "hqp", "repulsive", "barrier", "none"}
+@pytest.mark.parametrize("controller", [name for name in CONTROLLERS if name != "none"])
+def test_every_method_keeps_a_clearance_that_the_arm_alone_does_not(controller: str):
+    run, plain = (
+        figures("guiding-lateral", name, "kinematic", duration=3.0) for name in (controller, "none")
+    )
+    assert run["min_clearance_m"] > 0.03 > 2 * plain["min_clearance_m"]
+    assert run["contacts"] == run["solver_failures"] == 0

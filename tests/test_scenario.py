@@ -30,7 +30,7 @@ def motion_of(scenario: LineScenario, t: float) -> tuple[np.ndarray, np.ndarray,
     return reference.pose.translation, reference.velocity[:3], reference.acceleration[:3]
 
 
-def test_tracking_is_the_papers_line(scenario):
+def test_tracking_is_the_papers_line():
     """0.2 m along -y in 30 s."""
     tracking = LINES["tracking"]
     assert tracking.move == (0.0, -0.2, 0.0)

@@ -132,11 +132,12 @@ def until_rest(session: Session, reference: Reference, most: int) -> Iterator[St
             return
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [[-2.5, 0.0, 0.5], [0.5, 2.0, 0.4]], ids=["behind", "beside"])
 def test_base_drives_to_a_target_out_of_reach_of_the_arm(
     robot: RobotModel, border_data: BorderData, target: list[float]
 ):
-    session = Session(robot, border_data, Config())
+    session = Session(robot, border_data, Config(), physics="kinematic")
     session.reset(np.array(robot.description.arm.ready_position))
     for step in until_rest(session, reference_at(session, np.array(target)), 11000):
         assert step.control.solved
@@ -145,11 +146,12 @@ def test_base_drives_to_a_target_out_of_reach_of_the_arm(
     assert find_stuck(robot, step) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [ABOVE, [0.6, 0.8, -0.3]], ids=["above", "below"])
 def test_robot_with_an_unreachable_target_comes_to_rest_with_a_reason(
     robot: RobotModel, border_data: BorderData, target: list[float]
 ):
-    session = Session(robot, border_data, Config())
+    session = Session(robot, border_data, Config(), physics="kinematic")
     session.reset(np.array(robot.description.arm.ready_position))
     reference, nearest, share = reference_at(session, np.array(target)), np.inf, 0.0
     for step in until_rest(session, reference, 16000):

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from app.errors import StudyError
@@ -104,14 +104,12 @@ cases = st.builds(
 )
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.lists(cases, max_size=40))
 def test_failed_cases_are_outside_the_envelope(rows):
     fitted = fit_envelope(rows, RANGES)
     assert not [r for r in rows if r["contacts"] and fitted.holds(r)]
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(cases, max_size=20), cases)
 def test_failure_never_widens_and_success_never_narrows_the_envelope(rows, further):
     before, after = (fit_envelope(each, RANGES).force for each in (rows, [*rows, further]))

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 import viser
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from app.config import Config, parameter, sections, tunable, tunables
@@ -184,7 +184,6 @@ acts = st.one_of(
 )
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.lists(acts, max_size=15))
 def test_undo_of_all_steps_and_redo_visit_the_same_configurations(script):
     clock, sink = Clock(), Sink()

@@ -17,11 +17,6 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 
 PROJECT = Path(__file__).resolve().parent.parent
-WITHOUT = """
-import sys
-for name in ("pybullet", "pybullet_data"):
-    sys.modules[name] = None  # as if it were not installed
-"""
 
 
 @pytest.fixture
@@ -65,6 +60,9 @@ def test_dynamics_do_not_depend_on_meshes(robot) -> None:
 
 
 COMMANDS = """
+import sys
+for name in ("pybullet", "pybullet_data"):
+    sys.modules[name] = None  # as if it were not installed
 from app.cli.main import main
 for command in sys.argv[1:]:
     try:
@@ -78,32 +76,21 @@ for command in sys.argv[1:]:
 @pytest.mark.slow
 def test_commands_run_or_report_the_missing_pybullet_in_one_line() -> None:
     short = "run guiding-lateral --duration 0.1 --json --physics"
-    commands = ["robots --json", f"{short} kinematic", f"{short} planar"]
+    default = short.removesuffix(" --physics")
+    commands = ["robots --json", f"{short} kinematic", default, f"{short} planar"]
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT + COMMANDS, *commands],
+        [sys.executable, "-c", COMMANDS, *commands],
         cwd=PROJECT,
         capture_output=True,
         text=True,
         timeout=500,
     )
-    robots, run, status, _ = done.stdout.split("---\n")
+    robots, *runs, status, _ = done.stdout.split("---\n")
     (ours,) = [robot for robot in json.loads(robots)["robots"] if robot["name"] == "husky_panda"]
     assert not ours.get("problem")
-    assert json.loads(run)["physics"] == "kinematic", done.stderr
+    plants = [json.loads(run)["physics"] for run in runs]
+    assert plants == ["kinematic", "mujoco"], done.stderr
     assert status.strip() == "2"
     (line,) = [each for each in done.stderr.splitlines() if "error" in each]
     assert "pybullet" in line
     assert "--physics mujoco" in line
-
-
-@pytest.mark.parametrize(("missing", "default"), [(True, "mujoco"), (False, "planar")])
-def test_default_plant_is_that_of_pybullet_if_it_is_installed(missing: bool, default: str) -> None:
-    if not missing:
-        pytest.importorskip("pybullet")
-    code = (WITHOUT if missing else "") + (
-        "\nfrom app.simulation.plants import default_plant\nprint(default_plant())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == default
