@@ -71,7 +71,7 @@ class Rows(NamedTuple):
 
 
 class HandTask(NamedTuple):
-    """T_ee: J q̈ = b."""
+    """T_2: J q̈ = b."""
 
     J: Array
     b: Array
@@ -115,7 +115,7 @@ def inserted(objective: Objective, rows: Rows, softness: float, fixed: int = 0) 
 
 
 def hand_task(at: RobotState | ControlStep, reference: Reference, task: TaskConfig) -> HandTask:
-    """T_ee for a reference."""
+    """T_2 for a reference."""
     pose, velocity, acceleration = reference
     error = pose_error(at.p_ee, at.R_ee, pose.translation, pose.rotation)
     gains = task.ee_stiffness, task.ee_damping, task.ee_speed
@@ -135,7 +135,7 @@ def posture_of(
 def with_hand(
     posture: Objective, hand: HandTask, at: RobotState | ControlStep, task: TaskConfig
 ) -> Objective:
-    """The objective with T_ee above the posture task."""
+    """The objective with T_2 above the posture task."""
     return Objective(*add_tracking(*posture, *hand, task.ee_damping * at.qd, task.ee_weight))
 
 

@@ -213,13 +213,13 @@ def test_the_timeline_stores_extremes_and_each_event_once(snapshot):
     events = [(event.t, event.kind, event.text) for event in strip.events.values()]
     assert events == [
         (0.02, "person", "a person pulls the robot"),
-        (0.02, "buffer", "hand – base inside the buffer"),
+        (0.02, "buffer", "end-effector – base inside the buffer"),
         (0.04, "person", "a person releases the robot"),
-        (0.06, "contact", "hand – base overlap by 10 mm"),
+        (0.06, "contact", "end-effector – base overlap by 10 mm"),
         (0.08, "parameter", "Force at contact f_max [N]: 200"),
         (3.0, "scenario", "way-out starts"),
         (3.0, "parameter", "Force at contact f_max [N]: 300"),
-        (3.0, "buffer", "hand – base inside the buffer"),
+        (3.0, "buffer", "end-effector – base inside the buffer"),
     ]
     past.extend([near(snapshot, 0.0, 0.2)])
     assert (len(strip.rows), len(strip.events), strip.runs) == (0, 0, 1)

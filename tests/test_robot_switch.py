@@ -53,7 +53,7 @@ class Loops:
         self, model: RobotModel, data: BorderData, config: Config, controller: str
     ) -> ScriptedLoop:
         if self.refuses is not None and config == self.refuses:
-            raise UnreachableError("the hand does not come there")
+            raise UnreachableError("the end-effector cannot reach it")
         loop = ScriptedLoop(model)
         self.begun.append(weakref.ref(loop))
         return loop
@@ -181,7 +181,7 @@ def test_a_replaced_robot_is_freed_without_a_garbage_collection() -> None:
                 shared.loop,
                 page,
                 page._scene,
-                page.hand,
+                page.handles,
                 page.timeline,
             )
         }
@@ -234,7 +234,7 @@ def test_unsuitable_parameters_are_reset_and_the_viewers_notified() -> None:
         assert server.shared.tuning.config == server.shared.tuning.usual == OWN
         (note,) = notes
         assert "all parameters are at their defaults: the robot cannot start with yours" in note
-        assert "(the hand does not come there)" in note
+        assert "(the end-effector cannot reach it)" in note
         server.shared.tuning.undo()  # the change can be undone
         assert server.shared.tuning.config.border.d_b == 0.3
 

@@ -14,7 +14,7 @@ from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
-GIZMO = "/hand"  # scene node of the gizmo
+GIZMO = "/gizmo"  # scene node of the gizmo
 NUDGE = 0.02  # [m] displacement by one key press
 MOST_NUDGED = 0.15  # [m] largest distance between the end-effector and its target by keys
 SCALE = 0.26  # [m] length of the gizmo's arrows

@@ -94,7 +94,7 @@ class Course:
         exact = [score.clearance for score in snapshot.scores[:1]]  # includes all steps
         self.least = min(self.least, snapshot.nearest.d, *exact)
         self.pull = max(self.pull, pulled(snapshot))
-        self.speed = max(self.speed, snapshot.hand_speed)
+        self.speed = max(self.speed, snapshot.ee_speed)
         self.left = self.left or (self.inside and not touches)
         self.inside = self.inside and touches
         self.touched = self.touched or (touches and not self.inside)

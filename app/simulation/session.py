@@ -69,7 +69,7 @@ class Step(NamedTuple):
     """The forces of people on the robot."""
     reference: Reference | None = None
     """The tracked reference, or None while a person guides the arm."""
-    hand_speed: float = 0.0
+    ee_speed: float = 0.0
     """[m/s] true speed of the end-effector."""
 
 

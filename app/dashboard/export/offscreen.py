@@ -345,9 +345,9 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     method = METHOD_WORDS.get(shown.controller, shown.controller)
     near = nearness(shown, door=shown.door is not None)
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
-    task = "a person pulls the hand"
+    task = "a person pulls the end-effector"
     if shown.mode == "tracking":
-        task = f"task: the hand follows a line, error {millimetres(shown.ee_error)}"
+        task = f"task: the end-effector follows a line, error {millimetres(shown.ee_error)}"
     return [
         method.capitalize(),
         (task, colours.PERSON),

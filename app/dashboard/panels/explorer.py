@@ -77,8 +77,8 @@ class ExplorerPanel(Panel):
         """Show the readings of the posture, or an introduction."""
         if self.posture is None:
             self._text.content = small(
-                "Pause the simulation, then move joints, base and hand: the readings are the "
-                "controller's response."
+                "Pause the simulation, then move joints, base and end-effector: the readings are "
+                "the controller's response."
             )
             return
         shown, axes = moment.shown, self._shared.model.description.base.axes
@@ -95,7 +95,7 @@ class ExplorerPanel(Panel):
         newest = self._shared.loop.latest()
         if newest.door is not None:
             raise TargetError(
-                "the hand holds a door in this scenario; choose another scenario first"
+                "the end-effector holds a door in this scenario; choose another scenario first"
             )
         self._shared.loop.send(Pause(True))
         self._paused, self._since = False, newest
@@ -160,5 +160,5 @@ def posture_html(
         rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
     forward, left, turn = acceleration
     way = f"forward {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
-    short = f"<br>The hand is {millimetres(error)} short of its target." if error > CLOSE else ""
-    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{short}")
+    far = f"<br>The end-effector is {millimetres(error)} off its target." if error > CLOSE else ""
+    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{far}")

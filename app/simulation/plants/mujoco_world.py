@@ -53,7 +53,7 @@ class MujocoWorld(PlanarWorld):
         self._places = data.xpos, data.xmat.reshape(-1, 3, 3), data.xipos
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         tool = source.pin.frames[source.ee_frame]
-        self._hand = model.body(source.pin.names[tool.parentJoint]).id
+        self._tip = model.body(source.pin.names[tool.parentJoint]).id
         self._tool = tool.placement.translation.copy()
         ids = {model.geom(i).name: i for i in range(model.ngeom)}
         self._group = {}
@@ -106,7 +106,7 @@ class MujocoWorld(PlanarWorld):
             row += 1
         self._torques[:] = u_a
         self._forces.fill(0.0)
-        _press_once(self._forces, *self._places, self._hand, self._tool, hand_force)
+        _press_once(self._forces, *self._places, self._tip, self._tool, hand_force)
         for push in pushes:
             _press_once(self._forces, *self._places, self._body_of[push.joint], push.p, push.force)
         mujoco.mj_step2(self.model, data)
@@ -184,7 +184,7 @@ class MujocoDoor(HeldDoor):
         self._cabinet = cabinet = Cabinet(self.door)
         source = robot.model.pin
         tool = source.frames[robot.model.ee_frame]
-        self._hand, self._tool = source.names[tool.parentJoint], tool.placement.translation.copy()
+        self._tip, self._tool = source.names[tool.parentJoint], tool.placement.translation.copy()
         box = mujoco.mjtGeom.mjGEOM_BOX
         body = robot.add_body(robot.spec.worldbody, _BODY, cabinet.T_world, cabinet.inertia)
         body.add_freejoint(name=_BODY)
@@ -204,7 +204,7 @@ class MujocoDoor(HeldDoor):
             name=_GRIP,
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=self._hand,
+            name1=self._tip,
             name2=_GRIP,
             **_GRASP,
         )
@@ -226,11 +226,11 @@ class MujocoDoor(HeldDoor):
         data.joint(_HINGE).qvel[0] = 0.0
         data.eq_active[0] = 1
         mujoco.mj_kinematics(model, data)
-        hand, grip = (_placement(data.body(name)) for name in (self._hand, _GRIP))
-        p_grip = grip.actInv(hand.act(self._tool))
+        tip, grip = (_placement(data.body(name)) for name in (self._tip, _GRIP))
+        p_grip = grip.actInv(tip.act(self._tool))
         sensor = model.site(_GRIP).id
         model.site_pos[sensor], model.site_sameframe[sensor] = p_grip, 0
-        between = pin.Quaternion(hand.rotation.T @ grip.rotation).coeffs()[[3, 0, 1, 2]]
+        between = pin.Quaternion(tip.rotation.T @ grip.rotation).coeffs()[[3, 0, 1, 2]]
         model.eq_data[0, :10] = [*p_grip, *self._tool, *between]
 
     def angle(self) -> float:

@@ -430,7 +430,7 @@ class Snapshot:
         int, number("solver_given_up", "int", lambda s, o: int(o.control.given_up))
     ] = 0
     """Number of steps since the last reset in which the base's QP had no solution."""
-    hand_speed: Annotated[float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed)] = 0.0
+    ee_speed: Annotated[float, number("hand_speed_mps", "float", lambda s, o: o.ee_speed)] = 0.0
     """[m/s] true speed of the end-effector."""
     people: Annotated[int, number("people", "int", lambda s, o: len(o.pulls))] = 0
     """Number of people who hold the robot."""

@@ -28,7 +28,7 @@ Reason = Literal[
     "joint limits",
     "joint speeds",
     "links too near",
-    "border against hand",
+    "border against end-effector",
     "full stretch",
     "unknown",
 ]
@@ -357,8 +357,8 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)
-    hand, target = state.T_world_ee.translation, reference.pose.translation
-    towards = (target - hand) / np.linalg.norm(target - hand)
+    ee, target = state.T_world_ee.translation, reference.pose.translation
+    towards = (target - ee) / np.linalg.norm(target - ee)
     margin = _AT_LIMIT * (model.q_upper - model.q_lower)
     at_limit = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
     joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
@@ -370,9 +370,9 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
         "joint limits": bool(joints),
         "joint speeds": bool((speeds > _AT_SPEED).any()),
         "links too near": bool((w.B[n_b:][: len(w.pairs) - w.n_mob] > 0.0).any()),
-        "border against hand": bool(pushed @ towards < -_PUSHED),
+        "border against end-effector": bool(pushed @ towards < -_PUSHED),
         "full stretch": bool(smallest_singular < _STRETCHED),
     }
     reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
-    places = tuple(hand.tolist()), tuple(target.tolist())
+    places = tuple(ee.tolist()), tuple(target.tolist())
     return Stuck(step.t, step.ee_error, *places, reasons or ("unknown",), joints)
