@@ -173,7 +173,7 @@ def test_taking_another_point_releases_the_first():
     grip.take(*LINK)
     grip.pull(np.array([0.5, 0.0, 0.8]), client)
     assert sink.commands == [Release(7), Pull((0.5, 0.0, 0.8), *LINK, who=7)]
-    assert not grip.holds_hand
+    assert not grip.holds_end_effector
 
 
 def test_targets_below_the_floor_stop_at_it_with_one_notice_per_drag():

@@ -158,8 +158,8 @@ def test_number_in_scientific_notation_can_be_read_back(value):
 
 def test_bodies_are_named_from_the_end_effector_inwards():
     names = [words.body(name, CHAIN) for name in CHAIN]
-    assert names == ["base", "shoulder", "upper arm", "forearm", "hand"]
-    assert words.body("lEE", (*CHAIN, "door")) == "hand"
+    assert names == ["base", "shoulder", "upper arm", "forearm", "end-effector"]
+    assert words.body("lEE", (*CHAIN, "door")) == "end-effector"
     assert words.body("door", (*CHAIN, "door")) == "door"
     assert words.body("l1", ("lm", "l1", "l2", "l3", "l4", "lEE")) == "link l1"
 
@@ -254,7 +254,7 @@ def test_sentence_calls_the_task_reduced_only_with_much_slack(blank, slack, dist
         ("inside", "dbb", "The end-effector overlaps the base's front by 4 mm"),
         ("edge", "dbb", "The end-effector is 15 cm from the base's front (buffer 15 cm)"),
         ("links", "dbb", "is 9 cm from the shoulder (buffer 15 cm), so the arm pushes"),
-        ("both", "dbb", "Hand and shoulder are also pushed apart."),
+        ("both", "dbb", "End-effector and shoulder are also pushed apart."),
         ("base", "repulsive", "pushes the arm away and does not move the base"),
         ("held", "barrier", "the minimum distance of 3 cm limits the approach"),
         ("base", "barrier", "this method acts near its minimum distance of 3 cm only"),

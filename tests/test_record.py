@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.dashboard.panels.run import course_html
-from app.dashboard.record import BIN, KEPT, SPACING, Course, Strip, Track
+from app.dashboard.record import BIN, HISTORY, SPACING, Course, Strip, Track
 from app.dashboard.scene.scene import SceneData
 from app.simulation.people import PullReading
 from tests.fakes import ScriptedLoop
@@ -230,6 +230,6 @@ def test_the_timeline_is_bounded_in_memory(snapshot):
     past = Past(snapshot, strip)
     for k in range(8000):
         past.extend([near(snapshot, k * BIN, 0.2 if k // 8 % 2 else 0.1)])
-    assert len(strip.rows) == KEPT / BIN < strip.closed
+    assert len(strip.rows) == HISTORY / BIN < strip.closed
     assert len(strip.events) == 400
-    assert len(strip.past) <= KEPT / BIN / 2
+    assert len(strip.past) <= HISTORY / BIN / 2

@@ -13,7 +13,7 @@ v_cmd by the admittance law (§4.1, `update_command`).
 
 Base and arm are computed one after the other, because the base follows its commands late.
 
-**The base** (`command_base`), with task gains slow enough for its 10 Hz:
+**The base** (`command_base`), with task gains slow enough for its rare commands:
 
 1. `set_up_free_base`: a_free is the base's part of the q̈ that minimises the costs of posture and
    T_2, with the rows between links as springs, subject to the limits of joints, torques and base
@@ -111,7 +111,8 @@ DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 the command itself."""
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
-"""The problems of a step, and their rows in `qp_tried` and `qp_x`."""
+"""The QPs of `set_up_free_base`, `set_up_room`, `set_up_arm` and `app.control.hqp`, as rows of
+`qp_tried` and `qp_x`."""
 
 _READING = types.Array(types.f8, 1, "A")
 
@@ -174,7 +175,7 @@ def algorithm_2(
     Args:
         robot: `ROBOT`.
         gains: `GAINS`.
-        slow: `GAINS` for all base motion that does not come from T_sca: slow enough for its 10 Hz.
+        slow: `GAINS` for all base motion that does not come from T_sca, for its command period.
         border: `BORDER`.
         w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
         base_source: One of `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) and
@@ -256,7 +257,7 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
 def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """The base's problem: a_free, the blend a_des of (29), and the commanded acceleration.
 
-    It ends early if a QP is left open.
+    It ends early if Python has to solve a QP (`w.qp_open`).
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -289,7 +290,7 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
 
 @compiled()
 def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
-    """The arm's problem; it ends early if its QP is left open."""
+    """The arm's problem; it ends early if Python has to solve its QP (`w.qp_open`)."""
     w.solved[()] = 0.0
     if w.valid[()] == 0.0:
         return
@@ -350,7 +351,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
-    """ẍ_r − J̇_r q̇ (k,) of the pairs of L_m^c."""
+    """ẍ_r − J̇_r q̇ (k,) [m/s²] of the pairs of L_m^c."""
     b_r = np.empty(len(w.beta) - robot.n_mob)
     for j in range(len(b_r)):  # line 8
         i = robot.n_mob + j
@@ -403,7 +404,7 @@ def put_qp(w: Any, H: Array, c: Array) -> None:
 
 @compiled()
 def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
-    """T_2 with the given gains: b (6,) and λ of `end_effector_task`."""
+    """Right-hand side (6,) [m/s², rad/s²] and λ [m²] of T_2, by `end_effector_task`."""
     return end_effector_task(
         w.e_ee,
         w.v_ref - w.v_ee,
@@ -649,7 +650,7 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
 
 @compiled()
 def update_command(robot: Any, gains: Any, w: Any) -> None:
-    """The admittance law's velocity command, renewed once a command period, at 10 Hz (§4.1).
+    """Compute the admittance law's velocity command at the end of each command period (§4.1).
 
     For a kind of base whose axes depend on each other, `Controller` then replaces the command by an
     admissible one.

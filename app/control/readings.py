@@ -401,10 +401,10 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Store the readings of the base, and detect a jump of its pose; predict a missing pose.
+    """Store the base's readings; write a predicted pose into `pose` (3,) if it is not finite.
 
-    The fault `base` reports that the model of the drive does not explain the changes of velocity:
-    `w.astray` is the unexplained change, which decays.
+    The fault `localisation` is a jump of the pose. The fault `base` is a change of velocity that
+    the assumed acceleration of the base does not explain: `w.astray` is a decaying sum of them.
     """
     if not math.isfinite(pose.sum()):
         _drive_on(robot, w, w.pose_last, 0.0 if first else (1.0 + w.age[()]) * gains.dt)

@@ -101,7 +101,7 @@ class ExplorerPanel(Panel):
         self._paused, self._since = False, newest
         self._error, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         self._set(posture)
-        self.posture, self._viewer.grip.reach = posture, self._move_hand
+        self.posture, self._viewer.grip.reach = posture, self._move_end_effector
         self._show(on=True)
 
     def _go(self, _: Any) -> None:
@@ -117,7 +117,7 @@ class ExplorerPanel(Panel):
         self.posture = self._target = self._viewer.grip.reach = None
         self._show(on=False)
 
-    def _move_hand(self, place: Array) -> None:
+    def _move_end_effector(self, place: Array) -> None:
         self._target = np.array(place)
 
     def _read(self) -> None:

@@ -199,10 +199,10 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 def _marked(
     values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
 ) -> list[str]:
-    """Return the cells of a row of scores; the best one is marked if valid ones differ."""
+    """Return the cells of a row; `best` selects the value to mark if valid values differ."""
     texts = [text(value) for value in values]
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
-    compared = best and len(candidates) > 1 and len(set(texts)) > 1
+    compared = best and len(set(map(text, candidates))) > 1
     first = text(best(candidates)) if compared else None
     return [
         cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
