@@ -25,7 +25,7 @@ from app.robot.state import Measurement
 from app.simulation.loop.pacing import Pacer
 from app.simulation.session import Session
 from app.simulation.trace.snapshot import make_snapshot
-from tests.qps import Limits, Objective, Rows, hand_task, inserted, solved
+from tests.qps import Limits, Objective, Rows, ee_task, inserted, solved
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
@@ -179,14 +179,14 @@ def test_the_end_effectors_slack_is_the_residual_of_its_task(robot, controllers,
     controller, m = controllers[name], near(robot, "lm-lEE", 2)
     reference = here(controller, m, off=off)
     why, output = explained(controller, m, reference)
-    task = hand_task(controller.state, reference, AT_ONCE.task)
+    task = ee_task(controller.state, reference, AT_ONCE.task)
     w = task.b - task.J @ qdd_of(controller, output)
-    hand = level(why, "ee")
-    assert hand.linear is not None
-    assert (hand.linear, hand.angular) == pytest.approx(
+    ee = level(why, "ee")
+    assert ee.linear is not None
+    assert (ee.linear, ee.angular) == pytest.approx(
         (np.linalg.norm(w[:3]), np.linalg.norm(w[3:])), abs=1e-4, rel=1e-3
     )
-    assert (off > 0.0) == (hand.linear > 10.0) or name == "repulsive"
+    assert (off > 0.0) == (ee.linear > 10.0) or name == "repulsive"
 
 
 def test_a_level_that_is_met_has_no_slack(robot, dbb):

@@ -111,8 +111,7 @@ DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 the command itself."""
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
-"""The QPs of `set_up_free_base`, `set_up_room`, `set_up_arm` and `app.control.hqp`, as rows of
-`qp_tried` and `qp_x`."""
+"""Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room`, `set_up_arm`, `hqp`."""
 
 _READING = types.Array(types.f8, 1, "A")
 

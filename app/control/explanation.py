@@ -126,9 +126,8 @@ class Explanation(NamedTuple):
 
     @property
     def bearing(self) -> NearPair | None:
-        """The most important pair: the deepest one in penetration, otherwise the most active one of
-        L_m, otherwise the most active one within the arm; None without any near pair.
-        """
+        """The deepest pair in penetration, otherwise the most active pair of L_m, otherwise the
+        most active pair within the arm; None without a near pair."""
         inside = (pair for pair in self.near if pair.d < 0.0)
         return min(inside, key=lambda pair: pair.d, default=next(iter(self.near), None))
 

@@ -83,8 +83,7 @@ _LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola; smaller ones 
 
 @compiled()
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
-    """The positions (n_m,) without jumps by full turns, if the limits (2, n_m) of the joints allow
-    it.
+    """The positions (n_m,) without jumps by full turns, if the joint limits (2, n_m) allow this.
 
     Some drivers wrap the position of a joint without limits to ±π. The result is the position
     nearest to the `last` position (n_m,), and for the `first` reading the position within the
@@ -238,9 +237,7 @@ def _explained(w: Any, dt: float, count: int) -> Array:
 
 @compiled()
 def _parabola(ages: Array) -> Array:
-    """(3,) weights with which values of the given ages (3,) extrapolate to age 0 along a
-    parabola.
-    """
+    """(3,) weights that extrapolate values of the ages (3,) to age 0 along a parabola."""
     found = np.ones(3)
     for k in range(3):
         for j in range(3):
@@ -485,9 +482,7 @@ def _estimate_load(gains: Any, w: Any) -> None:
 
 @compiled()
 def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
-    """Predict the arm's velocity without valid readings, for the damping of the fallback
-    command.
-    """
+    """Predict the arm's velocity without valid readings, for the fallback command's damping."""
     w.age[()] += 1.0
     w.known[()] = 0.0
     fill(w.v_last, math.nan)

@@ -314,9 +314,9 @@ def description(
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready pose is the middle of the
-    joints' ranges. Without `bodies`, the bodies are small spheres. A description without
-    these arguments is sufficient for the arm's kinematics and dynamics. `unwatched` are the reasons
-    why pairs of bodies are not monitored, by the names of the pairs.
+    joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics do
+    not need the two arguments. `unwatched` has the reason for each pair of bodies that is not
+    monitored, by the pair's name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)

@@ -121,8 +121,12 @@ class Ensemble:
         Raises:
             ConfigError: The control period is too long for a gain; then nothing has changed.
         """
-        for runner in (self._led, *self.ghosts):  # with equal periods, the first refuses for all
-            runner.session.configure(_adapted(config, self.scenario))
+        adapted = self.scenario.adapted(config) if self.scenario else config
+        for runner in (
+            self._led,
+            *self.ghosts,
+        ):  # equal periods: the first refuses
+            runner.session.configure(adapted)
         self._config = config
 
     def choose(self, controller: str) -> None:
@@ -215,7 +219,8 @@ class Ensemble:
         """
         comparison = comparison or self.comparison
         check_posture(setting.model, setting.q_m)  # before any session changes
-        setting, free = setting._replace(config=_adapted(self._config, scenario)), self._free
+        config = scenario.adapted(self._config) if scenario else self._config
+        setting, free = setting._replace(config=config), self._free
         names = (self.main.controller.name, *comparison.controllers)
         # A session with a door is not used again, because pybullet's reset does not remove the
         # whole state of the grasp.
@@ -316,7 +321,3 @@ class Runner:
             largest(torque, score.torque_jump),
             score.contacts + any(step.contacts),
         )
-
-
-def _adapted(config: Config, scenario: Scenario | None) -> Config:
-    return config if scenario is None else scenario.adapted(config)

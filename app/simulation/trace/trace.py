@@ -33,7 +33,7 @@ Reason = Literal[
     "unknown",
 ]
 
-SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
+SNAPSHOTS_STORED = 3000  # 60 s at 50 Hz
 SHORT = 1e-3  # [m] error above which the end-effector counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] largest velocity and acceleration of a resting reference
 _MOVING = 1e-3  # [m/s] speed towards the target above which the end-effector counts as moving
@@ -275,9 +275,9 @@ class Recorder:
 class History:
     """The newest snapshots in order of time; the start of a run removes all older snapshots."""
 
-    def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
-        """Start empty; `kept` is the largest number of stored snapshots."""
-        self._kept: deque[Snapshot] = deque(maxlen=kept)
+    def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
+        """Start empty; `stored` is the largest number of stored snapshots."""
+        self._stored: deque[Snapshot] = deque(maxlen=stored)
         self._latest: Snapshot | None = None
 
     @property
@@ -290,16 +290,16 @@ class History:
         """Append a snapshot; it replaces the newest snapshot if both have the same time."""
         newest = self._latest
         if newest is not None and not snapshot.follows(newest):
-            self._kept.clear()
+            self._stored.clear()
         elif newest is not None and snapshot.t == newest.t:
-            self._kept.pop()
-        self._kept.append(snapshot)
+            self._stored.pop()
+        self._stored.append(snapshot)
         self._latest = snapshot
 
     def after(self, t: float) -> list[Snapshot]:
         """Snapshots later than `t` [s], oldest first."""
         found = []
-        for snapshot in reversed(tuple(self._kept)):
+        for snapshot in reversed(tuple(self._stored)):
             if snapshot.t <= t:
                 break
             found.append(snapshot)
