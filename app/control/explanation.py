@@ -126,8 +126,7 @@ class Explanation(NamedTuple):
 
     @property
     def bearing(self) -> NearPair | None:
-        """The deepest pair in penetration, otherwise the most active pair of L_m, otherwise the
-        most active pair within the arm; None without a near pair."""
+        """The deepest pair in penetration, else the most active pair (of L_m if any), or None."""
         inside = (pair for pair in self.near if pair.d < 0.0)
         return min(inside, key=lambda pair: pair.d, default=next(iter(self.near), None))
 

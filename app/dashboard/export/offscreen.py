@@ -274,8 +274,8 @@ def open_page(page: web.Page, server: viser.ViserServer) -> None:
     page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
 
 
-def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
-    """Return the snapshots `led` of a run with the robots of other runs as ghosts.
+def with_ghosts(shown: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
+    """Return the snapshots `shown` of a run, with the robots of the `others` as ghosts.
 
     All runs have snapshots at the same times.
     """
@@ -285,7 +285,7 @@ def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -
 
     return [
         replace(main, ghosts=tuple(map(ghost, ghosts)))
-        for main, *ghosts in zip(led, *others, strict=True)
+        for main, *ghosts in zip(shown, *others, strict=True)
     ]
 
 

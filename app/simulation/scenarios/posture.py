@@ -125,8 +125,7 @@ class PostureSearch:
         return best_posture(residual, jacobian, guess, bounds)
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
-        """The weighted error (k,) of the end-effector, and its derivative (k, n_m) with respect to
-        the joint positions.
+        """The weighted error (k,) of the end-effector, and its Jacobian (k, n_m).
 
         For a pose, the error is the logarithm of the displacement in the end-effector's frame. For
         a position it is the position's error, followed by the direction's error if the target has

@@ -347,7 +347,7 @@ class Snapshot:
     p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.p_ee)]
     """(3,) [m] position of the end-effector in the world."""
     wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
-    """(4,) orientation of the end-effector as a quaternion, w first."""
+    """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
     """All link pairs; the pairs of L_m are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
