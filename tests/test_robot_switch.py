@@ -262,7 +262,7 @@ def test_after_a_failure_the_old_robot_continues_and_the_cause_is_shown(
         panel = next(iter(server.pages.values())).robot_panel
         assert panel is not None
         expected = {
-            "refused": "does not come there",
+            "refused": "cannot reach it",
             "crashed": markup.DEFECT,  # only the log contains the exception
             "cancelled": "cancelled",
         }[why]
