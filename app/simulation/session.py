@@ -188,7 +188,7 @@ class Session:
         *,
         forces: PersonForces | None = None,
     ) -> Step:
-        """Advance by one control step.
+        """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
 
         Args:
             reference: The end-effector's reference, or None while a person guides the arm.
@@ -197,10 +197,6 @@ class Session:
             holds: Other people who hold the robot, at the end-effector or another point.
             forces: Forces on the robot that replace the forces of the people's springs. The error
                 of the end-effector still refers to the people's targets.
-
-        Raises:
-            TargetError: A person's target is invalid.
-            MeasurementError: The reference is invalid.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)

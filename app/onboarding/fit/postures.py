@@ -448,7 +448,7 @@ class _Guide:
         for k in np.argsort(away)[:_TRIES]:
             q_m = self._free[k]
             for share in _SHARES:
-                q_m = self._pulled(q_m, self._places[k] + share * (p - self._hands[k]))
+                q_m = self._pulled(q_m, self._places[k] + share * (p - self._places[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
             if off < _THERE and _is_free(self._search):
                 return q_m
