@@ -91,7 +91,7 @@ class BarrierConfig(Strict):
     d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
     """[m] minimum distance of each pair; the torque limits have priority."""
     rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
-    """[1/s] approach rate: largest approach speed divided by the remaining distance."""
+    """[1/s] approach rate: largest approach speed divided by the distance beyond d_min."""
     max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
         default=0.3, ge=0.05, le=2.0
     )
@@ -217,11 +217,11 @@ class PayloadConfig(Strict):
     y: Annotated[float, Shown("Payload centre y", advanced=True)] = Field(
         default=0.0, ge=-1.0, le=1.0
     )
-    """[m] y coordinate of the centre of mass."""
+    """[m] y coordinate of the centre of mass in the end-effector's frame."""
     z: Annotated[float, Shown("Payload centre z", advanced=True)] = Field(
         default=0.0, ge=-1.0, le=1.0
     )
-    """[m] z coordinate of the centre of mass."""
+    """[m] z coordinate of the centre of mass in the end-effector's frame."""
 
 
 class AdmittanceConfig(Strict):

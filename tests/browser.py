@@ -120,7 +120,7 @@ class DashboardTab:
         """Wait until the robot and all other scene nodes are drawn."""
         self._rests = False
         self.wait("() => dbbPage.ready()")
-        self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
+        self.wait("() => dbbPage.has('/robot') && dbbPage.has('/gizmo')")
         self.page.evaluate("on => dbbTest.draw(on)", self._draws)
         self.render(3)
 

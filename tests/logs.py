@@ -114,7 +114,7 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
         activation=number(),
         floor_contact=truth(),
         given_up=int(rng.integers(9)),
-        hand_speed=number(),
+        ee_speed=number(),
         people=int(rng.integers(3)),
         duration_us=float(rng.choice([np.nan, 198.7])),
     )

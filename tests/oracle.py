@@ -501,7 +501,7 @@ class Oracle:
         return np.linalg.solve(I + mass * drag.T @ drag, I @ wanted + mass * drag.T @ drag @ a_hold)
 
     def _make_room(self) -> None:
-        """Make the least change with which the predicted arm tracks T_ee within its limits."""
+        """Make the least change with which the predicted arm tracks T_2 within its limits."""
         w, n_b, task = self.w, self.n_b, self.config.task
         slow = task.base_time_scale
         _, give = self._end_effector(slow)

@@ -70,8 +70,8 @@ class Rows(NamedTuple):
         return Rows(self.J[rows], self.b[rows], self.beta[rows])
 
 
-class HandTask(NamedTuple):
-    """T_ee: J q̈ = b."""
+class EeTask(NamedTuple):
+    """T_2: J q̈ = b."""
 
     J: Array
     b: Array
@@ -114,13 +114,13 @@ def inserted(objective: Objective, rows: Rows, softness: float, fixed: int = 0) 
     return Objective(*insert_rows(*objective, *rows, softness, fixed))
 
 
-def hand_task(at: RobotState | ControlStep, reference: Reference, task: TaskConfig) -> HandTask:
-    """T_ee for a reference."""
+def ee_task(at: RobotState | ControlStep, reference: Reference, task: TaskConfig) -> EeTask:
+    """T_2 for a reference."""
     pose, velocity, acceleration = reference
     error = pose_error(at.p_ee, at.R_ee, pose.translation, pose.rotation)
     gains = task.ee_stiffness, task.ee_damping, task.ee_speed
     found = end_effector_task(error, velocity - at.v_ee, acceleration - at.Jdqd_ee, *gains)
-    return HandTask(at.J_ee.copy(), *found)
+    return EeTask(at.J_ee.copy(), *found)
 
 
 def posture_of(
@@ -132,10 +132,10 @@ def posture_of(
     return Objective(*posture_objective(at.qd, at.q_m, q_posture, model.q_limits, *gains, *base))
 
 
-def with_hand(
-    posture: Objective, hand: HandTask, at: RobotState | ControlStep, task: TaskConfig
+def with_ee(
+    posture: Objective, hand: EeTask, at: RobotState | ControlStep, task: TaskConfig
 ) -> Objective:
-    """The objective with T_ee above the posture task."""
+    """The objective with T_2 above the posture task."""
     return Objective(*add_tracking(*posture, *hand, task.ee_damping * at.qd, task.ee_weight))
 
 

@@ -110,7 +110,7 @@ def offline(browser):
 @pytest.mark.usefixtures("made_here")
 def test_a_report_opens_without_a_network(tab, tmp_path, offline):
     offline.goto(download(tab, "Report (HTML)", tmp_path).as_uri())
-    assert offline.get_by_text("hand – base").first.is_visible()
+    assert offline.get_by_text("end-effector – base").first.is_visible()
 
 
 @needs_pybullet

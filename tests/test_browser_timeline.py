@@ -144,7 +144,9 @@ def test_strip_shows_the_history_and_accepts_mouse_touch_and_keys(tab, served):
     assert max(beta for _, _, beta in seen["rows"]) == pytest.approx(
         max(s.beta_m for s in pull), abs=2e-3
     )
-    assert any(kind == "buffer" and "hand – base" in text for _, _, kind, text in seen["events"])
+    assert any(
+        kind == "buffer" and "end-effector – base" in text for _, _, kind, text in seen["events"]
+    )
 
     tab.click("Nearest")
     least = min(served.loop.history(-1.0), key=lambda s: min(p.d for p in s.pairs))

@@ -31,7 +31,7 @@ def test_two_viewers_have_separate_layers_and_times_and_both_pull(browser):
         assert page_of_second is not page_of_first
 
         first.open_tab("View")
-        first.choose("hand – base", "hidden")
+        first.choose("end-effector – base", "hidden")
         wait_for(lambda: not first.is_shown(f"{ROOT}/border_lm-lEE"))
         assert second.is_shown(f"{ROOT}/border_lm-lEE"), (
             "the layers of one viewer changed those of the other"

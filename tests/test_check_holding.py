@@ -7,7 +7,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.onboarding.check import holding_row, push_row
-from app.onboarding.warn import borne_push, carried_hand, holding_warning, lost_hand
+from app.onboarding.warn import borne_push, carried_ee, holding_warning, lost_ee
 from app.robot.assets import package_roots
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -35,7 +35,7 @@ def test_stretch_gets_a_warning_for_forward_motion() -> None:
 def test_the_papers_robot_gets_no_warning() -> None:
     row = holding_row(husky_panda())
     assert row.outcome == "passed"
-    assert not holding_warning(carried_hand(husky_panda()))
+    assert not holding_warning(carried_ee(husky_panda()))
     assert row.numbers["place_lost_v_share"] < 0.1
     assert row.numbers["place_lost_w_share"] < 0.1
 
@@ -59,7 +59,7 @@ def test_check_warns_if_a_person_can_push_the_arm_into_the_base(
 
 
 def test_lost_poses_exceed_lost_positions_and_fall_with_joint_speed() -> None:
-    slow, same, fast = (carried_hand(at_speeds(f)) for f in (0.05, 1.0, 100.0))
+    slow, same, fast = (carried_ee(at_speeds(f)) for f in (0.05, 1.0, 100.0))
     for each in (*slow, *same, *fast):
         assert each.place <= each.pose
     for a, b, c in zip(slow, same, fast, strict=True):
@@ -70,10 +70,10 @@ def test_lost_poses_exceed_lost_positions_and_fall_with_joint_speed() -> None:
 
 
 def test_the_warning_names_only_the_axes_that_are_often_lost() -> None:
-    text = holding_warning(carried_hand(at_speeds(0.05)))
+    text = holding_warning(carried_ee(at_speeds(0.05)))
     assert "moves forward at 0.5 m/s" in text
     assert "turns at 1 rad/s" in text
-    lost, kept = (carried_hand(at_speeds(f)) for f in (0.05, 1.0))
+    lost, kept = (carried_ee(at_speeds(f)) for f in (0.05, 1.0))
     one = holding_warning((lost[0], kept[1]))
     assert "moves forward" in one
     assert "turns" not in one
@@ -85,9 +85,9 @@ FAST = np.full(6, 10.0)
 def test_yaw_of_the_base_loses_no_position_on_the_yaw_axis() -> None:
     turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     stiff, free = np.zeros((6, 6)), np.eye(6)
-    assert lost_hand(stiff, turning, FAST) == (False, True)
-    assert lost_hand(free, turning, FAST) == (False, False)
-    assert lost_hand(stiff, np.zeros(6), FAST) == (False, False)
+    assert lost_ee(stiff, turning, FAST) == (False, True)
+    assert lost_ee(free, turning, FAST) == (False, False)
+    assert lost_ee(stiff, np.zeros(6), FAST) == (False, False)
 
 
 @pytest.mark.parametrize(("joint", "lost"), [(0, (True, True)), (5, (False, True))])
@@ -95,23 +95,23 @@ def test_only_a_direction_that_no_joint_moves_is_lost(joint: int, lost: tuple[bo
     moved = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 1.0])
     J = np.eye(6)
     J[joint, joint] = 0.0
-    assert lost_hand(J, moved, FAST) == lost
-    assert lost_hand(np.eye(6), moved, FAST) == (False, False)
+    assert lost_ee(J, moved, FAST) == lost
+    assert lost_ee(np.eye(6), moved, FAST) == (False, False)
 
 
 @pytest.mark.parametrize("speed", [0.85, 0.95])
 def test_only_a_residual_above_ten_percent_is_lost(speed: float) -> None:
     along = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert lost_hand(np.eye(6), along, np.full(6, speed)) == (speed < 0.9, speed < 0.9)
+    assert lost_ee(np.eye(6), along, np.full(6, speed)) == (speed < 0.9, speed < 0.9)
     turning = along[[3, 4, 5, 0, 1, 2]]
-    assert lost_hand(np.eye(6), turning, np.full(6, speed)) == (False, speed < 0.9)
+    assert lost_ee(np.eye(6), turning, np.full(6, speed)) == (False, speed < 0.9)
 
 
 def test_a_position_held_by_turning_the_end_effector_loses_only_the_pose() -> None:
     J = np.zeros((6, 1))
     J[0, 0], J[5, 0] = 0.5, 1.0  # a lever of half a metre
     moved = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert lost_hand(J, moved, FAST[:1]) == (False, True)
+    assert lost_ee(J, moved, FAST[:1]) == (False, True)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -119,5 +119,5 @@ def test_a_lost_position_implies_a_lost_pose(seed: int) -> None:
     rng = np.random.default_rng(seed)
     J, moved = rng.normal(size=(6, 7)), rng.normal(size=6)
     for speed in (0.01, 0.1, 0.3, 1.0, 10.0):
-        place, pose = lost_hand(J, moved, np.full(7, speed))
+        place, pose = lost_ee(J, moved, np.full(7, speed))
         assert pose or not place

@@ -485,7 +485,7 @@ def test_run_prints_the_verdict_first_and_the_written_files_last(dbb, tmp_path):
     log = tmp_path / "run.csv"
     first, *others = dbb(*QUICK, "--out", str(tmp_path), "--log", str(log)).out.splitlines()
     assert re.fullmatch(
-        r"No contact; least distance \d+ mm \([^)]+\); final hand error .* mm\.", first
+        r"No contact; least distance \d+ mm \([^)]+\); final end-effector error .* mm\.", first
     )
     written = [tmp_path / "log.csv", tmp_path / "metrics.json", log]
     assert others[-3:] == [f"wrote {path}" for path in written]
@@ -506,17 +506,17 @@ FIGURES_OF_A_RUN = {
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({}, "No contact; least distance 50 mm (lm-lEE); final hand error 12.3 mm."),
+        ({}, "No contact; least distance 50 mm (lm-lEE); final end-effector error 12.3 mm."),
         (
             {"contacts": 7, "floor_contacts": 1},
             "The arm touched the base and the floor; least distance 50 mm (lm-lEE)",
         ),
         (
             {"min_distance_m": {"lm-lEE": -0.008}},
-            "Overlap; bodies overlapped by 8.0 mm (lm-lEE); final hand error 12.3 mm. "
+            "Overlap; bodies overlapped by 8.0 mm (lm-lEE); final end-effector error 12.3 mm. "
             "Distances are between convex bodies that enclose the links",
         ),
-        ({"min_distance_m": {}}, "No contact; final hand error"),
+        ({"min_distance_m": {}}, "No contact; final end-effector error"),
     ],
 )
 def test_verdict_names_contact_distance_and_end_effector_error(changes, text):

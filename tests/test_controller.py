@@ -23,14 +23,14 @@ from tests.qps import (
     Limits,
     Rows,
     base_limits,
-    hand_task,
+    ee_task,
     inserted,
     joint_bounds_of,
     least,
     posture_of,
     robot_limits,
     solved,
-    with_hand,
+    with_ee,
 )
 
 ZERO = np.zeros(3)
@@ -174,8 +174,8 @@ def test_the_base_command_equals_29_solved_for_the_whole_body(
     links = len(output.pairs) - output.n_mob
     rows = Rows(output.J_sca, output.b_sca, output.B).of(np.arange(2 + links))
     state, softness = controller.state, config.task.slack_weight
-    hand = hand_task(state, reference, config.task)
-    objective = with_hand(posture_of(robot, state, m.q_m, config.task), hand, state, config.task)
+    ee = ee_task(state, reference, config.task)
+    objective = with_ee(posture_of(robot, state, m.q_m, config.task), ee, state, config.task)
     objective = inserted(objective, rows, softness)
     limits = robot_limits(robot, state, config.limit, softness).and_also(base_limits(robot))
     whole = solved(objective, limits)
@@ -235,7 +235,7 @@ def missing(state: RobotState, base: np.ndarray) -> float:
     moved = state.model.J_m_inv @ (gain * (base - drag * state.measurement.base_velocity))
     slow = slowed(UNHELD)
     hold = Reference(state.T_world_ee, np.zeros(6), np.zeros(6))
-    task = hand_task(state, hold, slow.task)
+    task = ee_task(state, hold, slow.task)
     wanted = task.b - task.J[:, :2] @ moved
     bounds = joint_bounds_of(state.model, state, slow.limit)
     return float(np.linalg.norm(lsq_linear(task.J[:, 2:], wanted, bounds).fun))
@@ -264,12 +264,12 @@ def test_the_end_effectors_task_precedes_the_posture_by_its_weight(
     controller.reset()
     controller.step(measured(robot, q_m))
     state, reference = controller.state, reference_here(controller, rng.normal(size=6))
-    hand = hand_task(state, reference, Config().task)
+    ee = ee_task(state, reference, Config().task)
     off = []
     for weight in (1e1, 1e3, 1e5, 1e7):
         task = Config().task.model_copy(update={"ee_weight": weight})
-        qdd = least(with_hand(posture_of(robot, state, q_m + 0.5, task), hand, state, task))
-        off.append(np.abs(hand.J @ qdd - hand.b).max())
+        qdd = least(with_ee(posture_of(robot, state, q_m + 0.5, task), ee, state, task))
+        off.append(np.abs(ee.J @ qdd - ee.b).max())
     assert all(a > 10 * b for a, b in pairwise(off))
     assert off[2] < 1e-2
 

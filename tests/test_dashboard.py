@@ -173,7 +173,7 @@ def test_taking_another_point_releases_the_first():
     grip.take(*LINK)
     grip.pull(np.array([0.5, 0.0, 0.8]), client)
     assert sink.commands == [Release(7), Pull((0.5, 0.0, 0.8), *LINK, who=7)]
-    assert not grip.holds_hand
+    assert not grip.holds_end_effector
 
 
 def test_targets_below_the_floor_stop_at_it_with_one_notice_per_drag():
@@ -550,7 +550,7 @@ def test_labels_do_not_overlap_and_return_to_their_place_when_free(labels):
 @pytest.mark.parametrize(("v", "side"), [(0.0, "bottom"), (45.0, "top")])
 def test_label_at_an_edge_is_inside_the_picture(u, anchor, v, side):
     free = (-100.0, -50.0, 100.0, 50.0)
-    spots = set_apart({"a": (u, v, "hand – base")}, {}, free)
+    spots = set_apart({"a": (u, v, "end-effector – base")}, {}, free)
     assert spots == {"a": (f"{side}-{anchor}", 0.0)}
 
 
@@ -878,7 +878,7 @@ def test_every_log_quantity_can_be_added_to_and_removed_from_a_plot(dashboard, l
         client.set_widget(page.channel._box, '["1", "seen", "plots"]')
         columns = Trace.of_snapshots(husky_panda(), [loop.latest()]).columns
         assert {column.name for column in columns} <= set(dashboard.shared.quantities)
-        plots, name, title = page._plots, "q_panda_joint4_rad", "hand error [mm]"
+        plots, name, title = page._plots, "q_panda_joint4_rad", "end-effector error [mm]"
         client.set_widget(plots._name, name)
         client.set_widget(plots._into, title)
         for act, lines in (("Add", 2), ("Add", 2), ("Remove", 1)):
@@ -908,7 +908,7 @@ def test_hidden_plots_are_not_sent(dashboard):
 
 def test_view_tab_shows_changes_from_elsewhere(dashboard):
     with RawClient(dashboard.address):
-        page, title = page_of(dashboard), "hand error [mm]"
+        page, title = page_of(dashboard), "end-effector error [mm]"
         boxes = [buttons_of(page, label) for label in ("Dark theme", title)]
         wait_for(lambda: [box.value for box in boxes] == [True, False])
         page.view.toggle_dark()

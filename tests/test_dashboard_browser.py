@@ -61,7 +61,13 @@ def tab(opened, served):
 
 def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     assert tab.page.title() == f"{PRODUCT} · {served.server.shared.model.description.title}"
-    texts = "out of its own arm's way", "hand – base", "score S, equation (10)", "Nearest", "Pause"
+    texts = (
+        "out of its own arm's way",
+        "end-effector – base",
+        "score S, equation (10)",
+        "Nearest",
+        "Pause",
+    )
     for text in texts:
         tab.page.get_by_text(text).filter(visible=True).first.wait_for(timeout=10_000)
     assert tab.page.get_by_text("no explanation for this instant").first.is_visible()
@@ -94,7 +100,7 @@ def test_plot_data_are_sent_only_while_the_plots_are_visible(tab, served):
     tab.open_tab("Plots")
     wait_for(lambda: SIGHT in channel.seen, what="the plots are visible")
     wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
-    line = tab.page.locator(".u-legend .u-series", has_text="hand – base").first
+    line = tab.page.locator(".u-legend .u-series", has_text="end-effector – base").first
     line.hover()
     wait_for(lambda: (line.get_attribute("title") or "").startswith("lm-lEE: signed distance"))
     tab.open_tab("Why")

@@ -160,7 +160,7 @@ def test_a_body_is_dragged_resized_and_saved_in_the_page(
     tab.drag_gizmo(gizmo, 2, 0.08, 0.22)
     tab.drag_gizmo(f"{gizmo}/{SIZE}", 2, 0.05, 0.09)
     tab.page.get_by_text("Monitored pairs").click()
-    tab.check("hand – upper arm", on=False)
+    tab.check("end-effector – upper arm", on=False)
     tab.click("Use this posture as ready pose")
     wait_for(lambda: panel.edit.changes.ready and panel.edit.changes.unwatched, what="changes")
     shared = served.server.shared

@@ -9,6 +9,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
+from app.control import contract
 from app.errors import ConfigError, TargetError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Compare, Pull
@@ -173,6 +174,21 @@ def test_a_refused_scenario_changes_nothing(make):
         ensemble.play(LATERAL.changed(move=(0.0, 0.0, -2.0)))
     assert (ensemble.main, ensemble.main.t, ensemble.leading) == (main, t, "guiding-lateral")
     assert ensemble.step().t == t
+
+
+def test_refused_parameters_change_nothing(make, monkeypatch):
+    ensemble, config = make(), Config().replace("force.f_max", 100.0)
+    ensemble.play(LATERAL)
+    monkeypatch.setattr(contract, "_FASTEST", 1e-9)
+    with pytest.raises(ConfigError, match="too large for a control period"):
+        ensemble.configure(config)
+    monkeypatch.undo()
+    assert ensemble.main.config == Config()
+    ensemble.restart()
+    assert ensemble.main.config == Config()
+    ensemble.configure(config)
+    ensemble.restart()
+    assert ensemble.main.config == config
 
 
 def test_a_pull_at_another_link_disturbs_a_scenario_without_ending_it(make):

@@ -32,10 +32,10 @@ LONGEST = 280  # [characters] a longer sentence would move the rows below it
 FORCE = ForceSplit((-80, -60), (-80, 0), (0, -60), (-0.4, 0), (0, -0.2), 2.3e-4, 98, 0.022, 0.021)
 BASE = NearPair("lm", "lEE", True, 0.08, 0.7, FRONT, 0.0, 0.0, False, FORCE)
 LINKS = NearPair("l1", "lEE", False, 0.09, 0.5, FRONT, 0.0, 0.0, False, None)
-ABOVE = BASE._replace(d=0.06, n=TOP, above=1.0, held=True)
-LAST = BASE._replace(d=0.05, held=True)
-INSIDE = BASE._replace(d=-0.004, beta=1.0, held=True)
-HELD = BASE._replace(d=0.05, held=True, force=None)
+ABOVE = BASE._replace(d=0.06, n=TOP, above=1.0, limited=True)
+LAST = BASE._replace(d=0.05, limited=True)
+INSIDE = BASE._replace(d=-0.004, beta=1.0, limited=True)
+HELD = BASE._replace(d=0.05, limited=True, force=None)
 NEAR = {
     "nothing": (),
     "base": (BASE,),
@@ -43,7 +43,7 @@ NEAR = {
     "corner": (BASE._replace(n=CORNER, d=0.123), LINKS),
     "rear": (BASE._replace(n=REAR),),
     "above": (ABOVE,),
-    "high above": (ABOVE._replace(held=False, d=0.13),),
+    "high above": (ABOVE._replace(limited=False, d=0.13),),
     "last": (LAST,),
     "inside": (INSIDE,),
     "links": (LINKS,),
@@ -62,7 +62,7 @@ LEVELS = (
     Level("base", 0.0, 0.31),
     Level("arm", 0.0, None),
     Level("links", 12.0, None),
-    Level("hand", 92.9, 4.2),
+    Level("ee", 92.9, 4.2),
     Level("posture", None, 0.6),
 )
 
@@ -82,8 +82,8 @@ def explanation(near: tuple[NearPair, ...] = (), **fields: object) -> Explanatio
         nearest=("lm", "lEE", near[0].d if near else 0.23),
         axes=(FORWARD, TURN),
         base_avoidance=(0.0, 0.0),
-        base_asked=(0.0, 0.0),
-        base_given=(0.0, 0.0),
+        commanded_acceleration=(0.0, 0.0),
+        assumed_acceleration=(0.0, 0.0),
         levels=(),
         bounds=(),
     )
@@ -158,15 +158,17 @@ def test_number_in_scientific_notation_can_be_read_back(value):
 
 def test_bodies_are_named_from_the_end_effector_inwards():
     names = [words.body(name, CHAIN) for name in CHAIN]
-    assert names == ["base", "shoulder", "upper arm", "forearm", "hand"]
-    assert words.body("lEE", (*CHAIN, "door")) == "hand"
+    assert names == ["base", "shoulder", "upper arm", "forearm", "end-effector"]
+    assert words.body("lEE", (*CHAIN, "door")) == "end-effector"
     assert words.body("door", (*CHAIN, "door")) == "door"
     assert words.body("l1", ("lm", "l1", "l2", "l3", "l4", "lEE")) == "link l1"
 
 
 def test_a_limit_names_the_joint_or_the_pair():
     assert words.bound(BOUNDS[1][0], CHAIN) == "panda_joint4: torque limit"
-    assert words.bound(Bound("lm-lEE", "barrier", upper=False), CHAIN).startswith("hand – base: ")
+    assert words.bound(Bound("lm-lEE", "barrier", upper=False), CHAIN).startswith(
+        "end-effector – base: "
+    )
 
 
 # The sentence
@@ -208,13 +210,13 @@ def test_every_state_has_one_short_sentence(blank, controller):
 def test_sentence_states_distance_buffer_side_and_motion_of_the_base(blank):
     why = explanation(NEAR["base"], mode="tracking")
     assert sentence_for(blank, why, base_velocity=(-0.21, 0.3)) == (
-        "The hand is 8 cm from the base's front (buffer 15 cm), so the base backs away at "
+        "The end-effector is 8 cm from the base's front (buffer 15 cm), so the base backs away at "
         "0.21 m/s and turns left; the end-effector's task is not affected."
     )
 
 
 def test_sentence_announces_the_motion_of_a_base_at_rest(blank):
-    why = explanation(NEAR["base"], base_asked=(-0.3, -0.2))
+    why = explanation(NEAR["base"], commanded_acceleration=(-0.3, -0.2))
     assert "about to back away and turn right" in sentence_for(blank, why, base_velocity=(0.0, 0.0))
     idle = explanation(NEAR["base"])
     assert "the base does not need to move yet" in sentence_for(
@@ -226,13 +228,13 @@ def test_sentence_announces_the_motion_of_a_base_at_rest(blank):
 @pytest.mark.parametrize("near", ["base", "above", "inside"])
 def test_sentence_mentions_the_arms_limit_if_and_only_if_it_is_active(blank, near, held):
     (pair,) = NEAR[near]
-    text = sentence_for(blank, explanation((pair._replace(held=held),)))
+    text = sentence_for(blank, explanation((pair._replace(limited=held),)))
     assert ("the arm itself limits the approach" in text) == held
 
 
 @pytest.mark.parametrize(("slack", "disturbed"), [(0.0, False), (0.04, False), (3.0, True)])
 def test_sentence_calls_the_task_reduced_only_with_much_slack(blank, slack, disturbed):
-    why = explanation(NEAR["base"], mode="tracking", levels=(Level("hand", slack, 0.0),))
+    why = explanation(NEAR["base"], mode="tracking", levels=(Level("ee", slack, 0.0),))
     assert ("task is reduced" in sentence_for(blank, why)) == disturbed
     assert ("not affected" in sentence_for(blank, why)) != disturbed
 
@@ -247,10 +249,10 @@ def test_sentence_calls_the_task_reduced_only_with_much_slack(blank, slack, dist
         ("high above", "dbb", "the arm itself will stop at 3 cm"),
         ("high above", "hqp", "the hierarchy as printed has no other constraint on the arm"),
         ("last", "dbb", "and the arm itself limits the approach."),
-        ("inside", "dbb", "The hand overlaps the base's front by 4 mm"),
-        ("edge", "dbb", "The hand is 15 cm from the base's front (buffer 15 cm)"),
+        ("inside", "dbb", "The end-effector overlaps the base's front by 4 mm"),
+        ("edge", "dbb", "The end-effector is 15 cm from the base's front (buffer 15 cm)"),
         ("links", "dbb", "is 9 cm from the shoulder (buffer 15 cm), so the arm pushes"),
-        ("both", "dbb", "Hand and shoulder are also pushed apart."),
+        ("both", "dbb", "End-effector and shoulder are also pushed apart."),
         ("base", "repulsive", "pushes the arm away and does not move the base"),
         ("held", "barrier", "the minimum distance of 3 cm limits the approach"),
         ("base", "barrier", "this method acts near its minimum distance of 3 cm only"),
@@ -327,7 +329,7 @@ def test_panel_shows_the_numbers_of_the_explanation(blank):
     why = explanation(
         NEAR["base"],
         base_avoidance=(-0.4, -0.2),
-        base_asked=(-0.35, -0.15),
+        commanded_acceleration=(-0.35, -0.15),
         levels=LEVELS,
         bounds=BOUNDS[1],
     )

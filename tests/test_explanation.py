@@ -25,7 +25,7 @@ from app.robot.state import Measurement
 from app.simulation.loop.pacing import Pacer
 from app.simulation.session import Session
 from app.simulation.trace.snapshot import make_snapshot
-from tests.qps import Limits, Objective, Rows, hand_task, inserted, solved
+from tests.qps import Limits, Objective, Rows, ee_task, inserted, solved
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
@@ -181,23 +181,23 @@ def test_the_end_effectors_slack_is_the_residual_of_its_task(robot, controllers,
     controller, m = controllers[name], near(robot, "lm-lEE", 2)
     reference = here(controller, m, off=off)
     why, output = explained(controller, m, reference)
-    task = hand_task(controller.state, reference, AT_ONCE.task)
+    task = ee_task(controller.state, reference, AT_ONCE.task)
     w = task.b - task.J @ qdd_of(controller, output)
-    hand = level(why, "hand")
-    assert hand.linear is not None
-    assert (hand.linear, hand.angular) == pytest.approx(
+    ee = level(why, "ee")
+    assert ee.linear is not None
+    assert (ee.linear, ee.angular) == pytest.approx(
         (np.linalg.norm(w[:3]), np.linalg.norm(w[3:])), abs=1e-4, rel=1e-3
     )
-    assert (off > 0.0) == (hand.linear > 10.0) or name == "repulsive"
+    assert (off > 0.0) == (ee.linear > 10.0) or name == "repulsive"
 
 
 def test_a_level_that_is_met_has_no_slack(robot, dbb):
     m = near(robot, "lm-lEE", 2)
     why, _ = explained(dbb, m, here(dbb, m), config=UNHELD)
-    assert level(why, "hand").linear == pytest.approx(0.0, abs=1e-2)  # up to its weight
+    assert level(why, "ee").linear == pytest.approx(0.0, abs=1e-2)  # up to its weight
     assert level(why, "base")[1:] == pytest.approx((0.0, 0.0), abs=1e-2)
     names = [reading.name for reading in why.levels]
-    assert (names[0], *names[-2:]) == ("base", "hand", "posture")
+    assert (names[0], *names[-2:]) == ("base", "ee", "posture")
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -387,7 +387,7 @@ def test_a_barrier_is_active_exactly_if_its_row_is_at_its_bound(robot, controlle
             name = pair.name
             assert (Bound(name, "barrier", upper=False) in why.bounds) == at
             reading = next((p for p in why.near if f"{p.a}-{p.b}" == name), None)
-            assert (reading is not None and reading.held) == at
+            assert (reading is not None and reading.limited) == at
             held.add(at)
     assert held == {True, False}
 
@@ -430,5 +430,5 @@ def test_a_snapshot_contains_the_explanation_of_its_step(robot, border_data):
     assert (why.mode, snapshot.mode) == ("guiding", "guiding")
     assert isinstance(why.near[0], NearPair)
     assert why.near[0].d == pytest.approx(snapshot.pairs[0].d)
-    np.testing.assert_allclose(why.base_asked, snapshot.base_acceleration)
+    np.testing.assert_allclose(why.commanded_acceleration, snapshot.base_acceleration)
     np.testing.assert_allclose(why.base_avoidance, snapshot.avoidance_acceleration)

@@ -165,7 +165,7 @@ def test_story_names_method_cause_distance_and_base_motion(run: list[Snapshot]) 
     gone = replace(run[0], base_pose=np.array([x + 0.3, y - 0.4, phi]))
     texts = [line if isinstance(line, str) else line[0] for line in story(gone, run[0])]
     assert texts[0] == "With avoidance"
-    assert texts[1] == "a person pulls the hand"
+    assert texts[1] == "a person pulls the end-effector"
     assert texts[2].startswith("arm ")
     assert texts[2].endswith(" mm from its base")
     assert texts[3] == "base moved 0.50 m from the outline"
@@ -173,7 +173,7 @@ def test_story_names_method_cause_distance_and_base_motion(run: list[Snapshot]) 
     without = replace(run[0], controller="none", mode="tracking", ee_error=0.086, pairs=inside)
     texts = [line if isinstance(line, str) else line[0] for line in story(without, run[0])]
     assert texts[0] == "Without avoidance"
-    assert texts[1] == "task: the hand follows a line, error 86 mm"
+    assert texts[1] == "task: the end-effector follows a line, error 86 mm"
     assert texts[2] == "arm hits its base"
 
 

@@ -499,7 +499,7 @@ def test_base_that_stands_still_fails_unless_it_would_drag_the_arm(
     """The runs are replaced by figures without contact in which the base stands still."""
     from app.simulation import run
 
-    monkeypatch.setattr(checks, "carried_hand", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
+    monkeypatch.setattr(checks, "carried_ee", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
 
     def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
         counts = ("contacts", "arm_contacts", "floor_contacts", "solver_failures")

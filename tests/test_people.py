@@ -191,7 +191,7 @@ def test_stiffest_hand_guides_the_arm_without_oscillation(
         s = min(k / 300, 1.0)
         step = session.step(pull=start + np.array([0.1 * s * s * (3 - 2 * s), 0, 0]))
         forces.append(step.hand_force)
-        speeds.append(step.hand_speed)
+        speeds.append(step.ee_speed)
     session.close()
     assert 0.2 < max(speeds) < 0.8
     assert np.abs(np.diff(forces, axis=0)).max() < 1.0  # [N] a step

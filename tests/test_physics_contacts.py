@@ -49,7 +49,7 @@ def pulled(kind: str, goal):
     return result
 
 
-def hand_of(m) -> np.ndarray:
+def end_effector_of(m) -> np.ndarray:
     """(3,) [m] position of the end-effector in the world."""
     state = RobotState(MODEL)
     state.update(m)
@@ -83,10 +83,10 @@ def test_arm_cannot_penetrate_the_body_that_it_touches(kind, goal):
     at_home = np.zeros(3)
     depths = [hulls.least_distance(data, MODEL.configuration(at_home, m.q_m)) for m in trace[::10]]
     assert min(depths) > -0.003  # [m]
-    hands = np.array([hand_of(m) for m in trace])
-    assert hands[:, 2].min() > -0.01
-    assert np.linalg.norm(hands[-1] - goal) > 0.05
-    assert np.ptp(hands[-500:], axis=0).max() < 0.02  # at rest, without bouncing
+    places = np.array([end_effector_of(m) for m in trace])
+    assert places[:, 2].min() > -0.01
+    assert np.linalg.norm(places[-1] - goal) > 0.05
+    assert np.ptp(places[-500:], axis=0).max() < 0.02  # at rest, without bouncing
 
 
 @pytest.mark.slow

@@ -183,7 +183,7 @@ def test_lines_with_equal_nearest_distance_keep_their_order() -> None:
 def test_a_line_that_ends_farther_inside_replaces_a_shallow_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A line from 0.35 m to 0.2 m beside the base leads the paper's arm not near enough."""
+    """On a line from 0.35 m to 0.2 m beside the base, the paper's arm does not come near enough."""
     monkeypatch.setattr(postures, "_FARTHEST", 0.35)
     monkeypatch.setattr(postures, "_OUTSIDE", 0.2)
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.dashboard.panels.run import course_html
-from app.dashboard.record import BIN, KEPT, SPACING, Course, Strip, Track
+from app.dashboard.record import BIN, HISTORY, SPACING, Course, Strip, Track
 from app.dashboard.scene.scene import SceneData
 from app.simulation.people import PullReading
 from tests.fakes import ScriptedLoop
@@ -213,13 +213,13 @@ def test_the_timeline_stores_extremes_and_each_event_once(snapshot):
     events = [(event.t, event.kind, event.text) for event in strip.events.values()]
     assert events == [
         (0.02, "person", "a person pulls the robot"),
-        (0.02, "buffer", "hand – base inside the buffer"),
+        (0.02, "buffer", "end-effector – base inside the buffer"),
         (0.04, "person", "a person releases the robot"),
-        (0.06, "contact", "hand – base overlap by 10 mm"),
+        (0.06, "contact", "end-effector – base overlap by 10 mm"),
         (0.08, "parameter", "Force at contact f_max [N]: 200"),
         (3.0, "scenario", "way-out starts"),
         (3.0, "parameter", "Force at contact f_max [N]: 300"),
-        (3.0, "buffer", "hand – base inside the buffer"),
+        (3.0, "buffer", "end-effector – base inside the buffer"),
     ]
     past.extend([near(snapshot, 0.0, 0.2)])
     assert (len(strip.rows), len(strip.events), strip.runs) == (0, 0, 1)
@@ -230,6 +230,6 @@ def test_the_timeline_is_bounded_in_memory(snapshot):
     past = Past(snapshot, strip)
     for k in range(8000):
         past.extend([near(snapshot, k * BIN, 0.2 if k // 8 % 2 else 0.1)])
-    assert len(strip.rows) == KEPT / BIN < strip.closed
+    assert len(strip.rows) == HISTORY / BIN < strip.closed
     assert len(strip.events) == 400
-    assert len(strip.past) <= KEPT / BIN / 2
+    assert len(strip.past) <= HISTORY / BIN / 2

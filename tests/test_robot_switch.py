@@ -53,7 +53,7 @@ class Loops:
         self, model: RobotModel, data: BorderData, config: Config, controller: str
     ) -> ScriptedLoop:
         if self.refuses is not None and config == self.refuses:
-            raise UnreachableError("the hand does not come there")
+            raise UnreachableError("the end-effector cannot reach it")
         loop = ScriptedLoop(model)
         self.begun.append(weakref.ref(loop))
         return loop
@@ -181,7 +181,7 @@ def test_a_replaced_robot_is_freed_without_a_garbage_collection() -> None:
                 shared.loop,
                 page,
                 page._scene,
-                page.hand,
+                page.handles,
                 page.timeline,
             )
         }
@@ -234,7 +234,7 @@ def test_unsuitable_parameters_are_reset_and_the_viewers_notified() -> None:
         assert server.shared.tuning.config == server.shared.tuning.usual == OWN
         (note,) = notes
         assert "defaults" in note
-        assert "(the hand does not come there)" in note
+        assert "(the end-effector cannot reach it)" in note
         server.shared.tuning.undo()  # the change can be undone
         assert server.shared.tuning.config.border.d_b == 0.3
 
@@ -262,7 +262,7 @@ def test_after_a_failure_the_old_robot_continues_and_the_cause_is_shown(
         panel = next(iter(server.pages.values())).robot_panel
         assert panel is not None
         expected = {
-            "refused": "does not come there",
+            "refused": "cannot reach it",
             "crashed": markup.DEFECT,  # only the log contains the exception
             "cancelled": "cancelled",
         }[why]

@@ -39,7 +39,7 @@ def test_start_page_links_to_replays_and_borders(browser, made):
         "border/lm-lEE-score.html",
         "border/lm-l3-score.html",
     ]
-    assert page.locator("option").first.inner_text() == "hand – base, score"
+    assert page.locator("option").first.inner_text() == "end-effector – base, score"
     assert page.locator("td small").nth(1).inner_text().endswith(" mm")
     page.close()
     assert errors == []

@@ -101,7 +101,7 @@ def test_report_names_avoidance_that_moves_the_base_off_the_target(
     control = short.control.copy()
     control.B[:2], control.xdd_m[:] = 1.0, (push, 0.0)  # the target is ahead
     stuck = find_stuck(session.model, short._replace(control=control))
-    assert ("border against hand" in stuck.reasons) == reported
+    assert ("border against end-effector" in stuck.reasons) == reported
 
 
 def test_report_names_links_in_their_buffer_and_joints_at_top_speed(session, short: Step):

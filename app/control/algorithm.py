@@ -13,10 +13,10 @@ v_cmd by the admittance law (§4.1, `update_command`).
 
 Base and arm are computed one after the other, because the base follows its commands late.
 
-**The base** (`command_base`), with task gains slow enough for its 10 Hz:
+**The base** (`command_base`), with task gains slow enough for its rare commands:
 
 1. `set_up_free_base`: a_free is the base's part of the q̈ that minimises the costs of posture and
-   T_ee, with the rows between links as springs, subject to the limits of joints, torques and base
+   T_2, with the rows between links as springs, subject to the limits of joints, torques and base
    accelerations. A guided base comes to rest instead, a_free = −k ν, without a QP; the method
    `barrier` always solves the QP.
 2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
@@ -24,7 +24,7 @@ Base and arm are computed one after the other, because the base follows its comm
 3. `undragged`: an acceleration near a_des, in the metric of the base's inertia, that drags the
    end-effector along as little as possible where the arm cannot compensate.
 4. `set_up_room`, only while tracking: the smallest change of this acceleration with which the arm
-   fulfils T_ee within its limits: joints and torques, and for the method `dbb` the distances of L_m
+   fulfils T_2 within its limits: joints and torques, and for the method `dbb` the distances of L_m
    and the buffers of the arm's links.
 
 **The arm** (`accelerate_arm`) minimises the errors of the tasks; the rows of T_sca are springs that
@@ -111,7 +111,7 @@ DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 the command itself."""
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
-"""The problems of a step, and their rows in `qp_tried` and `qp_x`."""
+"""Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room`, `set_up_arm`, `hqp`."""
 
 _READING = types.Array(types.f8, 1, "A")
 
@@ -174,7 +174,7 @@ def algorithm_2(
     Args:
         robot: `ROBOT`.
         gains: `GAINS`.
-        slow: `GAINS` for all base motion that does not come from T_sca: slow enough for its 10 Hz.
+        slow: `GAINS` for all base motion that does not come from T_sca, for its command period.
         border: `BORDER`.
         w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
         base_source: One of `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) and
@@ -256,7 +256,7 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
 def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """The base's problem: a_free, the blend a_des of (29), and the commanded acceleration.
 
-    It ends early if a QP is left open.
+    It ends early if Python has to solve a QP (`w.qp_open`).
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -289,7 +289,7 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
 
 @compiled()
 def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
-    """The arm's problem; it ends early if its QP is left open."""
+    """The arm's problem; it ends early if Python has to solve its QP (`w.qp_open`)."""
     w.solved[()] = 0.0
     if w.valid[()] == 0.0:
         return
@@ -350,7 +350,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
-    """ẍ_r − J̇_r q̇ (k,) of the pairs of L_m^c."""
+    """ẍ_r − J̇_r q̇ (k,) [m/s²] of the pairs of L_m^c."""
     b_r = np.empty(len(w.beta) - robot.n_mob)
     for j in range(len(b_r)):  # line 8
         i = robot.n_mob + j
@@ -403,7 +403,7 @@ def put_qp(w: Any, H: Array, c: Array) -> None:
 
 @compiled()
 def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
-    """T_ee with the given gains: b (6,) and λ of `end_effector_task`."""
+    """Right-hand side (6,) [m/s², rad/s²] and λ [m²] of T_2, by `end_effector_task`."""
     return end_effector_task(
         w.e_ee,
         w.v_ref - w.v_ee,
@@ -531,7 +531,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖², with the rows between links as
     springs; b_ee and these rows have slow gains. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the
     bounds of the joints at their full rates, and |J_m q̈_b| ≤ a_max. A method whose base takes part
-    in the barriers has a task that brings the base to rest instead of T_ee, and has the barriers of
+    in the barriers has a task that brings the base to rest instead of T_2, and has the barriers of
     all pairs.
 
     Returns:
@@ -581,10 +581,10 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """Set up the QP that makes room for the arm.
 
     Minimise ‖q̈ − q̈_0‖ in the metric H, with q̈_0 the optimum of the cost for the base's response
-    to its present command: the smallest change with which the arm fulfils T_ee within its limits.
-    The cost is the sum of the tasks of base and arm, with a far higher weight of T_ee, and with the
+    to its present command: the smallest change with which the arm fulfils T_2 within its limits.
+    The cost is the sum of the tasks of base and arm, with a far higher weight of T_2, and with the
     base's rows in proportion to their activation. The constraints are all constraints of the arm
-    above T_ee: torques, joints, and for methods with a lookahead the distances of L_m and the
+    above T_2: torques, joints, and for methods with a lookahead the distances of L_m and the
     buffers of the arm's links. The approach rates of these constraints match the base's slow
     response, so the base reacts early: it turns in time if a wrist joint comes near its limit.
 
@@ -649,7 +649,7 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
 
 @compiled()
 def update_command(robot: Any, gains: Any, w: Any) -> None:
-    """The admittance law's velocity command, renewed once a command period, at 10 Hz (§4.1).
+    """Compute the admittance law's velocity command at the end of each command period (§4.1).
 
     For a kind of base whose axes depend on each other, `Controller` then replaces the command by an
     admissible one.

@@ -68,7 +68,7 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; a clear change of the velocity is an external acceleration.
 
-    `estimate_arm` explains the arguments; `trusted` (2, n_m) are variances.
+    `estimate_arm` explains the arguments; `trusted` (2, n_m) are noise variances.
     """
     steps, dt = len(known), gains.dt
     for i in range(len(q)):
@@ -106,7 +106,7 @@ def estimate_arm(
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
         P: (n_m, 3, 3) covariances; updated.
-        variances: (2, n_m) noise of positions and velocities; updated.
+        variances: (2, n_m) noise variances of positions and velocities; updated.
         last: (3, n_m) as in `_learn`; updated.
         samples: () number of samples of the noise; updated.
         known: (k, n_m) accelerations by `predicted_joint_acceleration` in each of the k periods
@@ -171,7 +171,7 @@ def _learn(
     a stop, or an external force during a gap, not noise.
 
     Args:
-        variances: (2, n_m) noise of positions and velocities; updated.
+        variances: (2, n_m) noise variances of positions and velocities; updated.
         last: (3, n_m) velocity at the last reading by the positions, the last position,
             and the last unexplained second difference, or NaN; updated.
         samples: () number of samples, including this one.
@@ -179,7 +179,7 @@ def _learn(
         q: (n_m,) positions.
         qd: (n_m,) velocities, or NaN.
         window: [s] time window of the variances.
-        dt: [s]
+        dt: [s] control period.
     """
     steps = len(known)
     share = max(1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / window))
@@ -257,9 +257,9 @@ def _follow(
         known: (k, n_m) predicted accelerations, in each period.
         q: (n_m,) positions.
         qd: (n_m,) velocities; NaN has no effect.
-        variances: (2, n_m) noise of positions and velocities.
+        variances: (2, n_m) noise variances of positions and velocities.
         drift: (n_m,) process noise of the external acceleration, in one second.
-        dt: [s]
+        dt: [s] control period.
     """
     advance(x, known, dt)
     for i in range(len(q)):

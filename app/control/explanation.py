@@ -20,7 +20,7 @@ Planar = tuple[float, float]
 ByAxis = tuple[float, ...]  # [m/s² or rad/s²] along the base's axes
 
 Controlled = Literal["guiding", "tracking"]
-LevelName = Literal["base", "arm", "links", "hand", "posture", "free"]
+LevelName = Literal["base", "arm", "links", "ee", "posture", "free"]
 
 
 class ForceSplit(NamedTuple):
@@ -67,8 +67,8 @@ class NearPair(NamedTuple):
     motion of the base helps."""
     arm_beta: float
     """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
-    held: bool
-    """Whether the barrier of the pair's distance is active in the arm's QP."""
+    limited: bool
+    """Whether the barrier of the pair's distance is active: it limits the approach."""
     force: ForceSplit | None
     """The force of an active pair of L_m if the controller moves the base, otherwise None."""
 
@@ -78,7 +78,7 @@ class Level(NamedTuple):
 
     name: LevelName
     """"base": the base's rows of T_sca; "arm": the rows T_rep of the arm; "links": rows
-    between links; "hand": the end-effector's task; "posture": the lowest task, or "free" during
+    between links; "ee": the end-effector's task; "posture": the lowest task, or "free" during
     guiding: the motion without avoidance."""
     linear: float | None
     """[m/s²] norm of the linear part of the slack; None for "posture" and "free"."""
@@ -107,9 +107,9 @@ class Explanation(NamedTuple):
     """The base's axes, which define the components of its accelerations."""
     base_avoidance: ByAxis
     """[m/s² or rad/s²] acceleration (16) of the base, times β_m; 0 without the base's rows."""
-    base_asked: ByAxis
+    commanded_acceleration: ByAxis
     """[m/s² or rad/s²] commanded base acceleration."""
-    base_given: ByAxis
+    assumed_acceleration: ByAxis
     """[m/s² or rad/s²] base acceleration that the arm's QP assumes: `a_base_meas`; with the
     fallback command, the commanded acceleration."""
     levels: tuple[Level, ...]
@@ -126,9 +126,7 @@ class Explanation(NamedTuple):
 
     @property
     def bearing(self) -> NearPair | None:
-        """The most important pair: the deepest one in penetration, otherwise the most active one of
-        L_m, otherwise the most active one within the arm; None without any near pair.
-        """
+        """The deepest pair in penetration, else the most active pair (of L_m if any), or None."""
         inside = (pair for pair in self.near if pair.d < 0.0)
         return min(inside, key=lambda pair: pair.d, default=next(iter(self.near), None))
 
@@ -142,8 +140,8 @@ def explain(
     """
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
-    held = {bound.where for bound in bounds if bound.kind == "barrier"}
-    near = [_near_pair(controller, w, i, held=pair.name in held) for i, pair in enumerate(w.pairs)]
+    limited = {bound.where for bound in bounds if bound.kind == "barrier"}
+    near = [_near_pair(controller, w, i, limited=p.name in limited) for i, p in enumerate(w.pairs)]
     nearest = int(np.argmin(w.d[: w.n_mob]))
     known = [pair for pair in near if pair is not None]
     known.sort(key=lambda p: (p.mobile, max(p.beta, p.arm_beta), -p.d), reverse=True)
@@ -157,8 +155,8 @@ def explain(
         nearest=(w.pairs[nearest].a, w.pairs[nearest].b, float(w.d[nearest])),
         axes=base.axes,
         base_avoidance=_tuple_of(w.base_avoidance),
-        base_asked=_tuple_of(w.a_base_cmd),
-        base_given=_tuple_of(w.a_base_meas if solved else w.a_base_cmd),
+        commanded_acceleration=_tuple_of(w.a_base_cmd),
+        assumed_acceleration=_tuple_of(w.a_base_meas if solved else w.a_base_cmd),
         levels=level_readings(base, w) if solved else (),
         bounds=(*bounds, *admittance_bounds(model, config, base_command)),
         base_kind=base.kind,
@@ -177,7 +175,7 @@ def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
         levels.append(Level("links", _norm(slack[links]), None))
     if w.tracking:
         e = w.b_ee - w.J_ee @ w.qdd
-        levels.append(Level("hand", _norm(e[:3]), _norm(e[3:])))
+        levels.append(Level("ee", _norm(e[:3]), _norm(e[3:])))
     lowest = _norm(objective_slack(w.H_low, w.c_low, w.qdd, n_b))
     return (*levels, Level("posture" if w.tracking else "free", None, lowest))
 
@@ -223,12 +221,12 @@ def split(f: Array, n: Array) -> tuple[Array, Array]:
     return away, f - away
 
 
-def _near_pair(controller: Controller, w: ControlStep, i: int, *, held: bool) -> NearPair | None:
+def _near_pair(controller: Controller, w: ControlStep, i: int, *, limited: bool) -> NearPair | None:
     """The i-th pair, or None if its activation is 0 and its barrier is not active."""
     mobile, beta, n = i < w.n_mob, float(w.beta[i]), w.normal[i]
     pushed = mobile and bool((w.B[w.n_b + len(w.pairs) - w.n_mob :] > 0.0).any())
     arm_beta = beta if pushed else 0.0
-    if beta == 0.0 and arm_beta == 0.0 and not held:
+    if beta == 0.0 and arm_beta == 0.0 and not limited:
         return None
     return NearPair(
         *w.pairs[i],
@@ -238,7 +236,7 @@ def _near_pair(controller: Controller, w: ControlStep, i: int, *, held: bool) ->
         n=tuple((w.R_base.T @ n).tolist()),
         above=1.0 - math.hypot(*n[:2].tolist()) if mobile else 0.0,
         arm_beta=arm_beta,
-        held=held,
+        limited=limited,
         force=_force_split(controller, w, i) if mobile else None,
     )
 

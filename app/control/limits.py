@@ -18,7 +18,7 @@ from app.strict import Array
 
 @compiled()
 def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
-    """The smallest and the largest torque (n_m,) of a step: within limits and slew rate.
+    """The smallest and largest torques (n_m,) of a step, from torque limits and slew rate.
 
     Args:
         u_last: (n_m,) [N m or N] torque of the last step.
@@ -34,7 +34,7 @@ def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, A
 
 @compiled()
 def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
-    """λ² (q_limit − q) − 2 λ q̇, the bound on a joint's acceleration from a position limit.
+    """λ² (q_limit − q) − 2 λ q̇ [rad/s² or m/s²], the bound from a position limit of a joint.
 
     At the distance e from the limit, the acceleration towards the limit is at most λ² e − 2 λ q̇.
     Thus the joint reaches the limit without overshoot.
@@ -44,7 +44,7 @@ def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
 
 @compiled()
 def velocity_bound(qd: float, limit: float, rate: float) -> float:
-    """κ (q̇_limit − q̇), the bound on a joint's acceleration from a velocity limit."""
+    """κ (q̇_limit − q̇) [rad/s² or m/s²], the bound from a velocity limit of a joint."""
     return rate * (limit - qd)
 
 
@@ -77,7 +77,7 @@ def speed_error(J: Array, v_error: Array) -> float:
 def joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
-    """(2, n_m) lower and upper bounds on q̈_m, from the position limits and the velocity limits.
+    """(2, n_m) [rad/s² or m/s²] lower and upper bounds on q̈_m, from position and speed limits.
 
     For each joint and side, the tighter one of the two bounds counts. If a lower bound exceeds the
     upper bound of the same joint, the two are exchanged.

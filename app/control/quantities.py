@@ -96,7 +96,7 @@ age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in periods
 ratio | | | 1 | | readings |
     memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
-agreed | | | s | | readings | memory: time of successive intervals with one ratio other than 1
+agreed | | | s | | readings | memory: duration of intervals with equal ratios other than 1
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
 rested | | | 1 | | readings | memory: number of equal readings while the robot rests
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
@@ -181,8 +181,8 @@ way_capped | | | 1 | | references | memory: 1 if the polynomial ends before the 
 since_sample | | | s | | references | memory: time since the newest sample of a planner
 sample_interval | | | s | | references | memory: mean time between the samples of a motion; else 0
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
-b_ee | | 6 | m/s², rad/s² | world | (26) | right-hand side of T_ee
-lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T_ee
+b_ee | | 6 | m/s², rad/s² | world | (26) | right-hand side of T_2
+lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T_2
 q_posture |  | n_m | rad, m | joints | posture_objective |
     memory: arm posture of the first valid measurement; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance

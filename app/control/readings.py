@@ -83,8 +83,7 @@ _LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola; smaller ones 
 
 @compiled()
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
-    """The positions (n_m,) without jumps by full turns, if the limits (2, n_m) of the joints allow
-    it.
+    """The positions (n_m,) without jumps by full turns, if the joint limits (2, n_m) allow this.
 
     Some drivers wrap the position of a joint without limits to ±π. The result is the position
     nearest to the `last` position (n_m,), and for the `first` reading the position within the
@@ -238,9 +237,7 @@ def _explained(w: Any, dt: float, count: int) -> Array:
 
 @compiled()
 def _parabola(ages: Array) -> Array:
-    """(3,) weights with which values of the given ages (3,) extrapolate to age 0 along a
-    parabola.
-    """
+    """(3,) weights that extrapolate values of the ages (3,) to age 0 along a parabola."""
     found = np.ones(3)
     for k in range(3):
         for j in range(3):
@@ -401,10 +398,10 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Store the readings of the base, and detect a jump of its pose; predict a missing pose.
+    """Store the base's readings; write a predicted pose into `pose` (3,) if it is not finite.
 
-    The fault `base` reports that the model of the drive does not explain the changes of velocity:
-    `w.astray` is the unexplained change, which decays.
+    The fault `localisation` is a jump of the pose. The fault `base` is a change of velocity that
+    the assumed acceleration of the base does not explain: `w.astray` is a decaying sum of them.
     """
     if not math.isfinite(pose.sum()):
         _drive_on(robot, w, w.pose_last, 0.0 if first else (1.0 + w.age[()]) * gains.dt)
@@ -485,9 +482,7 @@ def _estimate_load(gains: Any, w: Any) -> None:
 
 @compiled()
 def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
-    """Predict the arm's velocity without valid readings, for the damping of the fallback
-    command.
-    """
+    """Predict the arm's velocity without valid readings, for the fallback command's damping."""
     w.age[()] += 1.0
     w.known[()] = 0.0
     fill(w.v_last, math.nan)

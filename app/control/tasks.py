@@ -89,7 +89,7 @@ def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
 def end_effector_task(
     pose: Array, velocity: Array, acceleration: Array, k_p: float, k_v: float, max_speed: float
 ) -> tuple[Array, float]:
-    """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
+    """T_2 ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
 
     The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times `max_speed`. Therefore
     the end-effector approaches a distant target with this speed.
@@ -125,7 +125,7 @@ def end_effector_task(
 def add_tracking(
     H: Array, c: Array, J: Array, b: Array, lm_damping: float, velocity: Array, weight: float
 ) -> tuple[Array, Array]:
-    """Add T_ee to the posture task (H, c): the cost ½ w ‖J_ee q̈ − b‖² with a large weight w [-].
+    """Add T_2 to the posture task (H, c): the cost ½ w ‖J_ee q̈ − b‖² with a large weight w [-].
 
     If a limit or another task makes a strict level nearly dependent, this level would demand
     unbounded accelerations. The weighted task instead has an error of 1/w of the posture's demand.
@@ -138,7 +138,7 @@ def add_tracking(
         H: (n, n) of the posture.
         c: (n,) of the posture.
         J: (6, n) J_ee.
-        b: (6,) right-hand side of T_ee.
+        b: (6,) right-hand side of T_2.
         lm_damping: [m²] λ.
         velocity: (n,) k_v q̇.
         weight: [-] w.

@@ -14,7 +14,7 @@ from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
-GIZMO = "/hand"  # scene node of the gizmo
+GIZMO = "/gizmo"  # scene node of the gizmo
 NUDGE = 0.02  # [m] displacement by one key press
 MOST_NUDGED = 0.15  # [m] largest distance between the end-effector and its target by keys
 SCALE = 0.26  # [m] length of the gizmo's arrows
@@ -35,7 +35,7 @@ class Grip:
         """If set, it gets targets (3,) [m] of the end-effector, and nothing is pulled."""
 
     @property
-    def holds_hand(self) -> bool:
+    def holds_end_effector(self) -> bool:
         """Whether this viewer pulls the end-effector."""
         return self._held is not None and self._held[0] is None
 
@@ -59,7 +59,7 @@ class Grip:
             return
         self._moved = monotonic()
         if self.reach is not None:
-            if self.holds_hand:
+            if self.holds_end_effector:
                 self.reach(target)
             return
         x, y, z = (float(value) for value in target)
@@ -70,7 +70,7 @@ class Grip:
 
     def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
         """Move the end-effector's target by `NUDGE` times `ahead` (3,), in the base's frame."""
-        if not self.holds_hand:
+        if not self.holds_end_effector:
             self.take()
             self._target, self._by_keys = np.array(snapshot.p_ee), True
         step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ (NUDGE * ahead)
@@ -129,7 +129,7 @@ class DragHandles:
             for joint, mesh in self._robot.links:
                 if joint in self._arm_joints:
                     self._listen(mesh, joint, self._arm_joints[joint])
-        if not self.grip.holds_hand:
+        if not self.grip.holds_end_effector:
             self._gizmo.position = snapshot.p_ee
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
@@ -139,7 +139,7 @@ class DragHandles:
             return
         if event.phase == "start":
             self.grip.take()
-        if self.grip.holds_hand:
+        if self.grip.holds_end_effector:
             self.grip.pull(np.asarray(event.target.position), event.client)
 
     def _listen(self, mesh: viser.MeshHandle, joint: int, name: str) -> None:

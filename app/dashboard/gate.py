@@ -332,7 +332,7 @@ def is_allowed(
         host: The request's header `Host`; None without this header.
         own_names: Names under which browsers may reach the server, in lower case, besides the names
             that every server has.
-        allowed: Those of the names whose pages may send every request.
+        allowed: The subset of `own_names` whose pages may send every request.
     """
     if host is None:
         return origin is None

@@ -155,7 +155,7 @@
     place = null;
   };
 
-  // A page that a proxy does not connect to its server reports how it could.
+  // If a proxy does not connect the page to its server, the page shows a remedy.
   let unconnected = 0; // looks of the timer
   const explain = () => {
     const waits = !window.dbb && document.getElementById("root")?.innerText.includes("Connecting...");

@@ -81,7 +81,7 @@ class Page:
         self.channel.on("pointer", lambda *at: setattr(border, "pointer", at[:2] if at[1:] else ()))
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
-        self.hand = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
+        self.handles = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
         add_shortcuts(client.gui, self._shortcuts(), notifier)
         self._camera.begin(self.timeline.shown())
         self.draw(texts=True)
@@ -106,7 +106,7 @@ class Page:
                 set_theme(self._client.gui, dark=self.view.dark)
                 self.channel.tell("light", self.view.light)
             verdict = self._scene.draw(shown, texts=texts, lens=self._camera.lens)
-            self.hand.update(shown)
+            self.handles.update(shown)
             self._camera.settle(shown, busy=self.grip.holds_anything)
             if texts and self.timeline.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)

@@ -73,7 +73,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     )
     beta = Curve("activation β_m", lambda s: s.beta_m, BETA, _ACTIVATION)
     about = "distance [mm] of the end-effector from its target"
-    error = Curve("hand error", lambda s: 1000.0 * s.ee_error, BETA, about)
+    error = Curve("end-effector error", lambda s: 1000.0 * s.ee_error, BETA, about)
     about = "time [µs] of Algorithm 2 in a control step; the period is 1000 µs"
     step = Curve("mean over 1 s", lambda s: s.step_time_us, css(PERSON), about)
     avoidance = tuple(map(_avoidance, range(len(axes)), axes, colours))
@@ -83,7 +83,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
         PlotPlan("activation of the avoidance β_m", (beta,), (-0.02, 1.05), fill=True),
         PlotPlan("avoidance acceleration of the base, β ẍ", avoidance, _soft(-1.0, 1.0), 125),
         PlotPlan("joint torque / limit", torques, (-1.05, 1.05), 140),
-        PlotPlan("hand error [mm]", (error,), _soft(0.0, 5.0)),
+        PlotPlan("end-effector error [mm]", (error,), _soft(0.0, 5.0)),
         PlotPlan("control step time [µs]", (step,), _soft(0.0, 1000.0)),
     ]
 

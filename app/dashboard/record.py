@@ -14,7 +14,7 @@ from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import Outcome, outcome
 from app.strict import Array
 
-KEPT = 600.0  # [s] length of the history
+HISTORY = 600.0  # [s] length of the history
 SPACING = 0.01  # [m] distance between two points of a track
 _LONGEST = 1500  # [-] largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the time line
@@ -53,7 +53,7 @@ class Course:
         running: Whether the scenario is running.
         duration: [s] end of the scenario.
         until: [s] time of the scenario's last snapshot, or `duration` if the scenario completed.
-        least: [m] least distance of all pairs.
+        least: [m] least distance of all pairs; infinite before the first snapshot.
         pull: [N] largest external force.
         speed: [m/s] peak speed of the end-effector.
         path: [m] length of the base's path.
@@ -94,7 +94,7 @@ class Course:
         exact = [score.clearance for score in snapshot.scores[:1]]  # includes all steps
         self.least = min(self.least, snapshot.nearest.d, *exact)
         self.pull = max(self.pull, pulled(snapshot))
-        self.speed = max(self.speed, snapshot.hand_speed)
+        self.speed = max(self.speed, snapshot.ee_speed)
         self.left = self.left or (self.inside and not touches)
         self.inside = self.inside and touches
         self.touched = self.touched or (touches and not self.inside)
@@ -137,14 +137,14 @@ class Strip:
     def begin(self) -> None:
         """Delete all data, and increase the number of restarts by one."""
         self.runs += 1
-        self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(KEPT / BIN))
+        self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(HISTORY / BIN))
         """Start [s] of each bin, least distance [m] and largest β in this bin."""
         self.closed = self._numbered = 0
         """Numbers of rows and of events since the restart, including deleted ones."""
         self.events: dict[int, Event] = {}
         """Events by their numbers, in order."""
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
-        self.past: deque[Snapshot] = deque(maxlen=round(KEPT / BIN / 2))
+        self.past: deque[Snapshot] = deque(maxlen=round(HISTORY / BIN / 2))
         """For every two bins, the snapshot with the least distance."""
         self.nearest: Snapshot | None = None
         """Snapshot with the least distance since the restart; None without snapshots."""

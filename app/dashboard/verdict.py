@@ -79,7 +79,7 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
     """Return a pair's state; `near` is its part of the explanation, `moves` that the base moves."""
     if pair.d < 0.0:
         return "contact"
-    if near is not None and near.held:
+    if near is not None and near.limited:
         return "resisting"
     if pair.beta == 0.0:
         return "clear"

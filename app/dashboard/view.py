@@ -59,7 +59,7 @@ class View:
     motion: bool = _shown(
         LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True
     )
-    trails: bool = _shown(LAYERS, "Trails", "Past paths of base and hand", first=True)
+    trails: bool = _shown(LAYERS, "Trails", "Past paths of base and end-effector", first=True)
     follow: bool = _shown(
         PAGE,
         "Follow the base",

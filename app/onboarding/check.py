@@ -24,7 +24,7 @@ from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.warn import borne_push, carried_hand, holding_warning, push_warning
+from app.onboarding.warn import borne_push, carried_ee, holding_warning, push_warning
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -276,7 +276,7 @@ def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
 
 def holding_row(model: RobotModel) -> Row:
     """Warn if the arm cannot hold its end-effector in place while the base moves."""
-    carried = carried_hand(model)
+    carried = carried_ee(model)
     numbers = {
         f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
         for each in carried
@@ -412,7 +412,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
     if shown and moved < GIVES_WAY:
-        held = bool(holding_warning(carried_hand(model)))
+        held = bool(holding_warning(carried_ee(model)))
         text += _STILL + (_HELD if held else "")
         return Row(name, "warned" if held else "failed", text, numbers)
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

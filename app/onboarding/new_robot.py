@@ -30,7 +30,7 @@ from app.onboarding.read.tree import Arm, find_arm
 from app.onboarding.read.wheels import find_drive, stands_on_floor, with_rigid_suspensions
 from app.onboarding.record import NewRobot, Parsed
 from app.onboarding.request import Request
-from app.onboarding.warn import borne_push, carried_hand, holding_warning, push_warning, warnings_of
+from app.onboarding.warn import borne_push, carried_ee, holding_warning, push_warning, warnings_of
 from app.onboarding.whole import Whole, one_message, whole_robot
 from app.onboarding.write import compiled, description, rebased_urdf, write_robot
 from app.robot.model import RobotModel
@@ -139,7 +139,7 @@ def _make_robot(
     reach = {body: each for body, each in counted if body in near}
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     model = compiled(content, path)
-    held = holding_warning(carried_hand(model))
+    held = holding_warning(carried_ee(model))
     fit = meetings, bodies, verdict, unseen, ready, reach
     return NewRobot(request, parsed, urdf, content, model, *fit, {}, {}, held, []), data
 

@@ -348,10 +348,10 @@ class Carried(NamedTuple):
         return f"moves {self.axis.way} at {self.speed:g} m/s"
 
 
-def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
+def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
     """Shares of poses in which the arm cannot hold its end-effector, for each axis of the base.
 
-    In these poses the arm is too slow or lacks a joint, see `lost_hand`. The poses are those of
+    In these poses the arm is too slow or lacks a joint, see `lost_ee`. The poses are those of
     `_near_poses`; the base moves along one axis at its largest commanded speed.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
@@ -362,7 +362,7 @@ def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
         state.update_kinematics(at_rest(model, q_m))
         for i in range(n_b):
             moved = state.J_ee[:, :n_b] @ model.J_m_inv[:, i] * speeds[i]
-            lost[k, i] = lost_hand(state.J_ee[:, n_b:], moved, model.qd_max)
+            lost[k, i] = lost_ee(state.J_ee[:, n_b:], moved, model.qd_max)
     shares = lost.mean(axis=0).tolist()
     return tuple(
         Carried(axis, speed, *share)
@@ -370,7 +370,7 @@ def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
     )
 
 
-def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
+def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
     The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' velocity

@@ -314,9 +314,9 @@ def description(
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready pose is the middle of the
-    joints' ranges. Without `bodies`, the bodies are small spheres. Both are sufficient for
-    kinematics and dynamics. `unwatched` are the reasons why pairs of bodies are not monitored, by
-    the names of the pairs.
+    joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics do
+    not need the two arguments. `unwatched` has the reason for each pair of bodies that is not
+    monitored, by the pair's name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)
@@ -330,7 +330,7 @@ def description(
     given = any((*request.tip_xyz, *request.tip_rpy))
     tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
     xyz, rpy = (request.tip_xyz, tip), (request.tip_rpy, tip)
-    hand = {"end_effector_xyz_m": xyz, "end_effector_rpy_rad": rpy}
+    at = {"end_effector_xyz_m": xyz, "end_effector_rpy_rad": rpy}
     chain = {"mount_link": arm.mount, "joints": arm.names, "end_effector_link": arm.tip}
     dot = {"source": "none", "frame": ROOT, "covers": (ROOT,)}
     dot["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
@@ -340,7 +340,7 @@ def description(
         "urdf": "robot.urdf",
         "licence": request.licence or "Of the files that the URDF refers to: see SOURCES.md.",
         "base": with_source({"kind": request.kind, "link": ROOT}, moving[0], wheels),
-        "arm": with_source(chain, {**hand, **limits.numbers, **moving[1]}),
+        "arm": with_source(chain, {**at, **limits.numbers, **moving[1]}),
         "bodies": [_body(body) for body in bodies] or [{"name": n, **dot} for n in ("lm", "l1")],
         "reachability": {},
         "config": Config().replace("border.d_b", request.buffer).model_dump(exclude_defaults=True),

@@ -71,7 +71,7 @@ class Step(NamedTuple):
     """The forces of people on the robot."""
     reference: Reference | None = None
     """The tracked reference, or None while a person guides the arm."""
-    hand_speed: float = 0.0
+    ee_speed: float = 0.0
     """[m/s] true speed of the end-effector."""
 
     @property
@@ -204,7 +204,7 @@ class Session:
         *,
         forces: PersonForces | None = None,
     ) -> Step:
-        """Advance by one control step.
+        """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
 
         Args:
             reference: The end-effector's reference, or None while a person guides the arm.

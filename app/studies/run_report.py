@@ -171,7 +171,7 @@ def hand_figure(run: Trace) -> Figure:
     """
     figure = style.new_figure(4.6)
     error, force = figure.subplots(2, 1, sharex=True)
-    error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.HAND)
+    error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.EE)
     error.set_ylabel("end-effector error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
     force.set_ylabel("force [N]")
@@ -203,7 +203,7 @@ def plan_figure(run: Trace) -> Figure:
     ax = figure.subplots()
     for points, colour, text in (
         (run.of("base_pose"), style.PATH, "base"),
-        (run.of("p_ee"), style.HAND, "end-effector"),
+        (run.of("p_ee"), style.EE, "end-effector"),
     ):
         ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
         ax.plot(*points[0, :2], **style.marker_style(colour, "s", 7.0))

@@ -40,7 +40,7 @@ SOFT = "#9AA5B1"
 ACTING = "#C2185B"  # the acting point and its force
 TARGET = "#D7263D"  # the target of the end-effector
 PATH = "#0072B2"  # the path of the base
-HAND = "#009E73"  # the path of the end-effector
+EE = "#009E73"  # the path of the end-effector
 SCORE_MAP = "viridis"  # low scores are dark, high scores are yellow
 
 WIDTH = 11.0  # [in] default width of a figure

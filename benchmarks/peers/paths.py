@@ -57,7 +57,7 @@ def hand_paths(
             begin = _on_axis(finder, _OFFSETS[name], d_b + CLEAR)
             start, move, q_m = begin.p_ee, (0.0, -_LENGTH, 0.0), begin.q_m
         found[name] = StartedLine(
-            name, DURATION, "the hand is tracked", "tracking", start, move, 1.0, q_m
+            name, DURATION, "the end-effector is tracked", "tracking", start, move, 1.0, q_m
         )
     return found
 

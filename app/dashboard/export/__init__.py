@@ -6,7 +6,7 @@ from typing import Literal
 from app.strict import check_range
 
 Layer = Literal["determinant", "reachability", "score", "none"]
-Side = Literal["iso", "top", "front", "side", "hand", "pair", "door"]
+Side = Literal["iso", "top", "front", "side", "end-effector", "pair", "door"]
 """Keys of `app.dashboard.scene.camera.PRESETS`."""
 _SIZES = 64, 8192  # [px]
 

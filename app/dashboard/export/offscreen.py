@@ -274,8 +274,8 @@ def open_page(page: web.Page, server: viser.ViserServer) -> None:
     page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
 
 
-def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
-    """Return the snapshots `led` of a run with the robots of other runs as ghosts.
+def with_ghosts(shown: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
+    """Return the snapshots `shown` of a run, with the robots of the `others` as ghosts.
 
     All runs have snapshots at the same times.
     """
@@ -285,7 +285,7 @@ def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -
 
     return [
         replace(main, ghosts=tuple(map(ghost, ghosts)))
-        for main, *ghosts in zip(led, *others, strict=True)
+        for main, *ghosts in zip(shown, *others, strict=True)
     ]
 
 
@@ -345,9 +345,9 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     method = METHOD_WORDS.get(shown.controller, shown.controller)
     near = nearness(shown, door=shown.door is not None)
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
-    task = "a person pulls the hand"
+    task = "a person pulls the end-effector"
     if shown.mode == "tracking":
-        task = f"task: the hand follows a line, error {millimetres(shown.ee_error)}"
+        task = f"task: the end-effector follows a line, error {millimetres(shown.ee_error)}"
     return [
         method.capitalize(),
         (task, colours.PERSON),

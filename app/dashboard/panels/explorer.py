@@ -77,8 +77,8 @@ class ExplorerPanel(Panel):
         """Show the readings of the posture, or an introduction."""
         if self.posture is None:
             self._text.content = small(
-                "Pause the simulation, then move joints, base and hand: the readings are the "
-                "controller's response."
+                "Pause the simulation, then move joints, base and end-effector: the readings are "
+                "the controller's response."
             )
             return
         shown, axes = moment.shown, self._shared.model.description.base.axes
@@ -95,13 +95,13 @@ class ExplorerPanel(Panel):
         newest = self._shared.loop.latest()
         if newest.door is not None:
             raise TargetError(
-                "the hand holds a door in this scenario; choose another scenario first"
+                "the end-effector holds a door in this scenario; choose another scenario first"
             )
         self._shared.loop.send(Pause(True))
         self._paused, self._since = False, newest
         self._error, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         self._set(posture)
-        self.posture, self._viewer.grip.reach = posture, self._move_hand
+        self.posture, self._viewer.grip.reach = posture, self._move_end_effector
         self._show(on=True)
 
     def _go(self, _: Any) -> None:
@@ -117,7 +117,7 @@ class ExplorerPanel(Panel):
         self.posture = self._target = self._viewer.grip.reach = None
         self._show(on=False)
 
-    def _move_hand(self, place: Array) -> None:
+    def _move_end_effector(self, place: Array) -> None:
         self._target = np.array(place)
 
     def _read(self) -> None:
@@ -160,5 +160,5 @@ def posture_html(
         rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
     forward, left, turn = acceleration
     way = f"forward {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
-    short = f"<br>The hand is {millimetres(error)} short of its target." if error > CLOSE else ""
-    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{short}")
+    far = f"<br>The end-effector is {millimetres(error)} off its target." if error > CLOSE else ""
+    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{far}")

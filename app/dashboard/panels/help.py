@@ -18,8 +18,8 @@ TEXT = """
 implements *Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator*;
 numbers such as (7) are that paper's equations.
 
-**Pull the robot** with the arrows at its hand, or by any link of the arm: a virtual spring pulls it
-to the mouse. The arm follows, and the base gives way before the arm touches it.
+**Pull the robot** with the arrows at its end-effector, or by any link of the arm: a virtual spring
+pulls it to the mouse. The arm follows, and the base gives way before the arm touches it.
 
 **How it works.** The *distance buffer border* (DBB) surrounds the base: all points at the buffer
 distance d_b that the arm can reach. Each point has a *score* S: how well a force there moves the
@@ -41,8 +41,8 @@ readings and joint sliders, *View* layers and cameras, *Tune* all parameters, *R
 and your own, *Save* pictures, logs, reports, replays and films.
 
 **Keys** (outside text fields): {keys}. `?` opens this tab, `Ctrl K` lists all commands. `Shift`
-with the arrow keys, `Page Up` or `Page Down` pulls the hand until `Shift` is released. Double click
-the scene to reset the view.
+with the arrow keys, `Page Up` or `Page Down` pulls the end-effector until `Shift` is released.
+Double click the scene to reset the view.
 
 Several people can use the page at once. Each has their own view and place in time; the simulation
 is shared, and the forces of all who pull add up.
@@ -86,12 +86,12 @@ CARDS = {
     ),
     "pull": Card(
         "Pull the robot",
-        "Drag an arrow at the hand towards the base, or drag any link of the arm.",
+        "Drag an arrow at the end-effector towards the base, or drag any link of the arm.",
         (TOUR, CLOSE),
     ),
     "tour 1": Card(
-        "1 of 5: Pull the hand",
-        "Drag one of the arrows at the hand towards the base: a virtual spring pulls the hand. "
+        "1 of 5: Pull the end-effector",
+        "Drag one of the arrows at the end-effector towards the base: a virtual spring pulls it. "
         "Every link of the arm can be dragged as well.",
         _STEP,
     ),

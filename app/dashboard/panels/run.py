@@ -32,7 +32,7 @@ from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart,
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.session import DT
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
-from app.simulation.trace.words import METHOD_WORDS, kept, millimetres, outcome
+from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome, outcome_text
 
 FREE = "Free: pull the robot yourself"  # choice without a scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
@@ -40,13 +40,13 @@ TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.item
 OFF = "off"  # choice without another robot
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
 """Entries of the lists of controllers, by the controllers' names."""
-INPUTS = {"the hand's path": "path", "the person's force": "force"}
+INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
 _SCORES = (
     ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
-    ("hand error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
-    ("hand error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
+    ("end-effector error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
+    ("end-effector error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
     ("base travel [m]", "base_path", lambda d: f"{d:.2f}", None),
     ("acceleration jump v̇ [m/s²]", "acceleration_jump", lambda a: f"{a:.3f}", min),
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
@@ -62,7 +62,7 @@ class RunPanel(Panel):
         super().__init__(viewer)
         gui = self._gui
         sink = viewer.shared.loop
-        hint = "A scenario starts at once. A pull of the hand ends it."
+        hint = "A scenario starts at once. A pull of the end-effector ends it."
         self._scenario = self.choice("Scenario", {"": FREE, **TITLES}, viewer.play, hint)
         self._controller = self.choice(
             "Controller",
@@ -121,7 +121,7 @@ class LabPanel(Panel):
                 "Play the case",
                 lambda _: sink.send(Play(case)),
                 viser.Icon.PLAYER_TRACK_NEXT,
-                hint=f"{case.about}. It starts at once. A pull of the hand ends it.",
+                hint=f"{case.about}. It starts at once. A pull of the end-effector ends it.",
             )
         self._status = gui.add_html("")
 
@@ -145,7 +145,7 @@ class ComparePanel(Panel):
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
             for label in ("Second robot", "Third robot")
         ]
-        hint = "All robots follow the same path of the hand, or the same force acts on them."
+        hint = "All end-effectors have the same path, or the same force acts on all robots."
         self._input = gui.add_dropdown("Same input", tuple(INPUTS), hint=hint)
         for handle in (*self._choices, self._input):
             self.on_update(handle, lambda _: self._choose())
@@ -199,10 +199,10 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 def _marked(
     values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
 ) -> list[str]:
-    """Return the cells of a row of scores; the best one is marked if valid ones differ."""
+    """Return the cells of a row; `best` selects the value to mark if valid values differ."""
     texts = [text(value) for value in values]
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
-    compared = best and len(candidates) > 1 and len(set(texts)) > 1
+    compared = best and len(set(map(text, candidates))) > 1
     first = text(best(candidates)) if compared else None
     return [
         cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
@@ -229,7 +229,7 @@ def outcomes_html(scores: Sequence[Score]) -> str:
     """Return a line per robot, as in "With avoidance (dbb): no contact, least distance 72 mm"."""
     lines = (
         f"<b>{METHOD_WORDS[score.controller].capitalize()}</b> ({score.controller}): "
-        f"{kept(score.clearance, touched=bool(score.contacts))}"
+        f"{outcome_text(score.clearance, touched=bool(score.contacts))}"
         for score in scores
     )
     return "<br>".join(lines)
@@ -256,7 +256,7 @@ def course_html(course: Course, busy: str) -> str:
     values = (
         reading("least distance", millimetres(course.least)),
         reading("largest pull", f"{course.pull:.0f} N"),
-        reading("peak hand speed", f"{course.speed:.2f} m/s"),
+        reading("peak end-effector speed", f"{course.speed:.2f} m/s"),
         reading("base travel", f"{course.path:.2f} m"),
     )
     colour = css(COLOURS["contact" if met else "clear"])
@@ -279,7 +279,7 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
         ("state", snapshot.busy or f"{state}, {snapshot.mode}", "clear"),
         ("contact", verdict.touching or "none", contact),
         ("pull", pull if snapshot.pulls else "none", "clear"),
-        ("hand error", millimetres(snapshot.ee_error), "clear"),
+        ("end-effector error", millimetres(snapshot.ee_error), "clear"),
         ("base velocity", f"{speed} m/s, {words.signed(w)} rad/s", "clear"),
     ]
     if snapshot.buffer.too_small:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.record import BIN, KEPT, Event
+from app.dashboard.record import BIN, HISTORY, Event
 from app.errors import LogError
 from app.simulation.trace.snapshot import Snapshot
 
@@ -40,7 +40,7 @@ class TimelinePanel(Panel):
         runs, closed = self._sent
         if runs != strip.runs:
             closed, self._events = 0, {}
-            self._channel.tell("clear", KEPT, BIN)
+            self._channel.tell("clear", HISTORY, BIN)
         if fresh := strip.closed - closed:
             rows = list(strip.rows)[-fresh:]
             self._channel.tell("rows", [[round(x, 3) for x in row] for row in rows])

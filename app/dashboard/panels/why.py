@@ -26,7 +26,7 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("base avoidance", "rows of the base in T_sca, (16)", ("base",)),
     ("arm–base repulsion", "rows of the repulsive method", ("arm",)),
     ("arm self-repulsion", "rows (20) between links of the arm", ("links",)),
-    ("end-effector task", "slack w_2 of (26)", ("hand",)),
+    ("end-effector task", "slack w_2 of (26)", ("ee",)),
     ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
 )
 """Label, hint, and names of the possible levels of each row."""
@@ -166,7 +166,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     if base_cannot_help(pair):
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
-        elif pair.held:
+        elif pair.limited:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
         else:
             least = words.length(snapshot.config.barrier.d_min)
@@ -174,35 +174,35 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
     moved = "; the base does not need to move yet" if not moves else f", so {moves}"
-    if pair.held:
+    if pair.limited:
         return f"{cause}{moved}, and the arm itself limits the approach.{also}"
-    return f"{cause}{moved}; {_hand(why)}.{also}"
+    return f"{cause}{moved}; {_task_effect(why)}.{also}"
 
 
 def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause = _cause(pair, why, snapshot.d_b)
     text = f"{cause}, so this method pushes the arm away and does not move the base"
-    return f"{text}; {_hand(why, held=True)}{_off_target(snapshot)}."
+    return f"{text}; {_task_effect(why, limited=True)}{_off_target(snapshot)}."
 
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     """Describe the controller barrier, with its minimum distance instead of the buffer distance."""
-    held = next((p for p in why.near if p.held), None)
-    shown = held or pair
+    limited = next((p for p in why.near if p.limited), None)
+    shown = limited or pair
     cause = _cause(shown, why, None)
     least = words.length(snapshot.config.barrier.d_min)
-    if held is None:
+    if limited is None:
         return f"{cause}; this method acts near its minimum distance of {least} only."
     moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
-    hand = _hand(why, held=True) + _off_target(snapshot)
-    return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {hand}."
+    effect = _task_effect(why, limited=True) + _off_target(snapshot)
+    return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {effect}."
 
 
 def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause = _cause(pair, why, snapshot.d_b)
     text = f"{cause}, so the arm pushes the two links apart; the base is not involved"
     if why.mode == "tracking":
-        return f"{text}; {_hand(why)}."
+        return f"{text}; {_task_effect(why)}."
     return f"{text}{_off_target(snapshot)}."
 
 
@@ -223,21 +223,21 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
         return f"the base {moves}" + (", at its speed limit" if top else "")
-    will = words.motion(planar(why.axes, why.base_asked), ahead=ahead, intended=True)
+    will = words.motion(planar(why.axes, why.commanded_acceleration), ahead=ahead, intended=True)
     return None if will is None else f"the base is about to {will}"
 
 
-def _hand(why: Explanation, *, held: bool = False) -> str:
+def _task_effect(why: Explanation, *, limited: bool = False) -> str:
     """Return the effect on the person or on the end-effector's task.
 
-    `held`: whether the arm itself keeps the distance.
+    `limited`: whether the controller limits the arm's approach.
     """
     if why.mode == "guiding":
-        return "the arm resists further guiding" if held else "the arm can still be guided freely"
+        return f"the arm {'resists further guiding' if limited else 'can still be guided freely'}"
     disturbed = any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
         for level in why.levels
-        if level.name == "hand"
+        if level.name == "ee"
     )
     return f"the end-effector's task is {'reduced' if disturbed else 'not affected'}"
 
@@ -245,7 +245,7 @@ def _hand(why: Explanation, *, held: bool = False) -> str:
 def _off_target(snapshot: Snapshot) -> str:
     if snapshot.ee_error < 0.01:
         return ""
-    return f"; the hand is {words.length(snapshot.ee_error)} from its target"
+    return f"; the end-effector is {words.length(snapshot.ee_error)} from its target"
 
 
 def _also(why: Explanation) -> str:
@@ -265,13 +265,11 @@ def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str
     more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
     name = words.pair(pair.a, pair.b, why.chain) + more
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
-    held = ", approach limited" if pair.held else ""
+    beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
     return [
         _row("pair", "the most active link pair", name),
         _row("distance d", "signed distance of its convex bodies", distance),
-        _row(
-            "activation β", "0 outside the buffer, 1 at full activation", f"{pair.beta:.2f}{held}"
-        ),
+        _row("activation β", "0 outside the buffer, 1 at full activation", beta),
     ]
 
 
@@ -299,8 +297,10 @@ def _force_rows(why: Explanation) -> list[str]:
         _acceleration("away from the arm", away, away_acc, about_away, on=on),
         _acceleration("towards higher score", turn, turn_acc, about_turn, on=on),
         _acceleration("sum × β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on),
-        _acceleration("commanded", None, why.base_asked, "input of the admittance law"),
-        _acceleration("assumed", None, why.base_given, "base acceleration in the arm's QP"),
+        _acceleration("commanded", None, why.commanded_acceleration, "input of the admittance law"),
+        _acceleration(
+            "assumed", None, why.assumed_acceleration, "base acceleration in the arm's QP"
+        ),
     ]
 
 

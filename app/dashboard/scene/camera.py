@@ -29,8 +29,8 @@ _LEAST_SHARE = 0.05  # [-] of the picture's height; a smaller robot counts as un
 _MOVED = 0.2  # [m] motion of an unseen base after which a following camera moves
 _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
 """(8, 3) corners of a cube."""
-_HAND = 0.12 * _CORNERS  # [m] space to show around the end-effector
-_NEAR_HAND = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
+_AROUND = 0.12 * _CORNERS  # [m] space to show around the end-effector
+_NEAR_EE = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
 _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the picture
 _OPEN = np.deg2rad(90.0)  # [rad] opening of a door that the picture includes
@@ -73,7 +73,7 @@ class Preset(NamedTuple):
 
     away: Array
     """(3,) direction from the target to the camera."""
-    of: Literal["robot", "hand", "pair", "door"] = "robot"
+    of: Literal["robot", "end-effector", "pair", "door"] = "robot"
     """Target: the whole robot, the end-effector alone, the end-effector and the closest points of
     the nearest pair, or robot and door, with `away` in the closed door's frame. Without a door,
     "door" is the whole robot."""
@@ -85,7 +85,7 @@ PRESETS = {
     "top": Preset(np.array([-0.01, 0.0, 3.3])),
     "front": Preset(np.array([2.9, 0.0, 0.22])),
     "side": Preset(np.array([0.0, -3.1, 0.22])),
-    "hand": Preset(np.array([0.55, 0.75, 0.45]), "hand"),
+    "end-effector": Preset(np.array([0.55, 0.75, 0.45]), "end-effector"),
     "pair": Preset(np.array([0.9, 1.2, 0.7]), "pair"),
     "door": Preset(np.array([-1.3, -0.8, 1.5]), "door"),
 }
@@ -224,15 +224,15 @@ class Camera:
         base = base_pose[:2]
         eye, target, window = camera.position, camera.look_at, self.window
         seen = sees(eye, target, in_world(base_pose, self.extent), window)
-        around = np.concatenate([robot.p_ee + _HAND for robot in _robots(snapshot)])
+        around = np.concatenate([robot.p_ee + _AROUND for robot in _robots(snapshot)])
         lens = lens_of(eye, target, 1.0, window)
-        hands = [lens.has(lens.pixel(corner)) for corner in around]
+        shown = [lens.has(lens.pixel(corner)) for corner in around]
         if self._seen_at is None or seen:
             self._seen_at, self._begun = base, False
         elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
             self.use(self._preset, snapshot)
         led = self.preset and PRESETS[self.preset].of in ("robot", "pair")
-        if on and led and not all(hands):
+        if on and led and not all(shown):
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
@@ -284,11 +284,11 @@ def placed(
 
 def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
     """Return the points (N, 3) [m] that a picture of a snapshot must show; `of` as in `Preset`."""
-    hand, robots = snapshot.p_ee, _robots(snapshot)
+    ee, robots = snapshot.p_ee, _robots(snapshot)
     seen = [in_world(robot.base_pose, extent) for robot in robots]
-    seen += [robot.p_ee + _HAND for robot in robots]
-    if of == "hand":
-        seen = [hand + _NEAR_HAND]
+    seen += [robot.p_ee + _AROUND for robot in robots]
+    if of == "end-effector":
+        seen = [ee + _NEAR_EE]
     elif of == "pair" and snapshot.pairs:
         nearest = snapshot.nearest
         seen = [p + _NEAR_PAIR for p in (nearest.p_a, nearest.p_b)] + seen[len(robots) :]
@@ -298,7 +298,7 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
         corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, top)]
         poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
         seen.append(np.array([T.act(np.array(c)) for T in poses for c in corners]))
-    return np.vstack([*seen, hand + SCALE * np.eye(3)])  # includes the gizmo's tips
+    return np.vstack([*seen, ee + SCALE * np.eye(3)])  # includes the gizmo's tips
 
 
 def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:

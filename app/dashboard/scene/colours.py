@@ -27,7 +27,7 @@ PERSON: Rgb = (32, 150, 230)  # actions of a person
 ACTING: Rgb = (222, 49, 140)  # the acting point and its force
 ACCELERATION: Rgb = (60, 190, 90)  # commanded acceleration of the base
 TRAIL_BASE: Rgb = (240, 140, 40)  # path of the base
-TRAIL_HAND: Rgb = PERSON  # path of the end-effector
+TRAIL_EE: Rgb = PERSON  # path of the end-effector
 GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))  # robots of other controllers
 
 

@@ -103,7 +103,7 @@ def key_html(d_b: float) -> str:
             "time line, from above: activation β; marks are events (hover for their names)",
         ),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
-        (_signs("―", colours.TRAIL_BASE, colours.TRAIL_HAND), "trails of base and hand"),
+        (_signs("―", colours.TRAIL_BASE, colours.TRAIL_EE), "trails of base and end-effector"),
         ("<b>―</b>", "border at the height of the arm's point nearest to the base"),
     ]
     signs = "width:2.6em;text-align:center"

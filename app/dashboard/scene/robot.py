@@ -112,8 +112,7 @@ class RobotParts:
         in the ready pose, and a part of the border around the base."""
         top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
         self.crown = self.extent[top].mean(axis=0) - _BELOW
-        """(3,) [m] position of a label at the top of the robot in its ready pose, in the base's
-        frame."""
+        """(3,) [m] position of a label above the robot's ready pose, in the base's frame."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:

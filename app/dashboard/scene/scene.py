@@ -12,7 +12,7 @@ from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, DrawnBorders
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, to_viser
-from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
+from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_EE, Rgb
 from app.dashboard.scene.robot import RobotParts, Visual
 from app.dashboard.verdict import Verdict, judge
 from app.dashboard.view import View
@@ -26,7 +26,7 @@ BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
 SURROUNDINGS = "city"  # viser's default environment for reflections
 _TRACK_LIFT = 0.004  # [m] height of the base's track above the floor
-_TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
+_TRAILS = {"base": TRAIL_BASE, "end-effector": TRAIL_EE}
 
 
 class SceneData:
@@ -56,7 +56,7 @@ class SceneData:
         self.borders = Borders(model, clouds)
         self.tracks = {
             "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], _TRACK_LIFT)),
-            "hand": Track(lambda snapshot: snapshot.p_ee),
+            "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
         self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]
         """All objects that collect the snapshots, in order of time."""

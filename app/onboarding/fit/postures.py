@@ -93,7 +93,7 @@ class _Judge:
     def manipulability(self, q_m: Array) -> float:
         """√det(J Jᵀ) of the end-effector in a pose; of its position with fewer than six joints."""
         self.search.place(q_m)
-        return manipulability(self.search.J_hand if len(q_m) >= 6 else self.search.J_hand[:3])
+        return manipulability(self.search.J_ee if len(q_m) >= 6 else self.search.J_ee[:3])
 
     def placed(self) -> float:
         """[-] quality of the present pose of the end-effector: up to 1.2; -10 if it is unusable."""
@@ -336,7 +336,7 @@ class _Guide:
         self._search = PostureSearch(model, pairs, d_b)
         self._solver = StartSolver(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
-        self._free, self._hands = _free_postures(self._search)
+        self._free, self._places = _free_postures(self._search)
 
     def lines(
         self, tried: Sequence[tuple[_Start, float]], on_progress: OnProgress
@@ -433,7 +433,7 @@ class _Guide:
         search, D = self._search, np.array(self._search.model.description.arm.joint_damping)
         for _ in range(2):
             search.place(q_m)
-            J = search.J_hand[:3]
+            J = search.J_ee[:3]
             off, W = p - search.state.T_world_ee.translation, J / D
             q_m = q_m + W.T @ np.linalg.solve(J @ W.T + _SINGULAR * np.eye(3), off)
             q_m = np.clip(q_m, search.model.q_lower, search.model.q_upper)
@@ -442,13 +442,13 @@ class _Guide:
 
     def _free_at(self, p: Array) -> Array | None:
         """(n_m,) a free posture near a known one, with the end-effector at p (3,) [m]; or None."""
-        away = np.linalg.norm(self._hands - p, axis=1)
+        away = np.linalg.norm(self._places - p, axis=1)
         if away.min(initial=np.inf) > _NEAR:
             return None
         for k in np.argsort(away)[:_TRIES]:
             q_m = self._free[k]
             for share in _SHARES:
-                q_m = self._pulled(q_m, self._hands[k] + share * (p - self._hands[k]))
+                q_m = self._pulled(q_m, self._places[k] + share * (p - self._places[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
             if off < _THERE and _is_free(self._search):
                 return q_m
@@ -457,13 +457,13 @@ class _Guide:
 
 def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
     """Random free postures (N, n_m), and the positions (N, 3) [m] of their end-effectors."""
-    postures, hands = [np.zeros((0, search.model.n_m))], [np.zeros((0, 3))]
+    postures, places = [np.zeros((0, search.model.n_m))], [np.zeros((0, 3))]
     for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
         search.place(q_m)
         if _is_free(search):
             postures.append(q_m[None])
-            hands.append(search.state.T_world_ee.translation[None].copy())
-    return np.vstack(postures), np.vstack(hands)
+            places.append(search.state.T_world_ee.translation[None].copy())
+    return np.vstack(postures), np.vstack(places)
 
 
 def _is_free(search: PostureSearch) -> bool:

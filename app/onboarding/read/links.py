@@ -401,9 +401,9 @@ def _stated(link: Element) -> pin.Inertia | None:
 
 
 def _possible(tensor: Array) -> Array:
-    """An inertia tensor whose moments satisfy the triangle inequality; the two small ones grow.
+    """The tensor; if its moments violate the triangle inequality, the two smaller ones are raised.
 
-    No real body violates this inequality, and pybullet sets moments that violate it to zero.
+    No real body violates it, and pybullet replaces such moments by zero.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.0)

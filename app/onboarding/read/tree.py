@@ -40,8 +40,7 @@ class Joint(NamedTuple):
     effort: float | None = None
     velocity: float | None = None
     mimic: tuple[str, float, float] | None = None
-    """Name of the joint that this joint follows, with multiplier and offset; None if it follows no
-    joint."""
+    """Name of the joint that this joint follows, multiplier and offset; None without one."""
 
     @property
     def moves(self) -> bool:

@@ -13,8 +13,7 @@ SIDEWAYS = Axis("v_y", False, way="left")
 
 
 class HolonomicBase(TurningBase):
-    """A base with three independent velocities: no point is singular, so the score is the
-    reachability.
+    """A base with three independent velocities: no point is singular, and the score is R.
 
     ν = q̇_b = (v_x, v_y, ω). In (10) the measure is 1 everywhere and thus S = R. (17) and (18)
     become m v̇_x = f_x, m v̇_y = f_y, I ω̇ = τ.

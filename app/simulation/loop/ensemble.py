@@ -116,10 +116,18 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on, with the changes of `Scenario.adapted`."""
+        """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
+
+        Raises:
+            ConfigError: The control period is too long for a gain; then nothing has changed.
+        """
+        adapted = self.scenario.adapted(config) if self.scenario else config
+        for runner in (
+            self._led,
+            *self.ghosts,
+        ):  # equal periods: the first refuses
+            runner.session.configure(adapted)
         self._config = config
-        for runner in (self._led, *self.ghosts):
-            runner.session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
         """Use the controller with this name from the next step on."""
@@ -194,9 +202,6 @@ class Ensemble:
         for runner in (self._led, *self.ghosts):
             runner.let_go()
 
-    def _adapted(self, scenario: Scenario | None) -> Config:
-        return self._config if scenario is None else scenario.adapted(self._config)
-
     def _setting_of(self, scenario: Scenario) -> Setting:
         """The start of a scenario, cached until the scenario or the configuration changes."""
         if self._found is None or self._found[:2] != (scenario, self._config):
@@ -214,7 +219,8 @@ class Ensemble:
         """
         comparison = comparison or self.comparison
         check_posture(setting.model, setting.q_m)  # before any session changes
-        setting, free = setting._replace(config=self._adapted(scenario)), self._free
+        config = scenario.adapted(self._config) if scenario else self._config
+        setting, free = setting._replace(config=config), self._free
         names = (self.main.controller.name, *comparison.controllers)
         # A session with a door is not used again, because pybullet's reset does not remove the
         # whole state of the grasp.

@@ -19,7 +19,7 @@ from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapshot
-from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
+from app.simulation.trace.trace import SNAPSHOTS_STORED, History
 from app.strict import Array
 
 _IDLE = 0.25  # [s] time between two heartbeats during a pause
@@ -68,9 +68,9 @@ class LoopHandle(Protocol):
 class LiveLoop(LoopHandle):
     """The common part of all loops: the mailbox and the published snapshots."""
 
-    def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
-        """Start without commands and snapshots; `kept` is the number of stored snapshots."""
-        self._mailbox, self._history = commands.Mailbox(), History(kept)
+    def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
+        """Start without commands and snapshots; `stored` is the number of stored snapshots."""
+        self._mailbox, self._history = commands.Mailbox(), History(stored)
         self._ready = threading.Event()
         self._begun = False
         self._alive = monotonic()  # [s] last heartbeat
@@ -109,7 +109,7 @@ class SimulationLoop(LiveLoop):
     """Runs a session in a background thread."""
 
     def __init__(
-        self, make_session: Callable[[], Session], q_start: Array, *, kept: int = SNAPSHOTS_KEPT
+        self, make_session: Callable[[], Session], q_start: Array, *, stored: int = SNAPSHOTS_STORED
     ) -> None:
         """Prepare the loop; `start` starts it.
 
@@ -117,9 +117,9 @@ class SimulationLoop(LiveLoop):
             make_session: Called once, in the loop's own thread, which then owns the session.
             q_start: (n_m,) [rad or m] joint positions of the arm at the free start: when the loop
                 starts, and after a `Reset` without a posture.
-            kept: Largest number of snapshots in `history`.
+            stored: Largest number of snapshots in `history`.
         """
-        super().__init__(kept)
+        super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)

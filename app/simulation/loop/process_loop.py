@@ -142,7 +142,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
         make_session, q_start = commands.recv()
     except (EOFError, OSError):
         return  # the parent has ended, or needs no simulation
-    loop = SimulationLoop(make_session, q_start, kept=1)  # the parent stores older snapshots
+    loop = SimulationLoop(make_session, q_start, stored=1)  # the parent stores older snapshots
     try:
         with suppress(LoopError):  # `_post` sends this error
             loop.start()

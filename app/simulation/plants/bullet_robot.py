@@ -45,7 +45,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         """pybullet's indices of the joints x, y and yaw, and of the arm's joints."""
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
-        self._hand, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
+        self._tip, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
         # pybullet adds a holding motor to every joint, which must be disabled for torque control.
         self.client.setJointMotorControlArray(
             self.robot, self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm)
@@ -79,7 +79,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         self.client.setJointMotorControlArray(
             self.robot, self._arm, pybullet.TORQUE_CONTROL, forces=u_a.tolist()
         )
-        self._press(self._hand, self._tool, hand_force)
+        self._press(self._tip, self._tool, hand_force)
         for push in pushes:
             self._press(self.joints[push.joint], push.p.tolist(), push.force)
         self.client.stepSimulation()
@@ -117,7 +117,7 @@ class BulletDoor(HeldDoor):
         self._client = client = world.client
         self._robot = world.robot
         arm = model.description.arm
-        self._hand = world.links[arm.end_effector_link]
+        self._tip = world.links[arm.end_effector_link]
         turn = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
         self._T_link_ee = pin.SE3(turn, np.array(arm.end_effector_xyz_m))
         self._grasp: int | None = None
@@ -164,14 +164,14 @@ class BulletDoor(HeldDoor):
         rows = self._client.getConstraintState(self._grasp)
         if not rows:  # before the first step
             return Wrench(np.zeros(3), np.zeros(3))
-        R = self._hand_pose().rotation
+        R = self._tip_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
     def _take_hold(self) -> None:
         """Fix the end-effector to the door at the present poses of both."""
         self.release()
-        T_ee = self._hand_pose()
-        links = (self._robot, self._hand), (self.body, _DOOR)
+        T_ee = self._tip_pose()
+        links = (self._robot, self._tip), (self.body, _DOOR)
         frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
         self._grasp = self._client.createConstraint(
             *links[0],
@@ -188,8 +188,8 @@ class BulletDoor(HeldDoor):
         state = self._client.getLinkState(body, link, computeForwardKinematics=1)
         return pin.XYZQUATToSE3([*state[0], *state[1]])
 
-    def _hand_pose(self) -> pin.SE3:
-        link = self._client.getLinkState(self._robot, self._hand, computeForwardKinematics=1)
+    def _tip_pose(self) -> pin.SE3:
+        link = self._client.getLinkState(self._robot, self._tip, computeForwardKinematics=1)
         return pin.XYZQUATToSE3([*link[4], *link[5]]) * self._T_link_ee
 
 

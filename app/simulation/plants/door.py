@@ -99,9 +99,9 @@ class Door:
         axes = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
         return self.pose(angle) * pin.SE3(axes, place)
 
-    def radial(self, p_hand: Array) -> Array:
-        """(2,) horizontal unit vector in the world from a point `p_hand` (3,) [m] to the hinge."""
-        to_hinge = np.subtract(self.hinge_position, p_hand[:2])
+    def radial(self, p_ee: Array) -> Array:
+        """(2,) horizontal unit vector in the world from a point `p_ee` (3,) [m] to the hinge."""
+        to_hinge = np.subtract(self.hinge_position, p_ee[:2])
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
@@ -207,8 +207,8 @@ def with_door(
         shapes=(door.superquadric(T_link_ee * T_ee_door),),
         covers=(link,),
     )
-    hand = next(b.name for b in reversed(description.bodies) if b.name in description.reachability)
-    reachability = {**description.reachability, BODY: description.reachability[hand]}
+    tip = next(b.name for b in reversed(description.bodies) if b.name in description.reachability)
+    reachability = {**description.reachability, BODY: description.reachability[tip]}
     pair = Pair(description.mobile_body.name, BODY)
     holding = description.model_copy(
         update={"bodies": (*description.bodies, body), "reachability": reachability}

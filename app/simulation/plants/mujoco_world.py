@@ -46,7 +46,7 @@ _FIELDS = {
     "speeds": types.Array(types.f8, 1, "C"),  # (k,) [m/s or rad/s] of the motors
     "guess": types.Array(types.f8, 1, "C"),  # (n_v,) accelerations with which the solver starts
     "per_step": types.f8,  # [1/s] reciprocal of the step's duration
-    "hand": types.i8,  # number of the body that carries the end-effector
+    "tip": types.i8,  # number of the body that carries the end-effector
     "tool": types.Array(types.f8, 1, "C"),  # (3,) [m] the end-effector in this body's frame
 }
 _WORLD = struct_type("World", _FIELDS)
@@ -199,7 +199,7 @@ def _drive(bodies: Any, aref: Array, row: int, force: Array) -> None:
         aref[row + k] += bodies.per_step * bodies.speeds[k]
         bodies.guess[bodies.motors[k]] = aref[row + k]
     fill(bodies.forces.ravel(), 0.0)
-    _press(bodies, bodies.hand, bodies.tool, force)
+    _press(bodies, bodies.tip, bodies.tool, force)
 
 
 _press_once, _drive_once = direct(_press), direct(_drive)
@@ -218,7 +218,7 @@ class MujocoDoor(HeldDoor):
         self._cabinet = cabinet = Cabinet(self.door)
         source = robot.model.pin
         tool = source.frames[robot.model.ee_frame]
-        self._hand, self._tool = source.names[tool.parentJoint], tool.placement.translation.copy()
+        self._tip, self._tool = source.names[tool.parentJoint], tool.placement.translation.copy()
         box = mujoco.mjtGeom.mjGEOM_BOX
         body = robot.add_body(robot.spec.worldbody, _BODY, cabinet.T_world, cabinet.inertia)
         body.add_freejoint(name=_BODY)
@@ -238,7 +238,7 @@ class MujocoDoor(HeldDoor):
             name=_GRIP,
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=self._hand,
+            name1=self._tip,
             name2=_GRIP,
             **_GRASP,
         )
@@ -260,11 +260,11 @@ class MujocoDoor(HeldDoor):
         data.joint(_HINGE).qvel[0] = 0.0
         data.eq_active[0] = 1
         mujoco.mj_kinematics(model, data)
-        hand, grip = (_placement(data.body(name)) for name in (self._hand, _GRIP))
-        p_grip = grip.actInv(hand.act(self._tool))
+        tip, grip = (_placement(data.body(name)) for name in (self._tip, _GRIP))
+        p_grip = grip.actInv(tip.act(self._tool))
         sensor = model.site(_GRIP).id
         model.site_pos[sensor], model.site_sameframe[sensor] = p_grip, 0
-        between = pin.Quaternion(hand.rotation.T @ grip.rotation).coeffs()[[3, 0, 1, 2]]
+        between = pin.Quaternion(tip.rotation.T @ grip.rotation).coeffs()[[3, 0, 1, 2]]
         model.eq_data[0, :10] = [*p_grip, *self._tool, *between]
 
     def angle(self) -> float:

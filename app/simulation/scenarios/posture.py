@@ -125,15 +125,14 @@ class PostureSearch:
         return best_posture(residual, jacobian, guess, bounds)
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
-        """The weighted error (k,) of the end-effector, and its derivative (k, n_m) with respect to
-        the joint positions.
+        """The weighted error (k,) of the end-effector, and its Jacobian (k, n_m).
 
         For a pose, the error is the logarithm of the displacement in the end-effector's frame. For
         a position it is the position's error, followed by the direction's error if the target has
         a direction.
         """
         self.place(q_m)
-        at, J = self.state.T_world_ee, self.J_hand
+        at, J = self.state.T_world_ee, self.J_ee
         if isinstance(target, pin.SE3):
             error = pin.log6(at.actInv(target)).vector
             R = at.rotation.T
@@ -147,7 +146,7 @@ class PostureSearch:
         return error, np.vstack([_TO_TARGET * J[:3], -pin.skew(z) @ J[3:]])
 
     @property
-    def J_hand(self) -> Array:
+    def J_ee(self) -> Array:
         """(6, n_m) Jacobian of the end-effector for the arm's joints, in axes of the world."""
         return self.state.J_ee[:, self.model.n_b :]
 
@@ -180,9 +179,9 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
     The reach is an upper bound of the end-effector's distance from the first joint: the sum of all
     offsets between joints and of the largest displacements of prismatic joints from zero.
     """
-    arm, hand = model.pin, model.pin.frames[model.ee_frame]
-    chain = [j for j in arm.supports[hand.parentJoint] if j > 1]
-    links = [*(arm.jointPlacements[j] for j in chain[1:]), hand.placement]
+    arm, ee = model.pin, model.pin.frames[model.ee_frame]
+    chain = [j for j in arm.supports[ee.parentJoint] if j > 1]
+    links = [*(arm.jointPlacements[j] for j in chain[1:]), ee.placement]
     slides = [arm.idx_vs[j] - 3 for j in chain if "JointModelP" in arm.joints[j].shortname()]
     limits = np.array([model.q_lower[slides], model.q_upper[slides]])
     return arm.jointPlacements[chain[0]].translation.copy(), length_bound(links, limits)

@@ -61,7 +61,7 @@ class RefrigeratorScenario(Scenario):
     """[deg] viewing direction of a person in front of the closed door; 0 is the world's x axis."""
     radial_guess: float = 30.0
     """[deg] error of the initial estimate of the direction towards the hinge; a positive error
-    turns the estimate into the door."""
+    turns the estimate away from the robot, into the refrigerator."""
     opening_rate: float = 2.15
     """[deg/s] desired rotation rate of the door."""
     base: tuple[float, float, float] | None = None

@@ -55,7 +55,7 @@ class StartSolver:
         self._search = PostureSearch(model, pairs, d_b)
         # With fewer than six directions of motion, or without an upright first axis, the arm
         # cannot choose the direction of the end-effector.
-        J = self._search.J_hand
+        J = self._search.J_ee
         first = next((axis for axis in J[3:].T if axis.any()), np.zeros(3))
         full = np.linalg.matrix_rank(J, tol=_LOST) == 6
         self._points_anywhere = bool(full and abs(first[2]) > _UPRIGHT)
@@ -196,14 +196,14 @@ class StartSolver:
         """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
-        joints, mobility = search.joint_room(q_m), manipulability(search.J_hand)
+        joints, mobility = search.joint_room(q_m), manipulability(search.J_ee)
         for p in along:
             target = pin.SE3(R, p)
             q_m = search.reach(target, q_m)
             if np.abs(search.linearised(q_m, target)[0]).max() > _WAY_TOLERANCE:
                 return 0.0
             joints = min(joints, search.joint_room(q_m))
-            mobility = min(mobility, manipulability(search.J_hand))
+            mobility = min(mobility, manipulability(search.J_ee))
         return min(joints, 0.15) + min(mobility, 0.1)
 
 
@@ -378,7 +378,7 @@ class _GraspSearch:
         joints = search.joint_room(q_m)
         if beyond < clearance or joints < _GRASP_MARGIN:
             return 0.0
-        bending = manipulability(search.J_hand)
+        bending = manipulability(search.J_ee)
         return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
 
 

@@ -179,9 +179,9 @@ class _Frames:
         self._data = self._whole.createData()
         frames = self._whole.frames
         self._links = [i for i, f in enumerate(frames) if f.type == pin.FrameType.BODY]
-        hand = model.pin.frames[model.ee_frame]
-        link = model.pin.frames[hand.parentFrame]
-        self._hand = link.name, hand.name, link.placement.actInv(hand.placement)
+        frame = model.pin.frames[model.ee_frame]
+        link = model.pin.frames[frame.parentFrame]
+        self._ee = link.name, frame.name, link.placement.actInv(frame.placement)
 
     def at(self, s: Snapshot) -> list[tuple[str, str, pin.SE3]]:
         """Name of the parent, name of the link and T_parent_link, for each link at a snapshot.
@@ -194,7 +194,7 @@ class _Frames:
         q = pin.integrate(whole, pin.neutral(whole), turned)
         q[:4] = self._model.configuration(s.base_pose, s.q_m)[:4]
         pin.framesForwardKinematics(whole, self._data, q)
-        return [*map(self._place, self._links), self._hand]
+        return [*map(self._place, self._links), self._ee]
 
     def _place(self, link: int) -> tuple[str, str, pin.SE3]:
         frames, oMf = self._whole.frames, self._data.oMf

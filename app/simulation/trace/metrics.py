@@ -90,7 +90,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
                 " Distances are between convex bodies that enclose the links: they can overlap"
                 " without contact."
             )
-    return f"{text}; final hand error {1000 * figures['ee_error_final_m']:.1f} mm.{larger}"
+    return f"{text}; final end-effector error {1000 * figures['ee_error_final_m']:.1f} mm.{larger}"
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
@@ -286,7 +286,7 @@ FIGURES: dict[str, Figure] = {
         lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     ),
     "hand_speed_max_mps": Figure(
-        "Largest speed of the end-effector.", lambda r: largest(r.of("hand_speed"))
+        "Largest speed of the end-effector.", lambda r: largest(r.of("ee_speed"))
     ),
     "joint_speed_share_max": Figure(
         "Largest ratio of a joint's speed to its limit.", _joint_speed_share

@@ -365,7 +365,7 @@ class Snapshot:
     p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", "state.p_ee")]
     """(3,) [m] position of the end-effector in the world."""
     wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
-    """(4,) orientation of the end-effector as a quaternion, w first."""
+    """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
     """All link pairs; the pairs of L_m are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
@@ -438,7 +438,7 @@ class Snapshot:
     """Whether arm and floor touch."""
     given_up: Annotated[int, number("solver_given_up", "int", "control.given_up")] = 0
     """Number of steps since the last reset in which the base's QP had no solution."""
-    hand_speed: Annotated[float, number("hand_speed_mps", "float", "hand_speed")] = 0.0
+    ee_speed: Annotated[float, number("hand_speed_mps", "float", "ee_speed")] = 0.0
     """[m/s] true speed of the end-effector."""
     people: Annotated[int, number("people", "int", "people")] = 0
     """Number of people who hold the robot."""

@@ -29,12 +29,12 @@ Reason = Literal[
     "joint limits",
     "joint speeds",
     "links too near",
-    "border against hand",
+    "border against end-effector",
     "full stretch",
     "unknown",
 ]
 
-SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
+SNAPSHOTS_STORED = 3000  # 60 s at 50 Hz
 SHORT = 1e-3  # [m] error above which the end-effector counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] largest velocity and acceleration of a resting reference
 _MOVING = 1e-3  # [m/s] speed towards the target above which the end-effector counts as moving
@@ -291,9 +291,9 @@ class Recorder:
 class History:
     """The newest snapshots in order of time; the start of a run removes all older snapshots."""
 
-    def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
-        """Start empty; `kept` is the largest number of stored snapshots."""
-        self._kept: deque[Snapshot] = deque(maxlen=kept)
+    def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
+        """Start empty; `stored` is the largest number of stored snapshots."""
+        self._stored: deque[Snapshot] = deque(maxlen=stored)
         self._latest: Snapshot | None = None
 
     @property
@@ -306,16 +306,16 @@ class History:
         """Append a snapshot; it replaces the newest snapshot if both have the same time."""
         newest = self._latest
         if newest is not None and not snapshot.follows(newest):
-            self._kept.clear()
+            self._stored.clear()
         elif newest is not None and snapshot.t == newest.t:
-            self._kept.pop()
-        self._kept.append(snapshot)
+            self._stored.pop()
+        self._stored.append(snapshot)
         self._latest = snapshot
 
     def after(self, t: float) -> list[Snapshot]:
         """Snapshots later than `t` [s], oldest first."""
         found = []
-        for snapshot in reversed(tuple(self._kept)):
+        for snapshot in reversed(tuple(self._stored)):
             if snapshot.t <= t:
                 break
             found.append(snapshot)
@@ -373,8 +373,8 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)
-    hand, target = state.T_world_ee.translation, reference.pose.translation
-    towards = (target - hand) / np.linalg.norm(target - hand)
+    ee, target = state.T_world_ee.translation, reference.pose.translation
+    towards = (target - ee) / np.linalg.norm(target - ee)
     margin = _AT_LIMIT * (model.q_upper - model.q_lower)
     at_limit = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
     joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
@@ -386,9 +386,9 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
         "joint limits": bool(joints),
         "joint speeds": bool((speeds > _AT_SPEED).any()),
         "links too near": bool((w.B[n_b:][: len(w.pairs) - w.n_mob] > 0.0).any()),
-        "border against hand": bool(pushed @ towards < -_PUSHED),
+        "border against end-effector": bool(pushed @ towards < -_PUSHED),
         "full stretch": bool(smallest_singular < _STRETCHED),
     }
     reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
-    places = tuple(hand.tolist()), tuple(target.tolist())
+    places = tuple(ee.tolist()), tuple(target.tolist())
     return Stuck(step.t, step.ee_error, *places, reasons or ("unknown",), joints)

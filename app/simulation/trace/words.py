@@ -15,12 +15,12 @@ METHOD_WORDS = {
 }
 """Description of each controller, by its name."""
 
-_FROM_OUTSIDE = ("hand", "forearm", "upper arm", "shoulder")
+_FROM_OUTSIDE = ("end-effector", "forearm", "upper arm", "shoulder")
 _NOTHING = 5e-7  # [-] numbers below this one count as rounding errors
 
 
 def body(name: str, chain: Sequence[str]) -> str:
-    """The displayed name of a body: base, shoulder, upper arm, forearm or hand, by its position.
+    """The displayed name of a body by its position: base, shoulder, ..., forearm, end-effector.
 
     Args:
         name: Name of the body, such as `lEE`.
@@ -36,7 +36,7 @@ def body(name: str, chain: Sequence[str]) -> str:
 
 
 def pair(a: str, b: str, chain: Sequence[str]) -> str:
-    """The displayed name of the link pair of bodies a and b, such as "hand – base"."""
+    """The displayed name of the link pair of bodies a and b, such as "end-effector – base"."""
     return f"{body(b, chain)} – {body(a, chain)}"
 
 
@@ -65,7 +65,7 @@ def millimetres(distance: float) -> str:
     return f"{text} mm".replace("-", "−")
 
 
-def kept(least: float, *, touched: bool) -> str:
+def outcome_text(least: float, *, touched: bool) -> str:
     """A text with the outcome of a run, as in "no contact, least distance 105 mm".
 
     `least` is the smallest distance [m]; a negative one is an overlap of the convex bodies.

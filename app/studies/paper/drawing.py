@@ -200,7 +200,7 @@ def snapshot_figure(
     keys = [
         Line2D([], [], color=style.SOFT, linestyle="--", label="start of the base"),
         Line2D([], [], color=style.PATH, label="path of the base's centre"),
-        Line2D([], [], color=style.HAND, label="path of the end-effector"),
+        Line2D([], [], color=style.EE, label="path of the end-effector"),
     ]
     if aim:
         keys.append(Line2D([], [], label=aim, **style.marker_style(style.TARGET)))
@@ -237,7 +237,7 @@ def _panel(
     if strip.marks is not None:
         _on_floor(ax, picture, strip.marks, color=style.TARGET, linewidth=1.6, linestyle=":")
     centre = np.column_stack([poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
-    for points, colour in ((centre, style.PATH), (run.of("p_ee")[past], style.HAND)):
+    for points, colour in ((centre, style.PATH), (run.of("p_ee")[past], style.EE)):
         line = {"color": colour, "linewidth": 2.2, "path_effects": _CASING, "zorder": 4}
         ax.plot(*picture.pixels(points).T, **line)
     ax.plot(*picture.pixels(centre[-1:]).T, **style.marker_style(style.PATH, size=5))

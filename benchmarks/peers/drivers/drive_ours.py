@@ -62,7 +62,7 @@ def main(source: Path, out: Path, controller: str) -> None:
         line = StartedLine(
             run["path"],
             given["duration_s"],
-            "the hand is tracked",
+            "the end-effector is tracked",
             "tracking",
             tuple(given["start_m"]),
             tuple(given["move_m"]),
