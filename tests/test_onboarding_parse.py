@@ -378,7 +378,7 @@ def test_a_xacro_is_expanded(tmp_path: Path, ending: str) -> None:
 
 @pytest.mark.parametrize(
     ("radius", "helps"),
-    [("$(arg r)", "give it by --xacro NAME=VALUE"), ("${r}", "mend it until xacro FILE takes it")],
+    [("$(arg r)", "give it by --xacro r=VALUE"), ("${r}", "mend it until xacro FILE takes it")],
 )
 def test_only_a_missing_xacro_argument_is_requested(
     radius: str, helps: str, tmp_path: Path

@@ -124,7 +124,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
                 "although its links are not"
             )
     for pair in sorted(meetings.nested):
-        a, b = (meetings.units[unit].links[0] for unit in pair)
+        a, b = (meetings.units[unit].name for unit in pair)
         yield f"{a} and {b} touch in most poses: they count as nested, and are no pair"
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"

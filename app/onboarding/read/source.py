@@ -315,8 +315,9 @@ def _expanded(
             inner = re.search(rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)", text)
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
-        lacking = "substitution arg" in why  # no option corrects a property or old syntax
-        helps = "give it by --xacro NAME=VALUE" if lacking else "mend it until xacro FILE takes it"
+        helps = "mend it until xacro FILE takes it"
+        if lacking := re.search(r"substitution arg\w* (\S+)", why):
+            helps = f"give it by --xacro {lacking[1]}=VALUE"
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 
