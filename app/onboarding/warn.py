@@ -39,6 +39,7 @@ _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not com
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
+_LIMIT = "limit the joints between them by position_lower and position_upper of robot.toml"
 _OFTEN = 0.25  # [-] share of poses above which a warning is given
 
 
@@ -108,14 +109,13 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are no "
-            "pair: try a smaller --buffer-distance or another number of --bodies, or limit the "
-            "joints between them"
+            f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
     if robot.unseen.left_out:
         yield (
             f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
             "that no pair can monitor, because they are neighbours or close by design: "
-            f"{robot.unseen.rule}; limit the joints between them"
+            f"{robot.unseen.rule}; {_LIMIT}"
         )
     for name, why in verdict.unwatched.items():
         if why == BY_BODIES:
@@ -204,10 +204,9 @@ def held_still(parsed: Parsed) -> Iterator[str]:
     """
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
-    if rigid := [joint for joint in above if joint.kind == "prismatic"]:
-        travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
-        names = ", ".join(j.name for j in rigid)
-        yield f"suspensions of wheels, with a travel of up to {travel:g} m, count as rigid: {names}"
+    if rigid := [joint for joint in above if joint.moves]:
+        names = ", ".join(joint.name for joint in rigid)
+        yield f"suspensions of wheels count as rigid on a level floor: {names}"
     own = {joint.name for joint in (*arm.joints, *rigid)}
     own.update(parsed.wheels.steering.joints if parsed.wheels.steering else ())
     carried = {link for links in arm.segments for link in links}

@@ -326,9 +326,11 @@ def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
 
     Macros can produce unlimited text or never end, so this runs within a budget.
     """
+    import xacro
     from xacrodoc import XacroDoc
     from xacrodoc import packages as library
 
+    xacro.init_stacks(str(path))  # relative files of the xacro are in its folder
     search = partial(_package_folders, folder=path.parent, named=packages)
     otherwise = library.get_path
     library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
