@@ -457,6 +457,15 @@ def test_an_unknown_package_of_a_xacro_is_requested_with_its_folder(
     assert parse(replace(options, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
 
 
+def test_a_xacro_of_macros_alone_is_refused_with_the_file_to_give(tmp_path: Path) -> None:
+    """An example is the platform of a Clearpath robot."""
+    pytest.importorskip("xacrodoc")
+    text = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="a"/></robot>'
+    path = write(tmp_path, text, "a.urdf.xacro")
+    with pytest.raises(RobotFileError, match=r"has no <link>; .* give the file that calls them"):
+        parse(Request(str(path), "base", "hand", tmp_path / "made"))
+
+
 @pytest.mark.parametrize("folder", ["", "parts/"])
 def test_a_relative_include_is_in_the_folder_of_its_xacro(folder: str, tmp_path: Path) -> None:
     """As in ROS, and not in the working directory."""

@@ -11,6 +11,8 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 from app.control.controller import CONTROLLERS
+from app.onboarding.report import BODY_COLOURS
+from app.onboarding.request import BOUNDS
 from app.studies import style
 from app.studies.paper.drawing import Drawing, stacked
 from app.studies.runs import write_table
@@ -68,6 +70,10 @@ def test_a_figure_is_written_as_a_picture_with_its_tables(tmp_path):
     picture = Image.open(io.BytesIO(paths[0].read_bytes()))
     assert picture.size == (round(style.WIDTH * style.DPI), round(4.0 * style.DPI))
     assert picture.width >= 1600
+
+
+def test_each_body_of_a_new_robot_has_a_unique_colour():
+    assert len(set(BODY_COLOURS)) == len(BODY_COLOURS) > BOUNDS["bodies"].high
 
 
 @pytest.mark.parametrize("spans", [(0.7, 0.36, 0.69), (0.5, 0.5, 2.2), (2.0, 1.0, 1.0)])

@@ -242,7 +242,8 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
         for body in robot.bodies:
             joint = model.body_joints[body.name]
-            mine = [k for k in body.links if filled[k] is not robot.parsed.geometry[k]]
+            loose = [link for link in body.links if link not in arm.rigid_links]
+            mine = [k for k in loose if filled[k] is not robot.parsed.geometry[k]]
             outs = {}
             for link in mine:
                 frame = model.pin.frames[model.pin.getFrameId(link)]
