@@ -174,6 +174,8 @@ def test_wheels_on_rockers_are_found_like_rigid_wheels(
     xs: tuple[float, ...], axis: str, found: bool, tmp_path: Path
 ) -> None:
     text = rocking(xs=xs, axis=axis)
+    led = '<child link="right_beam"/>'
+    text = text.replace(led, f'{led}<mimic joint="left_rocker" multiplier="-1"/>')
     if found:
         parsed = parse(request(tmp_path, text))
         assert parsed.wheels.left == ("left_wheel_0_axle", "left_wheel_1_axle")

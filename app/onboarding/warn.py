@@ -204,7 +204,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
     """
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
-    if rigid := [joint for joint in above if joint.moves]:
+    if rigid := [joint for joint in above if joint.kind != "fixed"]:
         names = ", ".join(joint.name for joint in rigid)
         yield f"suspensions of wheels count as rigid on a level floor: {names}"
     own = {joint.name for joint in (*arm.joints, *rigid)}

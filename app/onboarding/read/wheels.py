@@ -79,7 +79,7 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeom
     rigid = list(arm.rigid_links)
     for link in rigid:
         for joint in tree.children(link):
-            if joint.name in arm.names or not joint.moves or turns_round(joint):
+            if joint.name in arm.names or joint.kind not in ("prismatic", "revolute"):
                 continue
             below = [tree.joint_of[name] for name in tree.below(joint.child)]
             try:
