@@ -27,6 +27,7 @@ from app.simulation.plants.engines import SAME_PICTURE, compare_engines
 from tests.onboarding import (
     ARM_JOINTS,
     BOX,
+    WHEEL,
     arm,
     cart,
     cube,
@@ -140,10 +141,48 @@ def test_joints_treated_as_rigid_are_reported_except_above_the_base(
     legged = robot([*cart(), *arm(), link("leg"), joint("knee", "revolute", "base", "leg")])
     texts = (suspended(travel=0.01), floating, legged)
     reported = [list(held_still(parse(request(tmp_path, text)))) for text in texts]
-    assert reported[0][0].endswith("0.01 m, count as rigid: left_spring, right_spring")
+    assert reported[0][0].endswith("count as rigid on a level floor: left_spring, right_spring")
     assert len(reported[0]) == 1
     assert reported[1] == []
     assert [each.rpartition(": ")[2] for each in reported[2]] == ["knee"]
+
+
+def rocking(*, xs: tuple[float, ...], axis: str) -> str:
+    """The robot with two wheels on one beam at each side, which turns about the beam's middle."""
+    parts = [link("base", solid('<box size="0.6 0.4 0.2"/>', mass=30))]
+    for side, y in (("left", 0.2), ("right", -0.2)):
+        parts += [link(f"{side}_beam", solid('<box size="0.3 0.02 0.02"/>'))]
+        turn = {"xyz": f"0 {y} -0.05", "axis": axis, "limit": 'lower="-0.4" upper="0.4"'}
+        parts += [joint(f"{side}_rocker", "revolute", "base", f"{side}_beam", **turn)]
+        for k, x in enumerate(xs):
+            name = f"{side}_wheel_{k}"
+            parts += [link(name, solid(WHEEL, rpy="1.5708 0 0"))]
+            place = {"xyz": f"{x} 0 0", "axis": "0 1 0", "limit": 'effort="20" velocity="12"'}
+            parts += [joint(f"{name}_axle", "continuous", f"{side}_beam", name, **place)]
+    return robot([*parts, *arm()])
+
+
+@pytest.mark.parametrize(
+    ("xs", "axis", "found"),
+    [
+        ((-0.15, 0.15), "0 1 0", True),
+        ((0.15, 0.25), "0 1 0", False),  # a swing arm, which the robot's weight turns
+        ((-0.15, 0.15), "0 0 1", False),  # a steered truck
+    ],
+)
+def test_wheels_on_rockers_are_found_like_rigid_wheels(
+    xs: tuple[float, ...], axis: str, found: bool, tmp_path: Path
+) -> None:
+    text = rocking(xs=xs, axis=axis)
+    led = '<child link="right_beam"/>'
+    text = text.replace(led, f'{led}<mimic joint="left_rocker" multiplier="-1"/>')
+    if found:
+        parsed = parse(request(tmp_path, text))
+        assert parsed.wheels.left == ("left_wheel_0_axle", "left_wheel_1_axle")
+        assert (parsed.wheels.r, parsed.wheels.b) == pytest.approx((0.1, 0.2))
+        assert "left_rocker, right_rocker" in next(held_still(parsed))
+    else:
+        assert "no pair of wheels" in refused(tmp_path, text)
 
 
 def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:
@@ -378,7 +417,7 @@ def test_a_xacro_is_expanded(tmp_path: Path, ending: str) -> None:
 
 @pytest.mark.parametrize(
     ("radius", "helps"),
-    [("$(arg r)", "set it by --xacro NAME=VALUE"), ("${r}", "correct it, and try: xacro FILE")],
+    [("$(arg r)", "set it by --xacro r=VALUE"), ("${r}", "correct it, and try: xacro FILE")],
 )
 def test_only_a_missing_xacro_argument_is_requested(
     radius: str, helps: str, tmp_path: Path
@@ -418,6 +457,29 @@ def test_an_unknown_package_of_a_xacro_is_requested_with_its_folder(
     with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which contains"):
         parse(options)
     assert parse(replace(options, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
+
+
+def test_a_xacro_of_macros_alone_is_refused_with_the_file_to_give(tmp_path: Path) -> None:
+    """An example is the platform of a Clearpath robot."""
+    pytest.importorskip("xacrodoc")
+    text = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="a"/></robot>'
+    path = write(tmp_path, text, "a.urdf.xacro")
+    with pytest.raises(RobotFileError, match=r"has no <link>; .* give the file that calls them"):
+        parse(Request(str(path), "base", "hand", tmp_path / "made"))
+
+
+@pytest.mark.parametrize("folder", ["", "parts/"])
+def test_a_relative_include_is_in_the_folder_of_its_xacro(folder: str, tmp_path: Path) -> None:
+    """As in ROS, and not in the working directory."""
+    pytest.importorskip("xacrodoc")
+    (tmp_path / folder).mkdir(exist_ok=True)
+    write(tmp_path / folder, robot([*cart(), *arm()]), "toy.xacro")
+    text = (
+        '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        f'<xacro:include filename="{folder}toy.xacro"/></robot>'
+    )
+    path = write(tmp_path, text, "toy.urdf.xacro")
+    assert parse(Request(str(path), "base", "hand", tmp_path / "made")).arm.tip == "hand"
 
 
 def test_a_xacro_finds_a_python_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

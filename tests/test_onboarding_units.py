@@ -66,6 +66,16 @@ def test_links_without_shapes_are_no_body_of_their_own() -> None:
     assert all([1] not in groups for groups in cuts)
 
 
+@pytest.mark.parametrize(
+    ("sizes", "name"),
+    [({}, "frame"), ({"deck": 1.0}, "deck"), ({"camera": 0.1, "deck": 1.0, "wheel": 0.2}, "deck")],
+)
+def test_messages_name_a_unit_by_its_largest_link(sizes: dict[str, float], name: str) -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    parts = tuple(Part(link, size * corners, np.zeros(3)) for link, size in sizes.items())
+    assert unit(0)._replace(links=("frame", *sizes), parts=parts).name == name
+
+
 def test_links_fixed_to_the_base_are_never_grouped_with_a_slide() -> None:
     """A common body of a mast and its lift would move up and down beside the mast."""
     part = Part("link", np.zeros((0, 3)), np.zeros(0))

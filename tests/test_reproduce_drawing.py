@@ -7,9 +7,12 @@ import io
 
 import numpy as np
 import pytest
+from matplotlib.patches import Patch
 from PIL import Image
 
 from app.control.controller import CONTROLLERS
+from app.onboarding.report import BODY_COLOURS
+from app.onboarding.request import BOUNDS
 from app.studies import style
 from app.studies.paper.drawing import Drawing, stacked
 from app.studies.runs import write_table
@@ -67,6 +70,26 @@ def test_a_figure_is_written_as_a_picture_with_its_tables(tmp_path):
     picture = Image.open(io.BytesIO(paths[0].read_bytes()))
     assert picture.size == (round(style.WIDTH * style.DPI), round(4.0 * style.DPI))
     assert picture.width >= 1600
+
+
+def test_each_body_of_a_new_robot_has_a_unique_colour():
+    assert len(set(BODY_COLOURS)) == len(BODY_COLOURS) > BOUNDS["bodies"].high
+
+
+@pytest.mark.parametrize("spans", [(0.7, 0.36, 0.69), (0.5, 0.5, 2.2), (2.0, 1.0, 1.0)])
+def test_titles_and_legend_of_panels_with_equal_scales_stay_clear(spans):
+    with style.styled():
+        figure = style.new_figure(4.6)
+        panels = figure.subplots(1, 3, width_ratios=[spans[0], spans[1], spans[0]])
+        for ax, (x, y) in zip(panels, ((0, 2), (1, 2), (0, 1)), strict=True):
+            ax.fill([0.0, 0.0, spans[x]], [0.0, spans[y], spans[y]])
+            ax.set(aspect="equal", title="title", xlabel="x [m]", ylabel="y [m]")
+        handles = [Patch(label=f"patch {k}") for k in range(8)]
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=4)
+        style.png_of(figure)
+    bounds = [ax.get_tightbbox() for ax in panels]
+    assert max(each.y1 for each in bounds) <= figure.bbox.y1
+    assert min(each.y0 for each in bounds) >= legend.get_window_extent().y1
 
 
 def test_every_controller_and_every_pair_has_a_unique_colour():

@@ -1,7 +1,6 @@
 """The report of a new robot: a page with warnings, pictures and tables, and a 3D view."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import cycle
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -164,7 +163,11 @@ def _text(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-BODY_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
+BODY_COLOURS = (
+    *("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9"),
+    *("#332288", "#882255", "#999933"),
+)
+"""One colour for the base and for each of the largest number of --bodies."""
 _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
@@ -176,7 +179,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     model = robot.model
     placed, units = placements(model, robot.ready.q_m), robot.meetings.units
     bodies = [*body_meshes(model, placed)]
-    colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
+    colours = dict(zip(model.body_names, BODY_COLOURS, strict=False))
     with styled():
         figure = new_figure(4.6)
         corners = [moved(p.corners, placed[u.joint]) for u in units for p in u.parts]
@@ -191,7 +194,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
                 fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.25)
             axes.autoscale()
             across, up = (f"{'xyz'[k]} [m]" for k in (x, y))
-            axes.set(aspect="equal", title=title, xlabel=across, ylabel=up)
+            axes.set(aspect="equal", adjustable="datalim", title=title, xlabel=across, ylabel=up)
             axes.locator_params(nbins=4)
         _legend(figure, colours)
         return png_of(figure)

@@ -39,6 +39,7 @@ _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not com
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
+_LIMIT = "limit the joints between them by position_lower and position_upper of robot.toml"
 _OFTEN = 0.25  # [-] share of poses above which there is a warning
 
 
@@ -108,14 +109,13 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are no "
-            "pair: try a smaller --buffer-distance or another number of --bodies, or limit the "
-            "joints between them"
+            f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
     if robot.unseen.left_out:
         yield (
             f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
             "that no pair can monitor, because they are neighbours or close by design: "
-            f"{robot.unseen.rule}; limit the joints between them"
+            f"{robot.unseen.rule}; {_LIMIT}"
         )
     for name, why in verdict.unwatched.items():
         if why == BY_BODIES:
@@ -124,7 +124,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
                 "although its links are not"
             )
     for pair in sorted(meetings.nested):
-        a, b = (meetings.units[unit].links[0] for unit in pair)
+        a, b = (meetings.units[unit].name for unit in pair)
         yield f"{a} and {b} touch in most poses: they count as nested, and are no pair"
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
@@ -204,10 +204,9 @@ def held_still(parsed: Parsed) -> Iterator[str]:
     """
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
-    if rigid := [joint for joint in above if joint.kind == "prismatic"]:
-        travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
-        names = ", ".join(j.name for j in rigid)
-        yield f"suspensions of wheels, with a travel of up to {travel:g} m, count as rigid: {names}"
+    if rigid := [joint for joint in above if joint.kind != "fixed"]:
+        names = ", ".join(joint.name for joint in rigid)
+        yield f"suspensions of wheels count as rigid on a level floor: {names}"
     own = {joint.name for joint in (*arm.joints, *rigid)}
     own.update(parsed.wheels.steering.joints if parsed.wheels.steering else ())
     carried = {link for links in arm.segments for link in links}
@@ -243,7 +242,8 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
         for body in robot.bodies:
             joint = model.body_joints[body.name]
-            mine = [k for k in body.links if filled[k] is not robot.parsed.geometry[k]]
+            loose = [link for link in body.links if link not in arm.rigid_links]
+            mine = [k for k in loose if filled[k] is not robot.parsed.geometry[k]]
             outs = {}
             for link in mine:
                 frame = model.pin.frames[model.pin.getFrameId(link)]

@@ -93,7 +93,7 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
     The figure has no window and is in no list of pyplot, so it needs no display and is freed after
     its use.
     """
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height), layout="compressed")
 
 
 def png_of(figure: Figure) -> bytes:

@@ -311,7 +311,7 @@ def unseen_collisions(
             blind.append(pair.name)
     worst, blame = "none", hits[unseen].sum(axis=0) / len(random)
     if blame.any():
-        a, b = (units[k].links[0] for k in met.pairs[int(blame.argmax())])
+        a, b = (units[k].name for k in met.pairs[int(blame.argmax())])
         worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
     seen = len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
     return Unseen(*seen, left_out, rule)
@@ -342,7 +342,7 @@ def _left_out(
     scale = len(rows) / max(1, len(looked))
     shares = real.sum(axis=0) * scale / len(q_m)
     names = [
-        f"{units[u].links[0]} and {units[v].links[0]} ({shares[k]:.1%})"
+        f"{units[u].name} and {units[v].name} ({shares[k]:.1%})"
         for k, (u, v) in enumerate([*near, *beside])
     ]
     said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]

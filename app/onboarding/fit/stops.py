@@ -69,10 +69,10 @@ def with_stops(
         if stopping:
             *_, joint, low, high = max(stopping)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
-            stops[arm.joints[joint].name] = f"{b.links[0]} reaches {a.links[0]}"
+            stops[arm.joints[joint].name] = f"{b.name} reaches {a.name}"
         elif ready is not None:
             raise RobotFileError(
-                f"--ready: {b.links[0]} can meet {a.links[0]} near this pose; choose another pose"
+                f"--ready: {b.name} can meet {a.name} near this pose; choose another pose"
             )
     if not stops:
         return limits
@@ -97,7 +97,7 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
             gaps = meetings.random.distances[free, meetings.pairs.index((u, v))]
             wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
             if parameter("border.d_b").low <= wanted < least:
-                a, b = (meetings.units[k].links[0] for k in (u, v))
+                a, b = (meetings.units[k].name for k in (u, v))
                 least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most poses"
     return least, why
 

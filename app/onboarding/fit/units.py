@@ -54,6 +54,12 @@ class Unit(NamedTuple):
     beside: bool = False
     """Whether another joint separates the unit from the arm's chain, such as a head on a torso."""
 
+    @property
+    def name(self) -> str:
+        """The link with the largest part, which a user knows; without parts the first link."""
+        sizes = {part.link: float(np.ptp(part.corners, axis=0).prod()) for part in self.parts}
+        return max(sizes, key=sizes.__getitem__, default=self.links[0])
+
 
 def make_units(
     model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]

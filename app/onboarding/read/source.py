@@ -315,8 +315,9 @@ def _expanded(
             inner = re.search(rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)", text)
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
-        lacking = "substitution arg" in why  # no option corrects a property or old syntax
-        helps = "set it by --xacro NAME=VALUE" if lacking else "correct it, and try: xacro FILE"
+        helps = "correct it, and try: xacro FILE"  # no option corrects a property or old syntax
+        if lacking := re.search(r"substitution arg\w* (\S+)", why):
+            helps = f"set it by --xacro {lacking[1]}=VALUE"
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 
@@ -325,9 +326,11 @@ def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
 
     Macros can produce unlimited text or never end, so this runs within a budget.
     """
+    import xacro
     from xacrodoc import XacroDoc
     from xacrodoc import packages as library
 
+    xacro.init_stacks(str(path))  # relative files of the xacro are in its folder
     search = partial(_package_folders, folder=path.parent, named=packages)
     otherwise = library.get_path
     library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))

@@ -157,7 +157,8 @@ def make_tree(robot: Element) -> Tree:
     links = {str(link.get("name")): link for link in robot.findall("link")}
     if not links:
         near = did_you_mean("link", {str(each.tag) for each in robot})
-        raise RobotFileError(f"the URDF has no <link>{near}")
+        macros = "; if it is a xacro that only defines macros, give the file that calls them"
+        raise RobotFileError(f"the URDF has no <link>{near or macros}")
     joints = {str(j.get("name")): _joint(j, links) for j in robot.findall("joint")}
     tree = Tree(links, joints)
     for joint in joints.values():

@@ -74,23 +74,36 @@ class _Wheel(NamedTuple):
 def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> Arm:
     """The arm, with the links on wheel suspensions added to `rigid_links`.
 
-    A suspension is a prismatic joint that carries wheels. Its travel is less than `_TRAVEL` times
-    the radius of each of these wheels.
+    A suspension is a joint that carries wheels and moves little on a level floor: see `_suspends`.
     """
     rigid = list(arm.rigid_links)
     for link in rigid:
         for joint in tree.children(link):
-            if joint.kind != "prismatic" or joint.name in arm.names:
+            if joint.name in arm.names or joint.kind not in ("prismatic", "revolute"):
                 continue
             below = [tree.joint_of[name] for name in tree.below(joint.child)]
             try:
-                radii = [_wheel(tree, arm, geometry, j).r for j in below if _rolls(tree, arm, j)]
+                wheels = [_wheel(tree, arm, geometry, j) for j in below if _rolls(tree, arm, j)]
             except RobotFileError:
                 continue
-            travel = (joint.upper or 0.0) - (joint.lower or 0.0)
-            if radii and travel < _TRAVEL * min(radii):
+            if wheels and _suspends(tree, arm, joint, wheels):
                 rigid += tree.below(joint.child, moving=False)
     return arm._replace(rigid_links=tuple(rigid))
+
+
+def _suspends(tree: Tree, arm: Arm, joint: Joint, wheels: Sequence[_Wheel]) -> bool:
+    """Whether a joint hardly moves the wheels that it carries while they stand on a level floor.
+
+    A spring has a travel of less than `_TRAVEL` times the wheels' radius. A rocker turns about a
+    level axis between its wheels, so a level floor keeps it at zero.
+    """
+    if joint.kind == "prismatic":
+        travel = (joint.upper or 0.0) - (joint.lower or 0.0)
+        return travel < _TRAVEL * min(wheel.r for wheel in wheels)
+    T = tree.pose(joint.child, arm.base)
+    axis = T.rotation @ joint.axis
+    rises = [float(np.cross(axis, wheel.centre - T.translation)[2]) for wheel in wheels]
+    return bool(np.linalg.norm(axis[:2]) >= _LEVEL) and min(rises) < 0.0 < max(rises)
 
 
 def find_drive(
