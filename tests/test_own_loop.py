@@ -17,8 +17,9 @@ from app.config import Config
 from app.control import CONTROLLERS
 from app.control.contract import JointOrder
 from app.control.control_loop import ControlLoop
+from app.control.inputs import gains_struct
 from app.control.quantities import ControlStep
-from app.control.readings import FAULTS, LOAD, _estimate_load
+from app.control.readings import FAULTS, HISTORY, LOAD, _estimate_load, _find_lag
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError
 from app.robot.model import RobotModel
@@ -265,6 +266,30 @@ def test_base_velocity_in_another_unit_is_reported_without_contact(run) -> None:
     assert "velocity" in found.faults
     assert found.share < 1.5
     assert found.nearest > 0.02
+
+
+@pytest.mark.parametrize(("amplitude", "lag"), [(0.5, 0), (50.0, 20)])
+def test_only_changes_of_acceleration_that_no_person_causes_show_a_lag(
+    robot: RobotModel, border_data: BorderData, amplitude: float, lag: int
+) -> None:
+    """All joints follow a sinusoidal acceleration 20 ms late, at 3 Hz.
+
+    Args:
+        robot: The robot.
+        border_data: Its border data.
+        amplitude: [rad/s²] amplitude of the acceleration.
+        lag: Expected lag in periods.
+    """
+    loop = ControlLoop(robot, border_data)
+    w = loop.step(at_rest(robot, np.array(robot.description.arm.ready_position))).step
+    gains, q, speed = gains_struct(Config(), robot, "dbb", 0.001), w.q_m.copy(), 0.0
+    for k in range(1000):
+        w.periods[()], w.known[()] = k % HISTORY, min(k, HISTORY)
+        w.history[k % HISTORY] = amplitude * np.sin(0.02 * k)
+        speed += 0.001 * amplitude * np.sin(0.02 * (k - 20))
+        q += 0.001 * speed
+        _find_lag(w.struct, q, 0, gains)
+    assert w.lag == pytest.approx(lag, abs=3)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.4, -1.0])

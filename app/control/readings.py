@@ -64,6 +64,7 @@ _RIGHT = 1.1  # [-] largest ratio, or its inverse, that counts as 1
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
 _CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
+_SUDDEN = 0.3  # [rad/s²] smallest change of acceleration between two readings that shows a lag
 _UNEXPECTED = 30.0  # [rad/s²] acceleration that a prediction over one period can miss
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
 _PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at longer intervals
@@ -78,7 +79,7 @@ _VERTICAL = 0.9  # [-] smallest share of a load's squared change that a vertical
 _QUIET = 0.4  # [-] largest change in an interval before a load, relative to the load's
 _ENDED = 0.2  # [-] largest further growth in the interval after a load, relative to the load's
 _GRAVITY = 9.81  # [m/s²]
-_LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola; smaller ones show no lag
+_LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola that counts as 0
 
 
 @compiled()
@@ -271,7 +272,8 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
             measured[i] -= weights[k] * w.read_before[k, i]
         size += measured[i] ** 2
     count = int(ages[2]) + len(w.evidence)
-    if size > _LEAST_CURVE and count <= min(int(w.known[()]), HISTORY):
+    least = (_SUDDEN * (ages[0] * gains.dt) ** 2) ** 2
+    if size > least and count <= min(int(w.known[()]), HISTORY):
         _weigh_lags(w, weights, measured, _explained(w, gains.dt, count), size)
     for k in (2, 1):
         put(w.read_before[k], w.read_before[k - 1])
