@@ -11,7 +11,29 @@ import msgspec
 import viser
 import websockets
 from viser import _messages
+from websockets.asyncio.client import connect as connect_async
 from websockets.sync.client import connect
+
+from app.dashboard.viser_compat import close_server, open_server
+
+
+@contextlib.contextmanager
+def served(allowed: Iterable[str] = ()) -> Iterator[viser.ViserServer]:
+    """A server of the dashboard on a free port."""
+    server = open_server("127.0.0.1", 0, allowed=allowed)
+    try:
+        yield server
+    finally:
+        close_server(server)
+
+
+def link(server: viser.ViserServer, origin: str | None) -> Any:
+    """An asynchronous connection from a page with an origin."""
+    return connect_async(
+        f"ws://127.0.0.1:{server.get_port()}",
+        origin=origin,
+        subprotocols=[websockets.Subprotocol(f"viser-v{viser.__version__}")],
+    )
 
 
 class RawClient:

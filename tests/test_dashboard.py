@@ -550,7 +550,7 @@ def test_labels_do_not_overlap_and_return_to_their_place_when_free(labels):
 @pytest.mark.parametrize(("v", "side"), [(0.0, "bottom"), (45.0, "top")])
 def test_label_at_an_edge_is_inside_the_picture(u, anchor, v, side):
     free = (-100.0, -50.0, 100.0, 50.0)
-    spots = set_apart({"a": (u, v, "end-effector – base")}, {}, free)
+    spots = set_apart({"a": (u, v, "gripper – base")}, {}, free)
     assert spots == {"a": (f"{side}-{anchor}", 0.0)}
 
 

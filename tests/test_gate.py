@@ -1,9 +1,8 @@
-"""The gate in front of viser: permitted connections and messages, and no lost wake-up."""
+"""The gate in front of viser: permitted connections and messages."""
 
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import io
 import logging
 import math
@@ -11,17 +10,15 @@ import socket
 import time
 import urllib.error
 import urllib.request
-import warnings
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from html import escape
 from types import SimpleNamespace
-from typing import get_type_hints
 
 import msgspec
 import pytest
 import viser
 import websockets
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 from viser import _messages
@@ -39,10 +36,9 @@ from app.dashboard.gate import (
     is_allowed,
 )
 from app.dashboard.notifications import Notifier
-from app.dashboard.viser_compat import _Buffer, close_server, open_server
 from app.errors import ServerError
 from tests.browser import wait_for
-from tests.raw_client import RawClient
+from tests.raw_client import RawClient, link, served
 
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -111,23 +107,6 @@ def camera(**changes):
 )
 def test_only_the_servers_own_page_is_allowed(of_page, host, allowed):
     assert is_allowed(of_page, host, {"robot"}, {"robot"}) is allowed
-
-
-@contextmanager
-def served(allowed=()):
-    server = open_server("127.0.0.1", 0, allowed=allowed)
-    try:
-        yield server
-    finally:
-        close_server(server)
-
-
-def link(server, of_page):
-    return connect(
-        f"ws://127.0.0.1:{server.get_port()}",
-        origin=of_page,
-        subprotocols=[websockets.Subprotocol(f"viser-v{viser.__version__}")],
-    )
 
 
 def try_to_connect(server, of_page):
@@ -613,108 +592,6 @@ def test_any_camera_message_is_complete_and_finite_or_refused(changes):
     numbers = [*read.wxyz, *read.position, *read.look_at, *read.up_direction, read.fov]
     assert len(numbers) == 14
     assert all(map(math.isfinite, numbers))
-
-
-def test_messages_to_a_closed_viewer_are_dropped_without_a_warning():
-    with warnings.catch_warnings(record=True) as warned, served() as server:
-        with RawClient(f"http://127.0.0.1:{server.get_port()}"):
-            wait_for(server.get_clients, what="the client")
-            [client] = server.get_clients().values()
-        wait_for(lambda: not server.get_clients(), what="the end of the viewer")
-        client.gui.add_text("x", "")
-    assert [str(each.message) for each in warned] == []
-
-
-def messages_of_kind(kind, server, client):
-    """Messages of a kind within viser's own annotations, about existing elements."""
-    known = {
-        "uuid": list(client.gui._gui_input_handle_from_uuid),
-        "source_component_uuid": list(client.gui._gui_input_handle_from_uuid),
-        "name": [*client.scene._handle_from_node_name],
-    }
-    hints = get_type_hints(kind)
-    fields = {
-        field.name: st.sampled_from(known[field.name])
-        if field.name in known
-        else st.just({"value": 0.7})
-        if field.name == "updates"
-        else st.from_type(hints[field.name])
-        for field in dataclasses.fields(kind)
-        if field.init
-    }
-    return st.fixed_dictionaries({"type": st.just(kind.__name__), **fields})
-
-
-@pytest.fixture(scope="module")
-def visited():
-    """A server and a viewer with a widget for each kind of message."""
-    with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
-        wait_for(server.get_clients, what="the client")
-        [client] = server.get_clients().values()
-        client.gui.add_slider("x", min=0.0, max=1.0, step=0.1, initial_value=0.3)
-        client.gui.add_checkbox("y", False)
-        client.gui.add_upload_button("z")
-        client.scene.add_transform_controls("/gizmo")
-        client.scene.add_box("/box").on_drag()(lambda _: None)
-        client.scene.on_click()(lambda _: None)
-        yield server, client
-
-
-@pytest.mark.parametrize("kind", _TAKEN, ids=lambda kind: kind.__name__)
-def test_visers_handlers_process_every_message_that_passes_the_gate(kind, visited):
-    """Random messages within viser's own types either are refused or raise no error."""
-    server, client = visited
-    loop = server._websock_server._background_event_loop
-
-    async def handled(message):
-        for place in (server._websock_server, client._websock_connection):
-            await place._handle_incoming_message(client.client_id, message)
-
-    @settings(database=None)
-    @given(messages_of_kind(kind, server, client))
-    def bears(content):
-        widgets = client.gui._gui_input_handle_from_uuid
-        try:
-            data = checked(msgspec.msgpack.encode(content), Uploads(1000), widgets.get)
-        except (RefusedError, OverflowError):  # no message holds such a number
-            return
-        message = _messages.Message.deserialize(data)
-        asyncio.run_coroutine_threadsafe(handled(message), loop).result(10.0)
-
-    bears()
-
-
-async def _set_between_look_and_wait(event: asyncio.Event) -> bool:
-    """Whether a waiter wakes if another thread sets the event just before the wait starts."""
-    waiter = asyncio.ensure_future(event.wait())
-    await asyncio.sleep(0)
-    event._value = True  # the thread's call, which saw no waiter yet
-    asyncio.get_running_loop().call_soon(event.set)
-    done, _ = await asyncio.wait([waiter], timeout=0.2)
-    waiter.cancel()
-    return bool(done)
-
-
-def test_no_wake_up_of_the_message_queue_is_lost():
-    async def both():
-        buffer = _Buffer(asyncio.get_running_loop(), persistent_messages=False)
-        ours = await _set_between_look_and_wait(buffer.message_event)
-        return ours, await _set_between_look_and_wait(asyncio.Event())
-
-    assert asyncio.run(both()) == (True, False), "viser's own event, the second one, loses it"
-
-
-def test_viewers_and_broadcasts_use_the_queue_without_lost_wake_ups():
-    with served() as server:
-        assert type(server._websock_server._broadcast_buffer) is _Buffer
-
-        async def come():
-            async with link(server, None) as connection:
-                await connection.recv()
-                states = server._websock_server._client_state_from_id
-                return [type(state.message_buffer) for state in states.values()]
-
-        assert asyncio.run(come()) == [_Buffer]
 
 
 @pytest.mark.parametrize(

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import ast
 import asyncio
+import dataclasses
 import logging
 import time
+import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_type_hints
 
+import msgspec
 import pytest
 import viser
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from viser import _messages
 from websockets.asyncio.server import ServerConnection
 
 from app.dashboard import job, notifications, server, viser_compat
+from app.dashboard.gate import _TAKEN, RefusedError, Uploads, checked
 from app.dashboard.server import is_loopback
 from app.dashboard.viser_compat import Channel, _Buffer, close_server, open_server
 from tests.browser import wait_for
-from tests.raw_client import RawClient
+from tests.raw_client import RawClient, link, served
 
 ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
 ONE_FILE = "viser_compat.py"
@@ -178,3 +184,105 @@ def test_removal_of_a_node_is_sent_before_it_is_created_again(persistent: bool) 
     kinds = [type(message).__name__ for message in queue.message_from_id.values()]
     assert kinds == ["RemoveSceneNodeMessage"] * (not persistent) + ["FrameMessage"]
     loop.close()
+
+
+def test_messages_to_a_closed_viewer_are_dropped_without_a_warning():
+    with warnings.catch_warnings(record=True) as warned, served() as server:
+        with RawClient(f"http://127.0.0.1:{server.get_port()}"):
+            wait_for(server.get_clients, what="the client")
+            [client] = server.get_clients().values()
+        wait_for(lambda: not server.get_clients(), what="the end of the viewer")
+        client.gui.add_text("x", "")
+    assert [str(each.message) for each in warned] == []
+
+
+def messages_of_kind(kind, server, client):
+    """Messages of a kind within viser's own annotations, about existing elements."""
+    known = {
+        "uuid": list(client.gui._gui_input_handle_from_uuid),
+        "source_component_uuid": list(client.gui._gui_input_handle_from_uuid),
+        "name": [*client.scene._handle_from_node_name],
+    }
+    hints = get_type_hints(kind)
+    fields = {
+        field.name: st.sampled_from(known[field.name])
+        if field.name in known
+        else st.just({"value": 0.7})
+        if field.name == "updates"
+        else st.from_type(hints[field.name])
+        for field in dataclasses.fields(kind)
+        if field.init
+    }
+    return st.fixed_dictionaries({"type": st.just(kind.__name__), **fields})
+
+
+@pytest.fixture(scope="module")
+def visited():
+    """A server and a viewer with a widget for each kind of message."""
+    with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
+        wait_for(server.get_clients, what="the client")
+        [client] = server.get_clients().values()
+        client.gui.add_slider("x", min=0.0, max=1.0, step=0.1, initial_value=0.3)
+        client.gui.add_checkbox("y", False)
+        client.gui.add_upload_button("z")
+        client.scene.add_transform_controls("/gizmo")
+        client.scene.add_box("/box").on_drag()(lambda _: None)
+        client.scene.on_click()(lambda _: None)
+        yield server, client
+
+
+@pytest.mark.parametrize("kind", _TAKEN, ids=lambda kind: kind.__name__)
+def test_visers_handlers_process_every_message_that_passes_the_gate(kind, visited):
+    """Random messages within viser's own types either are refused or raise no error."""
+    server, client = visited
+    loop = server._websock_server._background_event_loop
+
+    async def handled(message):
+        for place in (server._websock_server, client._websock_connection):
+            await place._handle_incoming_message(client.client_id, message)
+
+    @settings(database=None)
+    @given(messages_of_kind(kind, server, client))
+    def bears(content):
+        widgets = client.gui._gui_input_handle_from_uuid
+        try:
+            data = checked(msgspec.msgpack.encode(content), Uploads(1000), widgets.get)
+        except (RefusedError, OverflowError):  # no message holds such a number
+            return
+        message = _messages.Message.deserialize(data)
+        asyncio.run_coroutine_threadsafe(handled(message), loop).result(10.0)
+
+    bears()
+
+
+async def _set_between_look_and_wait(event: asyncio.Event) -> bool:
+    """Whether a waiter wakes if another thread sets the event just before the wait starts."""
+    waiter = asyncio.ensure_future(event.wait())
+    await asyncio.sleep(0)
+    event._value = True  # the thread's call, which saw no waiter yet
+    asyncio.get_running_loop().call_soon(event.set)
+    done, _ = await asyncio.wait([waiter], timeout=0.2)
+    waiter.cancel()
+    return bool(done)
+
+
+def test_no_wake_up_of_the_message_queue_is_lost():
+    async def both():
+        buffer = _Buffer(asyncio.get_running_loop(), persistent_messages=False)
+        ours = await _set_between_look_and_wait(buffer.message_event)
+        return ours, await _set_between_look_and_wait(asyncio.Event())
+
+    assert asyncio.run(both()) == (True, False), "viser's own event, the second one, loses it"
+
+
+def test_viewers_and_broadcasts_use_the_queue_without_lost_wake_ups():
+    with served() as server:
+        assert type(server._websock_server._broadcast_buffer) is _Buffer
+
+        async def come():
+            async with link(server, None) as connection:
+                await connection.recv()
+                states = server._websock_server._client_state_from_id
+                return [type(state.message_buffer) for state in states.values()]
+
+        assert asyncio.run(come()) == [_Buffer]

@@ -9,7 +9,6 @@ annotations, which viser itself does not check.
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import http
 import ipaddress
 import math
@@ -20,9 +19,6 @@ import threading
 from asyncio import get_running_loop
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
-from html import escape
-from pathlib import Path
 from typing import Any, Union, get_type_hints
 from urllib.parse import urlsplit
 
@@ -33,6 +29,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from app.dashboard.markup import refusal, with_head
 from app.errors import ServerError
 
 LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half this size
@@ -66,13 +63,6 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Headers of each answer, in addition to the policy."""
-_ANSWER = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
-<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
-<style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
-body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
-<p>{why}.</p>{more}</html>
-"""
-"""Page of a refused request."""
 _WAY_OUT = """<p>To reach this server under this name, restart it with
 <code>--allow-host {name}</code>. Everybody who can open the page can move the robot.</p>"""
 _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
@@ -81,12 +71,6 @@ _METHODS = "GET", "HEAD"
 _PORTS = {"http": 80, "https": 443}
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
 """Headers that may occur once only, because this module or viser reads a single value."""
-_SCRIPT, _CONTROLS, _STYLE = (
-    Path(__file__).with_name(name).read_text(encoding="utf-8")
-    for name in ("page.js", "controls.js", "page.css")
-)
-_HEAD = f'<head><meta charset="utf-8"><script>{_SCRIPT}{_CONTROLS}</script><style>{_STYLE}</style>'
-"""Content of the page before viser's own client."""
 _lock = threading.Lock()
 
 _TAKEN = (
@@ -185,9 +169,8 @@ class Gate:
                 answer = inner(connection, request)
                 answer = await answer if hasattr(answer, "__await__") else answer
                 if answer and answer.headers.get("Content-Type", "").startswith("text/html"):
-                    answer.body = with_script(
-                        bytes(answer.body), answer.headers["Content-Encoding"]
-                    )
+                    encoding = answer.headers["Content-Encoding"]
+                    answer.body = with_head(bytes(answer.body), encoding)
                     del answer.headers["Content-Length"]
                     answer.headers["Content-Length"] = str(len(answer.body))
             if answer is not None:
@@ -229,7 +212,7 @@ class Gate:
             more = '<p><a href=".">Open the page without it</a></p>'
         else:
             return None
-        body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode(errors="replace")
+        body = refusal(why[:_LONGEST_REASON], more).encode(errors="replace")
         kind = "text/html; charset=utf-8"
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
         return Response(status.value, status.phrase, fields, body)
@@ -254,10 +237,9 @@ class Gate:
 class _Connection(ServerConnection):
     """A connection that answers every HTTP request, not only GET requests of HTTP/1.1.
 
-    The library `websockets` reads only GET requests of HTTP/1.1; after any other request it closes
-    the connection without an answer. But proxies send requests of HTTP/1.0, and programs that check
-    a server's health send HEAD requests. If the method is neither GET nor HEAD, this class reads
-    only the first line of the request.
+    The library `websockets` closes the connection after any other request. But proxies send
+    requests of HTTP/1.0, and health checks send HEAD requests. After a method that is neither GET
+    nor HEAD, this class reads only the first line of the request.
     """
 
     method = "GET"
@@ -306,14 +288,6 @@ class _Checked:
             if late is not None:
                 late.cancel()
         return bytes(message)
-
-
-@lru_cache(maxsize=2)
-def with_script(page: bytes, encoding: str) -> bytes:
-    """Insert `_HEAD` into viser's page, which is compressed if `encoding` is "gzip"."""
-    html = (gzip.decompress if encoding == "gzip" else bytes)(page)
-    html = html.replace(b"<head>", _HEAD.encode(), 1)
-    return gzip.compress(html) if encoding == "gzip" else html
 
 
 def is_allowed(
@@ -448,9 +422,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     for name in message.__struct_fields__:
         longest = _LONGEST_VALUE if name == "updates" else _LONGEST_NAME
         if not _is_plain(getattr(message, name), longest, _DEEPEST):
-            raise RefusedError(
-                f"{name} is too long, too deeply nested or not a number of a page", message
-            )
+            raise RefusedError(f"{name} is too long, too deeply nested, or too large", message)
     if isinstance(message, _RECORDS[_messages.GuiUpdateMessage]):
         if set(message.updates) != {"value"}:
             raise RefusedError("only the value of a widget can be set", message)
@@ -481,14 +453,9 @@ def is_picture(content: bytes) -> bool:
 def is_alike(value: object, current: object) -> bool:
     """Whether `value` has the type of a widget's current value; int and float count as one type."""
     if isinstance(current, tuple):
-        return (
-            isinstance(value, list)
-            and len(value) == len(current)
-            and all(map(is_alike, value, current))
-        )
-    if isinstance(current, bool):
-        return isinstance(value, bool)
-    if isinstance(current, int | float):
+        as_long = isinstance(value, list) and len(value) == len(current)
+        return as_long and all(map(is_alike, value, current))
+    if isinstance(current, int | float) and not isinstance(current, bool):
         return isinstance(value, int | float) and not isinstance(value, bool)
     return isinstance(value, type(current))
 

@@ -1,7 +1,10 @@
-"""HTML of panels: text, tables and banners in a uniform style."""
+"""HTML of the page: its head, the page of a refused request, and texts of panels in one style."""
 
+import gzip
 from collections.abc import Iterable
+from functools import lru_cache
 from html import escape
+from pathlib import Path
 
 from app.errors import DbbError
 
@@ -11,6 +14,20 @@ ONE_LINE = "white-space:nowrap"
 BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 
+_REFUSAL = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
+<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
+<style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
+body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
+<p>{why}.</p>{more}</html>
+"""
+"""Page of a refused request."""
+_SCRIPT, _CONTROLS, _STYLE = (
+    Path(__file__).with_name(name).read_text(encoding="utf-8")
+    for name in ("page.js", "controls.js", "page.css")
+)
+_HEAD = f'<head><meta charset="utf-8"><script>{_SCRIPT}{_CONTROLS}</script><style>{_STYLE}</style>'
+"""Content of the page before viser's own client."""
+
 DEFECT = "A defect of the program; the log in the terminal has the details."
 """Text for an exception that is not a `DbbError`."""
 
@@ -18,6 +35,19 @@ DEFECT = "A defect of the program; the log in the terminal has the details."
 def plain(error: BaseException) -> str:
     """Return the text of an error for viewers: its message, or `DEFECT`."""
     return str(error) if isinstance(error, DbbError) else DEFECT
+
+
+@lru_cache(maxsize=2)
+def with_head(page: bytes, encoding: str) -> bytes:
+    """Insert `_HEAD` into viser's page, which is compressed if `encoding` is "gzip"."""
+    html = (gzip.decompress if encoding == "gzip" else bytes)(page)
+    html = html.replace(b"<head>", _HEAD.encode(), 1)
+    return gzip.compress(html) if encoding == "gzip" else html
+
+
+def refusal(why: str, more: str) -> str:
+    """Return the page of a refused request; the reason `why` is escaped, the HTML `more` is not."""
+    return _REFUSAL.format(why=escape(why), more=more)
 
 
 def small(html: str, *styles: str) -> str:
