@@ -65,7 +65,13 @@ def test_a_replay_plays_from_a_file_without_a_network(browser, replay):
     x = [p[0] for p in places if p]
     assert np.ptp(x) > 0.05, "the base does not move"  # [m]
     assert min(x) < -0.05, "the base does not move backwards"
-    for node in ("/robot/border_lm-lEE", "/trails/end-effector", "/distances", "/acting", "/person"):
+    for node in (
+        "/robot/border_lm-lEE",
+        "/trails/end-effector",
+        "/distances",
+        "/acting",
+        "/person",
+    ):
         assert page.evaluate("name => dbbPage.has(name)", node), node
     context.close()
     assert errors == []

@@ -450,7 +450,7 @@ def is_picture(content: bytes) -> bool:
     return not content or (whole and b"acTL" not in head)  # not an animation
 
 
-def is_alike(value: object, current: object) -> bool:
+def is_alike(value: Any, current: object) -> bool:
     """Whether `value` has the type of a widget's current value; int and float count as one type."""
     if isinstance(current, tuple):
         as_long = isinstance(value, list) and len(value) == len(current)
