@@ -113,7 +113,7 @@ EXTRAS = {
     "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
     "onboarding": (
         *("collada", "fast_simplification", "jinja2", "matplotlib", "mpl_toolkits"),
-        "xacrodoc",
+        *("xacro", "xacrodoc"),
     ),
     "sim": (
         *("foxglove", "google", "mujoco", "pyarrow", "pybullet", "pybullet_data", "rosbags"),
