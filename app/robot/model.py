@@ -245,9 +245,9 @@ def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
     """[m] upper bound of the distance between the two ends of a chain of joints.
 
-    It is the sum of the lengths of the translations of `links`, each of which is the pose of a
-    frame in the frame before it, and of the larger absolute limit of each sliding joint. `slides`
-    (2, k) [m] has the lower and upper limits of the sliding joints.
+    `links` are the poses of the chain's frames, each in the frame before it. `slides` (2, k) [m]
+    has the lower and upper limits of the sliding joints. The bound is the sum of the lengths of
+    all translations and of the larger absolute limit of each sliding joint.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())
