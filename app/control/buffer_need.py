@@ -32,12 +32,13 @@ drives the base along its own side, until the force has a lever.
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.compiled import compiled
+from app.compiled import compiled, direct
 from app.config import AdmittanceConfig, Config
 from app.robot.bases.kind import BaseKind, Channel
 from app.strict import Array
@@ -118,29 +119,7 @@ def _bound(
     return found
 
 
-@compiled("i8(f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
-def _first(
-    sizes: Array,
-    channels: Array,
-    v: float,
-    late: float,
-    kept: float,
-    f_max: float,
-    alpha_min: float,
-    d_full: float,
-) -> int:
-    """Index of the first sufficient d_b of ascending `sizes` (k,) [m]; k without any.
-
-    The other arguments are those of `_bound`, which grows with d_b.
-    """
-    low, high = 0, len(sizes)
-    while low < high:
-        middle = (low + high) // 2
-        if _bound(sizes[middle], channels, v, late, kept, f_max, alpha_min, d_full) >= RESERVE:
-            high = middle
-        else:
-            low = middle + 1
-    return low
+_bound_once = direct(_bound)
 
 
 class Approach(NamedTuple):
@@ -177,12 +156,16 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
     `sizes` (k,) [m] are ascending; the result is between two of them, because `_bound` grows with
     d_b.
     """
-    low = _first(sizes, *way)
+
+    def first(ascending: Array) -> int:
+        return bisect_left(ascending, True, key=lambda d_b: _bound_once(d_b, *way) >= RESERVE)
+
+    low = first(sizes)
     if low == len(sizes):
         return math.inf
     if low > 0:
         sizes = np.linspace(sizes[low - 1], sizes[low], 20)
-        low = min(_first(sizes, *way), len(sizes) - 1)
+        low = min(first(sizes), len(sizes) - 1)
     return float(sizes[low])
 
 

@@ -405,20 +405,19 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
     The fault `localisation` is a jump of the pose. The fault `base` is a change of velocity that
     the assumed acceleration of the base does not explain: `w.astray` is a decaying sum of them.
     """
+    time = (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
     if not math.isfinite(pose.sum()):
-        _drive_on(robot, w, w.pose_last, 0.0 if first else (1.0 + w.age[()]) * gains.dt)
+        _drive_on(robot, w, w.pose_last, 0.0 if first else time)
         put(pose, w.pose_last)
     elif not first:
-        steps = 1.0 + w.age[()]
-        far = _FARTHEST * steps * gains.dt * max(robot.v_max[0], 1.0)
+        far = _FARTHEST * time * max(robot.v_max[0], 1.0)
         moved = math.hypot(pose[0] - w.pose_last[0], pose[1] - w.pose_last[1])
         turned = abs((pose[2] - w.pose_last[2] + math.pi) % (2.0 * math.pi) - math.pi)
         w.faults[LOCALISATION] = 1.0 if moved > far or turned > 2.0 * far else 0.0
     if not math.isnan(w.v_last[0]):
-        steps = 1.0 + w.age[()]
-        decay = math.exp(-steps * gains.dt / _FOLLOWS)
+        decay = math.exp(-time / _FOLLOWS)
         for i in range(robot.n_b):
-            explained = steps * gains.dt * w.a_base_meas[i]
+            explained = time * w.a_base_meas[i]
             w.astray[i] = decay * (w.astray[i] + velocity[i] - w.v_last[i] - explained)
             if abs(w.astray[i]) > _ASTRAY * gains.largest_command[i]:
                 w.faults[BASE] = 1.0

@@ -1,6 +1,7 @@
 """The report of a new robot: a page with warnings, pictures and tables, and a 3D view."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -179,7 +180,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     model = robot.model
     placed, units = placements(model, robot.ready.q_m), robot.meetings.units
     bodies = [*body_meshes(model, placed)]
-    colours = dict(zip(model.body_names, BODY_COLOURS, strict=False))
+    colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
         corners = [moved(p.corners, placed[u.joint]) for u in units for p in u.parts]
