@@ -39,9 +39,14 @@ def give_back() -> None:
     """Run the garbage collector and return the freed memory to the system.
 
     Python searches old objects for reference cycles only rarely, but a few such objects can use
-    much memory, for example a model or a border.
+    much memory, for example a model or a border. If the collector excludes objects (`gc_frozen`),
+    it excludes all remaining objects afterwards.
     """
+    frozen = gc.get_freeze_count() > 0
+    gc.unfreeze()
     gc.collect()
+    if frozen:
+        gc.freeze()
     give_freed_memory_back()
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import viser
 
 from app.border.dbb import Cloud
+from app.dashboard.job import give_back
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
@@ -23,6 +24,7 @@ from app.errors import LoopError, ServerError
 from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
@@ -69,8 +71,9 @@ class DashboardServer:
             LoopError: The simulation or the drawing has ended with an error, which the pages show
                 until the server ends.
         """
+        give_back()
         try:
-            with contextlib.suppress(KeyboardInterrupt):
+            with gc_frozen(), contextlib.suppress(KeyboardInterrupt):
                 self._stopping.wait()
         finally:
             self.stop()
