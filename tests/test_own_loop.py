@@ -212,6 +212,10 @@ READINGS = {
     "late from the middle of a motion": (lambda: starting_at(late(1), 390), {"lag", "repeated"}),
     "12 ms late from the middle of a motion": (
         lambda: both(filtered(8e-5), starting_at(late(12), 390)),
+        {"lag"},
+    ),
+    "9 ms late and each 27 ms from the middle of a motion": (
+        lambda: starting_at(both(late(9), every_nth(27)), 400),
         {"lag", "repeated"},
     ),
     "velocities that a filter delays": (lambda: filtered(), set()),

@@ -100,8 +100,9 @@ agreed | | | s | | readings | memory: duration of intervals with equal ratios ot
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
 rested | | | 1 | | readings | memory: number of equal readings while the robot rests
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
-pose_last | | 3 | m, m, rad | world | readings | memory: newest pose of the base
+pose_read | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
+pose_last | | 3 | m, m, rad | world | readings | memory: pose of the base at the last used reading
 astray | | n_b | m/s, rad/s | axes | readings |
     memory: recent changes of the base's velocity that the model of its drive does not explain
 history | | 128 n_m | rad/s² | joints | readings |

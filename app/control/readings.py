@@ -134,7 +134,7 @@ def _is_repeated(
     if not (
         _same(q, w.reading[0])
         and _same(qd, w.reading[1])
-        and _same(base_pose, w.pose_last)
+        and _same(base_pose, w.pose_read)
         and _same(base_velocity, w.v_read)
     ):
         return False
@@ -595,7 +595,8 @@ def take_readings(
         velocity = _usable_velocity(robot, gains, w, base_velocity, first)
     _remember(robot, gains, w, velocity, not lost)
     advance(w.x_est, _recall(w, 0, 1), gains.dt)
-    if not (lost or first):
+    unseen = not lost
+    if unseen and not first:
         lost = _match_lag(w, q, qd, gains)
     if lost:
         w.age[()] += 1.0
@@ -603,8 +604,12 @@ def take_readings(
         w.age[()] += _rested(w, q, qd, gains.dt, first)
         _take_new(robot, gains, w, q, qd, first)
         _take_base(robot, gains, w, base_pose.copy(), velocity, first)
-        put(w.v_read, base_velocity)
         w.age[()] = 0.0
+    if unseen:
+        put(w.reading[0], q)
+        put(w.reading[1], qd)
+        put(w.pose_read, base_pose)
+        put(w.v_read, base_velocity)
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
     _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
@@ -639,5 +644,3 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     if lag > 0:
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)
     _learn_v_error(gains, w, predicted)
-    put(w.reading[0], q)
-    put(w.reading[1], qd)
