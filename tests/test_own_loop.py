@@ -264,6 +264,15 @@ def test_delay_that_begins_in_noise_is_reported_within_0_1_s(
     assert found.share < 1.05
 
 
+@pytest.mark.parametrize(("delay", "noise", "pull"), [(17, 1e-4, 40.0), (14, 6e-5, 30.0)])
+def test_delay_that_noise_hides_at_rest_is_reported_within_0_1_s_of_a_pull(
+    run, delay: int, noise: float, pull: float
+) -> None:
+    found = run(noisy(noise, late(delay)), start=SIDE, pull=np.array([0.0, -pull, 0.0]), time=0.8)
+    assert found.faults["lag"] < 0.1
+    assert found.share < 1.15
+
+
 def test_base_velocity_in_another_unit_is_reported_without_contact(run) -> None:
     """Slow motions stay plausible in the wrong unit, so joints move faster than normally."""
     found = run(lambda k, m: m._replace(base_velocity=1000 * m.base_velocity))

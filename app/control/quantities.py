@@ -109,8 +109,9 @@ history | | 128 n_m | rad/s² | joints | readings |
     memory: predicted joint accelerations of the last periods, as a ring buffer
 periods | | | 1 | | readings | memory: index of the newest row of `history`
 known | | | 1 | | readings | memory: number of rows of `history` since the last gap
-read_before | | 3 n_m | rad | joints | readings | memory: positions of the last three readings
-read_ages | | 3 | 1 | | readings | memory: age of the last three readings in periods
+group | | 16 n_m | rad | joints | readings | memory: mean positions of the last groups of readings
+group_age | | 16 | 1 | | readings | memory: mean age of these readings in periods
+group_size | | | 1 | | readings | memory: number of readings in the newest group
 evidence | | 26 | 1 | | readings |
     memory: evidence for each lag from 0 to 24 periods, and for a longer one
 travel | | 3 n_m | rad, rad/s | joints | readings |

@@ -8,7 +8,8 @@ are estimated from the readings themselves:
 
 - **The lag**: a delay that begins during a motion is the age at which the predicted state equals
   the reading. Any delay is the number of periods until accelerations by the torques and by the base
-  appear in the measured positions.
+  appear in the measured positions. All readings of the last 100 periods count, so that noise hides
+  the delay as little as possible.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
@@ -63,13 +64,14 @@ _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT = 1.1  # [-] largest ratio, or its inverse, that counts as 1
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
-_CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
-_SUDDEN = 0.3  # [rad/s²] smallest change of acceleration between two readings that shows a lag
+_GROUP = 5.0  # [periods] shortest duration of a group of readings
+_FEWEST_GROUPS, _CUBIC = 4, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
+_EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predicted motion
+_DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
+_CONVINCING = 3.0  # [-] evidence that changes the lag
+_CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
 _UNEXPECTED = 30.0  # [rad/s²] acceleration that a prediction over one period can miss
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
-_PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at longer intervals
-_INTERVALS = 3.0, 16.0  # [periods] shortest and longest of these intervals
-_CONVINCING = 1.2, 10.5  # evidence for a change of the lag: readings, and periods
 _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive's model
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
@@ -79,7 +81,6 @@ _VERTICAL = 0.9  # [-] smallest share of a load's squared change that a vertical
 _QUIET = 0.4  # [-] largest change in an interval before a load, relative to the load's
 _ENDED = 0.2  # [-] largest further growth in the interval after a load, relative to the load's
 _GRAVITY = 9.81  # [m/s²]
-_LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola that counts as 0
 
 
 @compiled()
@@ -222,28 +223,32 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
 
 @compiled()
 def _explained(w: Any, dt: float, count: int) -> Array:
-    """(count, n_m) [rad] motion by the stored accelerations, since the oldest of `count` periods.
+    """(n_m, count) [rad] motion by the stored accelerations, since the oldest of `count` periods.
 
-    Row k is the motion until k periods ago.
+    Column k is the motion until k periods ago.
     """
-    found = np.zeros((count, w.history.shape[1]))
-    for i in range(found.shape[1]):
-        way = speed = 0.0
-        for k in range(count - 2, -1, -1):
-            speed += dt * w.history[(int(w.periods[()]) - k) % HISTORY, i]
-            way += dt * speed
-            found[k, i] = way
+    n_m = w.history.shape[1]
+    found, speed, way = np.zeros((n_m, count)), np.zeros(n_m), np.zeros(n_m)
+    for k in range(count - 2, -1, -1):
+        row = w.history[(int(w.periods[()]) - k) % HISTORY]
+        for i in range(n_m):
+            speed[i] += dt * row[i]
+            way[i] += dt * speed[i]
+            found[i, k] = way[i]
     return found
 
 
 @compiled()
-def _parabola(ages: Array) -> Array:
-    """(3,) weights that extrapolate values of the ages (3,) to age 0 along a parabola."""
-    found = np.ones(3)
-    for k in range(3):
-        for j in range(3):
-            if j != k:
-                found[k] *= ages[j] / (ages[j] - ages[k])
+def _polynomials(ages: Array, count: int) -> Array:
+    """(count, n) orthonormal values of polynomials of degree 0 to count - 1 at the ages (n,)."""
+    found = np.ones((count, len(ages)))
+    for j in range(count):
+        if j > 0:
+            put(found[j], found[j - 1] * ages / ages[-1])
+        for _ in range(2):  # the second time against rounding errors
+            for i in range(j):
+                put(found[j], found[j] - dot(found[i], found[j]) * found[i])
+        put(found[j], found[j] / math.sqrt(dot(found[j], found[j])))
     return found
 
 
@@ -251,63 +256,91 @@ def _parabola(ages: Array) -> Array:
 def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     """Estimate `w.lag`, the delay of the readings in periods.
 
-    Each possible lag predicts the deviation of the newest reading from the parabola through the
-    three readings before it. A lag gains evidence if its prediction is far better than the
-    prediction of the present lag, and far better than a prediction of 0; otherwise it loses
-    evidence (these are the sums of a CUSUM test). A single reading adds at most 1, so no single
-    event can decide. More readings are necessary if the intervals between them are short.
-
-    Noise of the positions hides the effect of an acceleration, which grows with the square of the
-    interval between the readings. Thus the interval grows with the root of the noise.
+    Successive readings form a group, of which the mean counts: this reduces noise. Each possible
+    lag predicts the motion of the last groups, up to a polynomial of time, which stands for the
+    motion by external forces (`_weigh_lags`).
     """
-    ages = w.read_ages
-    for k in range(3):
+    ages = w.group_age
+    for k in range(len(ages)):
         ages[k] += age + 1.0
-    noise = math.sqrt(w.noise_var[0].max())
-    if ages[0] < min(max(math.sqrt(noise / _PRECISE), _INTERVALS[0]), _INTERVALS[1]):
-        return
-    weights, measured, size = _parabola(ages), q.copy(), 0.0
+    if ages[0] >= 0.5 * (_GROUP + 1.0):
+        _weigh_lags(w, gains)
+        for k in range(len(ages) - 1, 0, -1):
+            put(w.group[k], w.group[k - 1])
+            ages[k] = ages[k - 1]
+        w.group_size[()] = 0.0
+    w.group_size[()] += 1.0
+    share = 1.0 / w.group_size[()]
+    ages[0] *= 1.0 - share
     for i in range(len(q)):
-        for k in range(3):
-            measured[i] -= weights[k] * w.read_before[k, i]
-        size += measured[i] ** 2
-    count = int(ages[2]) + len(w.evidence)
-    least = (_SUDDEN * (ages[0] * gains.dt) ** 2) ** 2
-    if size > least and count <= min(int(w.known[()]), HISTORY):
-        _weigh_lags(w, weights, measured, _explained(w, gains.dt, count), size)
-    for k in (2, 1):
-        put(w.read_before[k], w.read_before[k - 1])
-        ages[k] = ages[k - 1]
-    put(w.read_before[0], q)
-    ages[0] = 0.0
+        w.group[0, i] += share * (q[i] - w.group[0, i])
 
 
 @compiled()
-def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: float) -> None:
-    """Update the evidence with one reading, and change the lag if the evidence is sufficient.
+def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> Array:
+    """(lags + 1,) [rad²] squared residuals of one joint for each lag; the last is without one.
 
     Args:
-        w: The quantities of the control step, `STEP`.
-        weights: (3,) weights of the three earlier readings, from `_parabola`.
-        measured: (n_m,) [rad] deviation of the newest reading from the parabola.
-        ways: (k, n_m) [rad] predicted motion until 0, 1, ... periods ago, from `_explained`.
-        size: [rad²] squared length of `measured`: the error without any prediction.
+        q: (n,) [rad] mean positions of the groups.
+        ways: (count,) [rad] predicted motion until 0, 1, ... periods ago.
+        ages: (n,) [periods] mean ages of the groups.
+        basis: (m, n) orthonormal polynomials, whose best fit is subtracted.
+        lags: Number of possible lags.
     """
-    errors = np.zeros(len(w.evidence))
-    for lag in range(len(errors)):
-        for i in range(len(measured)):
-            error = measured[i] - ways[lag, i]
-            for k in range(3):
-                error += weights[k] * ways[lag + int(w.read_ages[k]), i]
-            errors[lag] += error**2
-    others = min(errors[int(w.lag[()])], size)
-    for lag in range(len(errors)):
-        error = _CLEARLY * errors[lag]
-        gained = (others - error) / (others + error + _LEAST_CURVE)
-        w.evidence[lag] = max(w.evidence[lag] + gained, 0.0)
+    found, fitted, rest = np.zeros(lags + 1), np.zeros((len(basis), lags + 1)), np.empty(lags + 1)
+    for k in range(len(q)):
+        age, moved = int(ages[k]), q[k] - q[0]
+        share, way, earlier = ages[k] - age, ways[age:], ways[age + 1 :]
+        for lag in range(lags):
+            rest[lag] = moved - (1.0 - share) * way[lag] - share * earlier[lag]
+        rest[lags] = moved
+        for lag in range(lags + 1):
+            found[lag] += rest[lag] * rest[lag]
+        for j in range(len(basis)):
+            weight, row = basis[j, k], fitted[j]
+            for lag in range(lags + 1):
+                row[lag] += weight * rest[lag]
+    for j in range(len(basis)):
+        row = fitted[j]
+        for lag in range(lags + 1):
+            found[lag] -= row[lag] * row[lag]
+    return found
+
+
+@compiled()
+def _weigh_lags(w: Any, gains: Any) -> None:
+    """Update the evidence with a new group, and change the lag if the evidence is sufficient.
+
+    The positions without the predicted motion of a lag are fitted by a polynomial. The gain of a
+    lag is the logarithm of a likelihood ratio, with an unknown noise of each joint: it is large if
+    the residuals are much smaller than those of the present lag, and than those without a
+    prediction. The evidence is the sum of the gains above a threshold (a CUSUM test). The gain of
+    one group is limited, so no single event can decide.
+    """
+    ages, lags, n = w.group_age, len(w.evidence), 0
+    known = min(int(w.known[()]), HISTORY) - lags - 1
+    while n < len(ages) and ages[n] < known:
+        n += 1
+    if n < _FEWEST_GROUPS:
+        return
+    basis = _polynomials(ages[:n], 4 if n >= _CUBIC else 3)
+    ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
+    ratios, totals, present = np.ones(lags), np.zeros(lags + 1), int(w.lag[()])
+    for i in range(len(ways)):
+        error = min(w.noise_var[0, i], _MOST_NOISE**2) / w.group_size[()] + _EXACT**2
+        residuals = _residuals(w.group[:n, i], ways[i], ages, basis, lags)
+        for lag in range(lags + 1):
+            residuals[lag] = max(residuals[lag], 0.0) + (n - len(basis)) * error
+            totals[lag] += residuals[lag]
+        least = min(residuals[present], residuals[lags])
+        for lag in range(lags):
+            ratios[lag] *= least / residuals[lag]
+    total = min(totals[present], totals[lags]) / _CLEARLY
+    for lag in range(lags):
+        gain = min(0.5 * math.log(ratios[lag]), _LARGEST_GAIN) if totals[lag] < total else 0.0
+        w.evidence[lag] = max(w.evidence[lag] + gain - _DOUBT, 0.0)
     best = int(np.argmax(w.evidence))
-    readings, periods = _CONVINCING
-    if best <= _MOST_LAG and w.evidence[best] > readings + periods / w.read_ages[0]:
+    if best <= _MOST_LAG and w.evidence[best] > _CONVINCING:
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)
@@ -383,8 +416,8 @@ def _begin(gains: Any, w: Any, q: Array, qd: Array) -> None:
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 0.0
     _measure_from(w, q, qd)
-    for k in range(3):
-        w.read_ages[k] = HISTORY * (k + 1.0)  # no earlier readings exist
+    for k in range(len(w.group_age)):
+        w.group_age[k] = HISTORY * (k + 1.0)  # no earlier readings exist
 
 
 @compiled()
