@@ -97,6 +97,7 @@ lag | | | 1 | | readings | memory: delay of the readings in periods
 ratio | | | 1 | | readings |
     memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
 agreed | | | s | | readings | memory: duration of intervals with equal ratios other than 1
+corrected | | | 1 | | readings | memory: 1 after the fault `period`
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
 rested | | | 1 | | readings | memory: number of equal readings while the robot rests
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities

@@ -61,7 +61,8 @@ _FARTHEST = 10.0  # [-] multiple of a top speed above which a motion is impossib
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
-_RIGHT = 1.1  # [-] largest ratio, or its inverse, that counts as 1
+_RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
+_PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] shortest duration of a group of readings
@@ -368,20 +369,24 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
     The joint with the largest displacement is used. A driver's filter can delay velocities by up to
     0.01 s, and rare readings seem to delay them by half an interval. Each possible delay implies a
-    ratio, and `w.ratio` becomes the ratio nearest to 1. If this ratio is outside of 0.1 to 10, no
-    plausible period explains the readings: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1.
-    At least three successive ratios that differ from 1, and agree for 0.05 s, set the fault
-    `period`.
+    ratio. `w.ratio` becomes 1 if a ratio near 1 is among them, and otherwise the mean of the
+    smallest and the largest one. If this mean is outside of 0.1 to 10, no plausible period explains
+    the readings: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1. At least three successive
+    ratios that differ from 1, and agree for 0.05 s, set the fault `period`. A measured period is
+    corrected by more precise measurements.
     """
     if steps > HISTORY or (steps == 1 and w.known[()] == 0.0):  # a gap of unknown duration
         _measure_from(w, q, qd)
         return
+    right, precisely = _RIGHT, 1.0
+    if w.corrected[()] != 0.0:
+        right, precisely = _MEASURED_RIGHT, _PRECISELY
     far, most = -1, 1.0
     w.since[()] += 1.0
     w.travel_time[()] += steps * gains.dt
     for i in range(len(q)):
         w.travel[1, i] += steps * gains.dt * 0.5 * (w.reading[1, i] + qd[i])
-        way = max(_LEAST_WAY, _NOISES * math.sqrt(w.noise_var[0, i]))
+        way = precisely * max(_LEAST_WAY, _NOISES * math.sqrt(w.noise_var[0, i]))
         share = abs(q[i] - w.travel[0, i]) / way
         if share > most:
             far, most = i, share
@@ -392,10 +397,12 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     delay = _FILTER + 0.5 * steps * gains.dt
     ratio, late = _divided(way, integral), _divided(way, integral + delay * change)
     low, high = min(ratio, late), max(ratio, late)
-    if low < 0.0 < high or (low < _RIGHT and high > 1.0 / _RIGHT):
+    if low < 0.0 < high or (low < right and high > 1.0 / right):
         found = 1.0
     else:
         found = low if low > 1.0 else high
+        if low > 0.0 and high < math.inf:
+            found = math.sqrt(low * high)
     w.no_velocity[()] = 0.0 if 0.1 < found < 10.0 else 1.0  # NaN too
     if w.no_velocity[()] != 0.0:
         found = 1.0
@@ -403,7 +410,8 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         agrees = abs(found - w.ratio[()]) < 0.15 * found
         time = found * w.travel_time[()]
         w.agreed[()] = w.agreed[()] + time if agrees else 0.0
-        w.faults[PERIOD] = 1.0 if w.agreed[()] >= max(_AGREED, 1.5 * time) else 0.0
+        if w.agreed[()] >= max(_AGREED, 1.5 * time):
+            w.faults[PERIOD] = w.corrected[()] = 1.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = found
     _measure_from(w, q, qd)
@@ -498,6 +506,9 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if size == 0.0 or w.samples[()] < FEWEST:
         return
     w.load[()] = -dot(torque, lift) / size / _GRAVITY
+    if w.samples[()] == FEWEST:  # the estimate has restarted
+        for k in range(len(w.torques)):
+            put(w.torques[k], torque)
     w.torques_age[()] += gains.dt
     if w.torques_age[()] > _SAMPLED - 0.5 * gains.dt:
         w.torques_age[()] = 0.0
