@@ -166,9 +166,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
     return drawing.Drawing(
-        figure,
-        {"": drawing.stacked(parts, "direction")},
-        sources.results(DIRECTIONS, keys),
+        figure, {"": drawing.stacked(parts, "direction")}, sources.results(DIRECTIONS, keys)
     )
 
 
