@@ -20,7 +20,7 @@ from app.onboarding.fit.units import moved, units_of_links
 from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.report import BODY_COLOURS, body_meshes, fill, placements
+from app.onboarding.report import BODY_COLOURS, fill, placements
 from app.robot.assets import urdf_path
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -34,7 +34,8 @@ IN_A_ROW = 6  # [-] largest number of robots in a row
 
 def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
     """Draw the ready pose along an axis: the bodies over the grey hulls of the links."""
-    placed = placements(model, np.array(model.description.arm.ready_position))
+    ready = np.array(model.description.arm.ready_position)
+    placed = placements(model, ready)
     path = urdf_path(model.description)
     geometry = read_geometry(make_tree(read_robot(path)[0]))
     for units in units_of_links(model, geometry).values():
@@ -42,7 +43,7 @@ def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
             for part in unit.parts:
                 fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.5)
     colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
-    for name, mesh in body_meshes(model, placed):
+    for name, mesh in model.placed_meshes((0.0, 0.0, 0.0), ready):
         fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.3)
     axes.set_aspect("equal")
     axes.autoscale()

@@ -73,12 +73,7 @@ def _blend(low: Array, high: Array, share: float, i: int | slice) -> Array:
 
 @compiled()
 def _search_edges(
-    ring: Array,
-    tangents: Array,
-    shown: Array,
-    p: complex,
-    best: Best,
-    corners: list[Corner],
+    ring: Array, tangents: Array, shown: Array, p: complex, best: Best, corners: list[Corner]
 ) -> Best:
     """Search a block of a ring's edges for a nearer point than `best`; add the block's corners."""
     ahead = _dot(p - ring[0], tangents[0]) >= 0.0

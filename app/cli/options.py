@@ -36,7 +36,7 @@ ConfigOption = Annotated[
     NO_DEFAULT,
     tyro.conf.arg(
         help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
-        "are not in the file have the robot's defaults. Options for parameters override the file.",
+        "are not in the file have the robot's defaults. Options for parameters override the file."
     ),
 ]
 Processes = Annotated[

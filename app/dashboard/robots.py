@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from app.border.cache import BorderData, kept_border_data
 from app.border.dbb import Cloud
@@ -73,25 +73,16 @@ def robot_entries() -> list[RobotEntry]:
     return entries
 
 
-@runtime_checkable
-class OwnLoop(LoopHandle, Protocol):
-    """A simulation that can be started and stopped."""
-
-    def start(self) -> None: ...  # returns after the first snapshot
-
-    def stop(self) -> None: ...  # further calls have no effect
-
-
 Changes = Mapping[str, float | str]
 """Values of parameters that differ from a robot's defaults, by the parameter's path."""
-StartLoop = Callable[[RobotModel, BorderData, Config, str], OwnLoop]
+StartLoop = Callable[[RobotModel, BorderData, Config, str], LoopHandle]
 """Creates the simulation of a robot with parameters and a controller, which `start` then starts."""
 
 
 class RunningRobot(NamedTuple):
     """A robot whose simulation runs and that can be drawn."""
 
-    loop: OwnLoop
+    loop: LoopHandle
     model: RobotModel
     clouds: Mapping[str, Cloud]
     """Point clouds P_i of all pairs of L_m, by the pairs' names."""
@@ -123,7 +114,7 @@ class RobotSwitch(Job):
         """All robots that the last search found."""
         self._ready: RunningRobot | None = None
         self._taken = threading.Event()
-        self._loop: OwnLoop | None = None
+        self._loop: LoopHandle | None = None
 
     def look(self) -> list[RobotEntry]:
         """Search for all robots, and return them; this reads the files of each robot."""
@@ -177,7 +168,7 @@ class RobotSwitch(Job):
         """Wait until the pages show the new robot, then stop the simulation of the old one."""
         self._loop, self._ready = robot.loop, robot
         self._taken.wait()
-        if isinstance(replaced, OwnLoop):
+        if replaced is not None:
             replaced.stop()
 
     def _prepare(self, entry: RobotEntry, changes: Changes, controller: str) -> RunningRobot:
@@ -207,7 +198,7 @@ class RobotSwitch(Job):
 
     def _started(
         self, model: RobotModel, data: BorderData, config: Config, controller: str
-    ) -> OwnLoop:
+    ) -> LoopHandle:
         assert self._start_loop is not None
         loop = self._start_loop(model, data, config, controller)
         try:

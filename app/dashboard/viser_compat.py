@@ -97,10 +97,7 @@ _knocks = _Knocks()
 
 
 def open_server(
-    host: str,
-    port: int,
-    largest_upload: int = 0,
-    allowed: Sequence[str] = (),
+    host: str, port: int, largest_upload: int = 0, allowed: Sequence[str] = ()
 ) -> viser.ViserServer:
     """Start a server at an address for which `check_address` has succeeded.
 

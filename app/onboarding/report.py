@@ -1,6 +1,6 @@
 """The report of a new robot: a page with warnings, pictures and tables, and a 3D view."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any, Literal, NamedTuple
 
@@ -22,7 +22,6 @@ from app.onboarding.fit.units import moved
 from app.onboarding.record import NewRobot
 from app.onboarding.warn import outside
 from app.robot.model import RobotModel
-from app.robot.shapes import shape_mesh
 from app.strict import Array
 from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
@@ -33,6 +32,7 @@ COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistak
 """Colours of links: None for links inside of their bodies."""
 _BARE = 0.005  # [m] distance beyond its body up to which a point of a link counts as enclosed
 _BODY = "#0072B2"  # colour of bodies
+_ORIGIN = (0.0, 0.0, 0.0)  # pose of the base
 
 
 class Pictures(NamedTuple):
@@ -179,7 +179,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     """
     model = robot.model
     placed, units = placements(model, robot.ready.q_m), robot.meetings.units
-    bodies = [*body_meshes(model, placed)]
+    bodies = model.placed_meshes(_ORIGIN, robot.ready.q_m)
     colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
@@ -212,7 +212,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
     if not clouds:
         return None
     offset = offset_contours(model, d_b)
-    meshes = body_meshes(model, placements(model, robot.ready.q_m))
+    meshes = model.placed_meshes(_ORIGIN, robot.ready.q_m)
     base = [np.asarray(mesh.vertices) for name, mesh in meshes if name == model.body_names[0]]
     top = max(float(corners[:, 2].max()) for corners in base)
     heights = (0.5 * top, top + 0.5 * d_b)
@@ -261,7 +261,7 @@ def reach_png(robot: NewRobot) -> bytes | None:
 def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
     """The poses of the joints in a pose q_m (n_m,), with the base at the origin."""
     data = model.pin.createData()
-    pin.forwardKinematics(model.pin, data, model.configuration((0.0, 0.0, 0.0), q_m))
+    pin.forwardKinematics(model.pin, data, model.configuration(_ORIGIN, q_m))
     return [T.copy() for T in data.oMi]
 
 
@@ -310,7 +310,8 @@ def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bar
     units = robot.meetings.units
     hulls = [(moved(p.corners, placed[u.joint]), p.link) for u in units for p in u.parts]
     links = [(trimesh.convex.convex_hull(p), COLOURS[bare.get(link)], 1.0) for p, link in hulls]
-    bodies = [(mesh, _BODY, 0.3) for _, mesh in body_meshes(robot.model, placed)]
+    meshes = robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)
+    bodies = [(mesh, _BODY, 0.3) for _, mesh in meshes]
     scene = trimesh.Scene()
     for mesh, colour, alpha in (*links, *bodies):
         r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
@@ -322,14 +323,3 @@ def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bar
         mesh.visual = trimesh.visual.TextureVisuals(material=material)
         scene.add_geometry(mesh)
     return scene_to_html(scene)
-
-
-def body_meshes(
-    model: RobotModel, placed: Sequence[pin.SE3]
-) -> Iterator[tuple[str, trimesh.Trimesh]]:
-    """Name of the body and mesh of each shape, with joints at the poses `placed`."""
-    for body in model.description.bodies:
-        for k, shape in zip(model.shape_ids[body.name], body.shapes, strict=True):
-            item = model.geometry.geometryObjects[k]
-            T = placed[item.parentJoint] * item.placement
-            yield body.name, shape_mesh(shape).copy().apply_transform(T.homogeneous)

@@ -5,10 +5,12 @@ reduced velocity to pinocchio's is the constant matrix S. The reduced terms are 
 without a term M Ṡ q̇.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property, wraps
-from typing import Concatenate, Literal, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Concatenate, Literal, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,7 +19,11 @@ import pinocchio as pin
 from app.errors import DescriptionError
 from app.robot.assets import bare_urdf
 from app.robot.description import BodyDescription, RobotDescription
+from app.robot.shapes import shape_mesh
 from app.strict import Array
+
+if TYPE_CHECKING:
+    import trimesh
 
 STABLE_STEPS = 3.0  # [-] smallest stable m/(D dt) for a joint with inertia m and damping D
 Options = ParamSpec("Options")
@@ -142,6 +148,22 @@ class RobotModel:
         q = self.configuration((0.0, 0.0, 0.0), np.zeros(self.n_m))
         pin.framesForwardKinematics(self.pin, data, q)
         return data.oMf[self.mount_frame].translation.copy()
+
+    def placed_meshes(
+        self, base_pose: Sequence[float] | Array, q_m: Array
+    ) -> list[tuple[str, trimesh.Trimesh]]:
+        """The meshes of all shapes of the bodies, in the world, each with its body's name.
+
+        `base_pose` (3,) has x, y [m] and heading [rad]; `q_m` (n_m,) are the joint positions.
+        """
+        data, placed = self.pin.createData(), pin.GeometryData(self.geometry)
+        q = self.configuration(base_pose, q_m)
+        pin.updateGeometryPlacements(self.pin, data, self.geometry, placed, q)
+        return [
+            (body.name, shape_mesh(shape).apply_transform(placed.oMg[i].homogeneous))
+            for body in self.description.bodies
+            for i, shape in zip(self.shape_ids[body.name], body.shapes, strict=True)
+        ]
 
     def _read_limits(self) -> None:
         arm, base, model = self.description.arm, self.description.base, self.pin

@@ -107,7 +107,7 @@ class People:
             if link is None:
                 p = state.p_ee
                 force = hand.force(p, state.v_ee, target)
-                _add_once(total, force)
+                total += force
             else:
                 joint, at = held_point(self._model, link, point)
                 p = state.data.oMi[joint].act(at)
@@ -319,11 +319,4 @@ def _pull(
     _push_mass(x, x_dot, p, p_ee, v_ee[:3], spring, force)
 
 
-@compiled("void(f8[:], f8[:])")
-def _add(total: Array, force: Array) -> None:
-    """Add a force (3,) to a total (3,)."""
-    for i in range(3):
-        total[i] += force[i]
-
-
-_pull_once, _add_once = direct(_pull), direct(_add)
+_pull_once = direct(_pull)

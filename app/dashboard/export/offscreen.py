@@ -34,6 +34,7 @@ from app.dashboard.viser_compat import close_server, open_server
 from app.errors import OutputError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
+from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.simulation.trace.trace import Trace
@@ -76,14 +77,12 @@ _LIFT, _OUTLINE = 0.005, 2.5  # [m] height above the floor, [px] line width
 _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # yuv420p needs even sizes
 
 
-class RecordedLoop:
+class RecordedLoop(LoopHandle):
     """Recorded snapshots with the interface of the live loop; commands have no effect."""
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
         """Start at the first snapshot."""
-        self.error: BaseException | None = None
-        self.links: tuple[str, ...] = ()
-        self.silence = 0.0
+        super().__init__()
         self.snapshots = tuple(snapshots)
         """Snapshots in order of time, at least one."""
         self._times = [snapshot.t for snapshot in self.snapshots]
@@ -94,11 +93,14 @@ class RecordedLoop:
         self._at = max(bisect_right(self._times, t + 1e-9) - 1, 0)
         return self.latest()
 
+    @property
+    def silence(self) -> float:
+        return 0.0
+
     def send(self, command: Command) -> None:
         """Ignore the command."""
 
     def latest(self) -> Snapshot:
-        """Return the present snapshot."""
         return self.snapshots[self._at]
 
     def history(self, after: float) -> list[Snapshot]:

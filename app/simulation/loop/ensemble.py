@@ -122,10 +122,7 @@ class Ensemble:
             ConfigError: The control period is too long for a gain; then nothing has changed.
         """
         adapted = self.scenario.adapted(config) if self.scenario else config
-        for runner in (
-            self._led,
-            *self.ghosts,
-        ):  # equal periods: the first refuses
+        for runner in (self._led, *self.ghosts):  # equal periods: the first refuses
             runner.session.configure(adapted)
         self._config = config
 

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,48 +25,13 @@ from app.strict import Array
 _IDLE = 0.25  # [s] time between two heartbeats during a pause
 
 
-class LoopHandle(Protocol):
-    """The dashboard's interface to the simulation."""
+class LoopHandle:
+    """The dashboard's interface to the simulation: a mailbox, and the published snapshots."""
 
     error: BaseException | None = None
     """The error that ended the loop, if any."""
     links: tuple[str, ...] = ()
     """Names of the arm's frames that people can pull, known after the start."""
-
-    @property
-    def silence(self) -> float:
-        """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
-
-        A long operation that a snapshot announces (`Snapshot.busy`) does not count as silence.
-        """
-        ...
-
-    def send(self, command: commands.Command) -> None:
-        """Send a command, which the loop executes before one of the next control steps.
-
-        If a new command replaces a waiting one, such as an older pull of the same person, only the
-        new one is executed; `Mailbox` has the rules.
-
-        Raises:
-            UnknownNameError: A pull's link is not in `links`.
-            LoopError: Too many commands wait.
-        """
-        ...
-
-    def latest(self) -> Snapshot:
-        """The newest snapshot."""
-        ...
-
-    def history(self, after: float) -> list[Snapshot]:
-        """Snapshots of the present run with t > `after` [s], oldest first.
-
-        At most the newest 3000 snapshots of the run are stored, those of 60 simulated seconds.
-        """
-        ...
-
-
-class LiveLoop(LoopHandle):
-    """The common part of all loops: the mailbox and the published snapshots."""
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
         """Start without commands and snapshots; `stored` is the number of stored snapshots."""
@@ -91,21 +56,42 @@ class LiveLoop(LoopHandle):
         if self.error is not None:
             raise LoopError(f"the simulation could not start: {self.error}") from self.error
 
+    def stop(self) -> None:
+        """End the loop, and release the plant; further calls have no effect."""
+
     @property
     def silence(self) -> float:
+        """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
+
+        A long operation that a snapshot announces (`Snapshot.busy`) does not count as silence.
+        """
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:
+        """Send a command, which the loop executes before one of the next control steps.
+
+        If a new command replaces a waiting one, such as an older pull of the same person, only the
+        new one is executed; `Mailbox` has the rules.
+
+        Raises:
+            UnknownNameError: A pull's link is not in `links`.
+            LoopError: Too many commands wait.
+        """
         self._mailbox.put(command, self.links)
 
     def latest(self) -> Snapshot:
+        """The newest snapshot."""
         return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
+        """Snapshots of the present run with t > `after` [s], oldest first.
+
+        At most the newest 3000 snapshots of the run are stored, those of 60 simulated seconds.
+        """
         return self._history.after(after)
 
 
-class SimulationLoop(LiveLoop):
+class SimulationLoop(LoopHandle):
     """Runs a session in a background thread."""
 
     def __init__(
@@ -132,7 +118,6 @@ class SimulationLoop(LiveLoop):
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread and release the plant."""
         self._stop.set()
         self._mailbox.filled.set()
         if self._thread.is_alive():

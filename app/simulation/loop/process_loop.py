@@ -18,7 +18,7 @@ import numpy as np
 
 from app.errors import LoopError
 from app.jobs.process import Child, Outcome, portable
-from app.simulation.loop.loop import LiveLoop, SimulationLoop
+from app.simulation.loop.loop import LoopHandle, SimulationLoop
 from app.simulation.loop.pacing import gc_frozen
 from app.simulation.session import Session
 from app.strict import Array
@@ -45,7 +45,7 @@ def loop_child() -> Child:
     return Child(_run_loop)
 
 
-class ProcessLoop(LiveLoop):
+class ProcessLoop(LoopHandle):
     """Runs a session in a child process, with the interface of `SimulationLoop`."""
 
     def __init__(
@@ -75,7 +75,6 @@ class ProcessLoop(LiveLoop):
             self._threads.append(thread)
 
     def stop(self) -> None:
-        """End the child."""
         self._stopping.set()
         self._mailbox.filled.set()
         if self._child is None:

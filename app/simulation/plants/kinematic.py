@@ -139,16 +139,7 @@ def _move_arm(
         q[i] += qd[i] * dt
 
 
-@compiled("b1(f8[:])")
-def _any_overlap(distances: Array) -> bool:
-    """Whether any of some distances (k,) [m] is not positive."""
-    found = False
-    for d in distances:
-        found = found or d <= 0.0
-    return found
-
-
-_move_arm_once, _overlap = direct(_move_arm), direct(_any_overlap)
+_move_arm_once = direct(_move_arm)
 
 
 class _Overlaps:
@@ -172,6 +163,4 @@ class _Overlaps:
     def at(self, q: Array) -> Contacts:
         """Overlaps at pinocchio's configuration `q`."""
         pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
-        if not _overlap(self._distances):
-            return NO_CONTACTS
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))

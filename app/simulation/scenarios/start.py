@@ -270,25 +270,17 @@ def find_grasp(
     Raises:
         UnreachableError: The search has found no posture.
     """
-    q_m, T_ee = _GraspSearch(model, pairs, d_b, np.array(base_pose), door, angle).best(seed)
+    search = PostureSearch(model, pairs, d_b)
+    q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)
     return _frozen(q_m), T_ee
 
 
 class _GraspSearch:
     """The search of `find_grasp`."""
 
-    def __init__(
-        self,
-        model: RobotModel,
-        pairs: LinkPairs,
-        d_b: float,
-        base_pose: Array,
-        door: Door,
-        angle: float,
-    ) -> None:
-        self._search = PostureSearch(model, pairs, d_b)
-        self._front = float(MobileBody(model).upper[0])
-        self._base_pose, self._door, self._angle = base_pose, door, angle
+    def __init__(self, search: PostureSearch, base_pose: Array, door: Door, angle: float) -> None:
+        self._search, self._base_pose, self._door, self._angle = search, base_pose, door, angle
+        self._front = float(MobileBody(search.model).upper[0])
 
     def best(self, seed: int) -> tuple[Array, pin.SE3]:
         rng = np.random.default_rng(seed)

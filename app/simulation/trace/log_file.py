@@ -17,7 +17,7 @@ from app.jobs.bounded import SMALL, Budget
 from app.simulation.trace.arrow import read_arrow, write_arrow
 from app.simulation.trace.columns import NAN, Column, TraceMeta
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
-from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
+from app.simulation.trace.trace import Trace, cells_of, columns_of
 from app.strict import LARGEST_DATA, Strict, explain, problems_of
 
 SUFFIXES = ".csv", ".parquet"  # the ending of a file's name selects the format
@@ -96,10 +96,10 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     names = _quantities(found.column_names, meta)
     known = [column for name in names for column in QUANTITIES[name].columns(meta)]
     _check_names(found.column_names, known)
-    layout = Layout.of(meta, names)
+    often = [column for column in known if column.often]
     if len(found) != rows:
         raise LogError(f"the file has {len(found)} rows, but its metadata state {rows}")
-    if rows * len(layout.columns) * _NUMBER > budget.memory:
+    if rows * len(often) * _NUMBER > budget.memory:
         raise LogError(f"{rows} rows are too many for a file of this size")
     modes = _cast(Column("mode", "text"), found["mode"], rows)
     drawn = found.filter(pc.not_equal(modes.fill_null(""), ""))
@@ -107,12 +107,12 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
         raise LogError("the file has no snapshots: the column mode is empty")
     if len(drawn) * len(known) > budget.memory / _CELL:
         raise LogError(f"{len(drawn)} snapshots are too many for a file of this size")
-    table = np.empty((rows, len(layout.columns)))
-    for k, column in enumerate(layout.columns):
+    table = np.empty((rows, len(often)))
+    for k, column in enumerate(often):
         table[:, k] = _cast(column, found[column.name], rows).to_numpy()
     _check_times(table[:, 0])
     cells = {c: _cells(c, found[c.name], drawn[c.name]) for c in known}
-    return Trace(layout, table, _snapshots(meta, cells, names))
+    return Trace(meta, table, _snapshots(meta, cells, names), names)
 
 
 def _quantities(found: Sequence[str], meta: TraceMeta) -> list[str]:

@@ -229,8 +229,7 @@ FIGURES: dict[str, Figure] = {
         "Final distance of the end-effector from its target.", lambda r: _last(r, "ee_error")
     ),
     "base_displacement_m": Figure(
-        "Displacement of the base from start to end.",
-        lambda r: float(np.hypot(*_moves(r)[-1, :2])),
+        "Displacement of the base from start to end.", lambda r: float(np.hypot(*_moves(r)[-1, :2]))
     ),
     "base_path_m": Figure("Length of the path of the base's centre.", path),
     "base_path_after_release_m": Figure(
@@ -302,16 +301,14 @@ FIGURES: dict[str, Figure] = {
         _clear_since,
     ),
     "approach_speed_max_mps": Figure(
-        "Largest approach speed of a body to the base.",
-        lambda r: r.buffer.approach_speed_max,
+        "Largest approach speed of a body to the base.", lambda r: r.buffer.approach_speed_max
     ),
     "buffer_needed_m": Figure(
         "d_b required for the approach speeds of the run; null if no d_b is sufficient.",
         lambda r: _finite(r.buffer.needed_max),
     ),
     "solver_failures": Figure(
-        "Steps with the fallback command.",
-        lambda r: int(_last(r, "solver_failures")),
+        "Steps with the fallback command.", lambda r: int(_last(r, "solver_failures"))
     ),
     "solver_given_up": Figure(
         "Steps in which the base's QP had no solution.", lambda r: int(_last(r, "given_up"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from itertools import compress
 from operator import attrgetter
 from struct import Struct
@@ -44,41 +44,40 @@ _STRETCHED = 0.05  # [-] smallest singular value of the Jacobian below which the
 _PUSHED = 0.01  # [m/s²] smallest acceleration away from the target that counts as a push
 
 
-class Layout(NamedTuple):
-    """The columns of each quantity in the table of a trace."""
-
-    meta: TraceMeta
-    """The data of the run."""
-    columns: tuple[Column, ...]
-    """The columns in order; all have a number at each control step."""
-    slices: dict[str, slice | int]
-    """Index of each quantity's columns; a number for a quantity of a single number."""
-    index: dict[str, int]
-    """Index of each column, by its name."""
-
-    @classmethod
-    def of(cls, meta: TraceMeta, names: Iterable[str] = QUANTITIES) -> Self:
-        """The layout of a table with some quantities."""
-        columns: list[Column] = []
-        slices: dict[str, slice | int] = {}
-        for name in names:
-            begin = len(columns)
-            whole = QUANTITIES[name].columns(meta)
-            columns += (column for column in whole if column.often)
-            slices[name] = begin if QUANTITIES[name].single else slice(begin, len(columns))
-        index = {column.name: i for i, column in enumerate(columns)}
-        return cls(meta, tuple(columns), slices, index)
-
-
 class Trace:
     """A run over time."""
 
-    def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
-        """Combine a table (N, C), which has the columns of the layout, with snapshots."""
-        self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
-        """The table (N, C) has a row for each recorded step, in order of time. Each snapshot
-        belongs to one of the rows."""
-        self._layout = layout
+    def __init__(
+        self,
+        meta: TraceMeta,
+        table: Array,
+        snapshots: Sequence[Snapshot] = (),
+        names: Sequence[str] = tuple(QUANTITIES),
+    ) -> None:
+        """Combine the parts of a trace.
+
+        Args:
+            meta: The data of the run.
+            table: (N, C) a row for each recorded step, in order of time.
+            snapshots: Snapshots, each of which belongs to one of the rows.
+            names: The quantities in the table, in order.
+        """
+        self.meta, self.table, self.snapshots, self._quantities = (
+            meta,
+            table,
+            tuple(snapshots),
+            names,
+        )
+        self.columns: list[Column] = []
+        """The columns of the table, in order; all have a number at each control step."""
+        self._slices: dict[str, slice | int] = {}
+        for name in names:
+            begin = len(self.columns)
+            self.columns += (column for column in QUANTITIES[name].columns(meta) if column.often)
+            end = len(self.columns)
+            self._slices[name] = begin if QUANTITIES[name].single else slice(begin, end)
+        self.index = {column.name: k for k, column in enumerate(self.columns)}
+        """Index of each column in the table, by its name."""
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot], **about: Any) -> Self:
@@ -97,25 +96,25 @@ class Trace:
             raise LogError("there are no snapshots for a log")
         first = snapshots[0]
         pairs = {pair.name: pair.mobile for pair in first.pairs}
-        layout = Layout.of(TraceMeta.of(model, pairs, first.config, **about))
-        columns = columns_of(layout.meta)
+        meta = TraceMeta.of(model, pairs, first.config, **about)
+        columns = columns_of(meta)
         rows, last = [], -math.inf
         for s in snapshots:
             if not s.t > last:
                 raise LogError(f"a snapshot at {s.t:g} s follows one at {last:g} s")
-            if tuple(pair.name for pair in s.pairs) != layout.meta.pairs:
+            if tuple(pair.name for pair in s.pairs) != meta.pairs:
                 raise LogError(f"at {s.t:g} s the link pairs differ from the link pairs of the log")
             last = s.t
-            cells = zip(columns, cells_of(s, layout.meta), strict=True)
+            cells = zip(columns, cells_of(s, meta), strict=True)
             rows.append([float(cell) for column, cell in cells if column.often])
-        return cls(layout, np.array(rows), snapshots)
+        return cls(meta, np.array(rows), snapshots)
 
     def __len__(self) -> int:
         return len(self.table)
 
     def __getitem__(self, column: str) -> Array:
         """(N,) a column of the table by its name, such as `d_lm-lEE_m`."""
-        return self.table[:, self._layout.index[column]]
+        return self.table[:, self.index[column]]
 
     def of(self, quantity: str) -> Array:
         """(N,) or (N, k) values of a quantity, one row for each row of the table.
@@ -125,31 +124,21 @@ class Trace:
         Raises:
             LogError: The run is from an older log, which does not have this quantity.
         """
-        if quantity not in self._layout.slices:
+        if quantity not in self._slices:
             raise LogError(f"the log does not have {quantity!r}")
-        return self.table[:, self._layout.slices[quantity]]
+        return self.table[:, self._slices[quantity]]
 
     def names(self, quantity: str) -> list[str]:
         """Names of the columns of a quantity with several columns."""
-        place = self._layout.slices[quantity]
+        place = self._slices[quantity]
         assert isinstance(place, slice)
-        return [column.name for column in self._layout.columns[place]]
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """The columns of the table, in order."""
-        return self._layout.columns
-
-    @property
-    def index(self) -> Mapping[str, int]:
-        """Index of each column in the table, by its name."""
-        return self._layout.index
+        return [column.name for column in self.columns[place]]
 
     @property
     def groups(self) -> dict[str, list[str]]:
         """Names of the columns of each quantity in the table, except for the time."""
         every = np.array([column.name for column in self.columns])
-        found = {name: every[at] for name, at in self._layout.slices.items() if name != "t"}
+        found = {name: every[at] for name, at in self._slices.items() if name != "t"}
         return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
 
     @property
@@ -197,7 +186,7 @@ class Trace:
 
     def rows(self, which: slice | Array) -> Trace:
         """Some rows of the table, without snapshots."""
-        return Trace(self._layout, self.table[which])
+        return Trace(self.meta, self.table[which], names=self._quantities)
 
 
 class Recorder:
@@ -211,7 +200,7 @@ class Recorder:
             drawn: Whether to take snapshots at 50 Hz, beginning with the first step.
         """
         self._scenario, self._drawn = scenario, drawn
-        self._layout: Layout | None = None
+        self._meta: TraceMeta | None = None
         self._rows = bytearray()  # needs a fifth of a list's memory, and no garbage collection
         self._last: tuple[Session, Step] | None = None
         self._faults: dict[str, float] = {}
@@ -220,7 +209,7 @@ class Recorder:
 
     def add(self, session: Session, step: Step) -> None:
         """Record one control step, with the session after the step."""
-        if self._layout is None:
+        if self._meta is None:
             self._begin(session, step)
         self._last = session, step
         largest = SHORT if self._farthest is None else self._farthest.ee_error
@@ -239,7 +228,7 @@ class Recorder:
 
     def trace(self) -> Trace:
         """The recorded trace."""
-        assert self._layout is not None, "no step was recorded"
+        assert self._meta is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
         stuck, left, farthest = find_stuck(session.model, step), None, self._farthest
@@ -247,16 +236,16 @@ class Recorder:
             left = _off_target(session.model, farthest, farthest.reference)
         results = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
         results["faults"] = self._faults
-        meta = self._layout.meta.model_copy(update=results)
+        meta = self._meta.model_copy(update=results)
         rows = np.frombuffer(self._rows).reshape(-1, len(self._order))
         table = rows.take(self._order, axis=1)
-        return Trace(self._layout._replace(meta=meta), table, self.snapshots)
+        return Trace(meta, table, self.snapshots)
 
     def _begin(self, session: Session, step: Step) -> None:
         """Prepare the rows. A row has the bytes of arrays, then numbers, then computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
-        meta = TraceMeta.of(
+        self._meta = TraceMeta.of(
             session.model,
             pairs,
             session.config,
@@ -264,7 +253,6 @@ class Recorder:
             physics=session.kind,
             seed=session.seed,
         )
-        self._layout = Layout.of(meta)
         arrays, numbers, kinds = list[str](), list[str](), list[int]()
         self._computed = list[Take]()
         for quantity in QUANTITIES.values():

@@ -203,7 +203,7 @@ def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> Pa
     score = border["score_m4prad4"]
     shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=style.SCORE_MAP, zorder=2)
     colour = style.PAIR_COLOURS["lm-lEE"]
-    for name, mesh in drawing.placed_meshes(sources.model, (0.0, 0.0, 0.0), force.q_m):
+    for name, mesh in sources.model.placed_meshes((0.0, 0.0, 0.0), force.q_m):
         if name == sources.pair.b:
             corners = mesh.vertices[:, :2]
             outline = corners[ConvexHull(corners).vertices]

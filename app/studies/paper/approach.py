@@ -166,9 +166,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
     return drawing.Drawing(
-        figure,
-        {"": drawing.stacked(parts, "direction")},
-        sources.results(DIRECTIONS, keys),
+        figure, {"": drawing.stacked(parts, "direction")}, sources.results(DIRECTIONS, keys)
     )
 
 
@@ -255,7 +253,7 @@ def figure_16(sources: Sources) -> drawing.Drawing:
     pose, q_m = run.trace.of("base_pose")[0], run.trace.of("q_m")[0]
     solids, shapes = refrigerator(run, 0), collision_shapes(sources, run)
     start = Camera(np.zeros(3), 6.0, *_door_view(door), 780, 640)
-    bodies = drawing.placed_meshes(sources.model, pose, q_m)
+    bodies = sources.model.placed_meshes(pose, q_m)
     camera = drawing.framed(start, [mesh for _, mesh in bodies] + [solid.mesh for solid in solids])
     figure = style.new_figure(4.9)
     grid = figure.subplots(1, 2)
@@ -351,7 +349,7 @@ def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
     holding, _ = with_door(model, sources.data, door, T_door)
     return [
         Solid(mesh, _MAGENTA if name == BODY else _SHAPE_COLOUR)
-        for name, mesh in drawing.placed_meshes(holding, pose, q_m)
+        for name, mesh in holding.placed_meshes(pose, q_m)
     ]
 
 

@@ -18,7 +18,6 @@ from matplotlib.patches import Polygon
 
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
-from app.robot.shapes import shape_mesh
 from app.simulation.photographer import Camera, Photographer, Picture, Solid
 from app.simulation.run import RunResult
 from app.strict import Array
@@ -118,23 +117,6 @@ def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0)
     ax.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
 
 
-def placed_meshes(
-    model: RobotModel, base_pose: Sequence[float] | Array, q_m: Array
-) -> list[tuple[str, trimesh.Trimesh]]:
-    """The meshes of all shapes of the convex bodies, in the world, each with its body's name.
-
-    `base_pose` (3,) has x, y [m] and heading [rad]; `q_m` (n_m,) are the arm's joint positions.
-    """
-    data, placed = model.pin.createData(), pin.GeometryData(model.geometry)
-    q = model.configuration(base_pose, q_m)
-    pin.updateGeometryPlacements(model.pin, data, model.geometry, placed, q)
-    return [
-        (body.name, shape_mesh(shape).apply_transform(placed.oMg[i].homogeneous))
-        for body in model.description.bodies
-        for i, shape in zip(model.shape_ids[body.name], body.shapes, strict=True)
-    ]
-
-
 def framed(
     camera: Camera,
     meshes: Iterable[trimesh.Trimesh],
@@ -217,7 +199,7 @@ def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
     for strip in strips:
         run = strip.run.trace
         for k in map(run.row_at, strip.times):
-            bodies = placed_meshes(model, run.of("base_pose")[k], run.of("q_m")[k])
+            bodies = model.placed_meshes(run.of("base_pose")[k], run.of("q_m")[k])
             meshes += [mesh for _, mesh in bodies] + [solid.mesh for solid in strip.solids(k)]
     aims = [strip.aim for strip in strips if strip.aim is not None]
     return framed(Camera(np.zeros(3), 6.0, *strips[0].view, *_PIXELS), meshes, aims, _TALL)

@@ -355,7 +355,7 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
         f"bodies of arm and base, which enclose the links, met. In {s['arm_contact']} runs the arm "
         f"touched itself; in {s['arm_bodies_overlap']} runs it touched itself, or two of its "
         f"convex bodies met. {s['solver_failure']} runs had steps with the fallback command, "
-        f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error.",
+        f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error."
     ]
     if s["hand_force_max_n"]:
         weakest, median, strongest = _texts(s["hand_force_max_n"], "0_%", "50_%", "100_%")

@@ -278,12 +278,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         self._make_context = make_context
         try:
             self._client = Client(scheduler, timeout=_PATIENCE)
-        except (
-            OSError,
-            TimeoutError,
-            TypeError,
-            ValueError,
-        ) as error:  # TypeError: no certificate
+        except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificate
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise StudyError(
                 f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
