@@ -1019,10 +1019,10 @@ def test_robot_with_contact_or_overlap_is_never_marked_best(loop):
     ]
 
 
-@pytest.mark.parametrize(("link", "at_hand"), [(None, 1.0), ("panda_link4", 0.0)])
-def test_pull_row_shows_the_force_and_the_force_that_the_arm_resists(loop, link, at_hand):
+@pytest.mark.parametrize(("link", "at_ee"), [(None, 1.0), ("panda_link4", 0.0)])
+def test_pull_row_shows_the_force_and_the_force_that_the_arm_resists(loop, link, at_ee):
     pull = PullReading(1, link, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
-    held = replace(loop.latest(), pulls=(pull,), hand_force=at_hand * pull.force)
+    held = replace(loop.latest(), pulls=(pull,), hand_force=at_ee * pull.force)
     assert "30.0 N</td>" in status_html(held)
     held = replace(held, force_bound=61.7)
     assert "30.0 N (arm resists up to 62 N)</td>" in status_html(held)

@@ -52,7 +52,7 @@ _TOUCHED = {
 }
 _STILL = f"; the base moves away by less than {GIVES_WAY:g} m"
 _HELD = (
-    ", because the arm cannot hold its end-effector in place (`hand held`) and avoids the base by "
+    ", because the arm cannot hold its end-effector in place and avoids the base by "
     "itself; with a smaller ee_hold.weight the base moves more"
 )
 
@@ -104,7 +104,7 @@ def check_robot(
         **({"nested links": nested_row} if description.nested else {}),
         "base's body": base_row,
         "arm's bodies": arm_row,
-        "hand held": holding_row,
+        "end-effector in place": holding_row,
     }.items():
         tell(name)
         yield _done(name, check, model)
@@ -285,7 +285,7 @@ def holding_row(model: RobotModel) -> Row:
     worst = max(each.place for each in carried)
     text = f"the arm can hold its end-effector in place in {1 - worst:.0%} of the poses"
     warning = holding_warning(carried)
-    return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
+    return Row("end-effector in place", "warned" if warning else "passed", warning or text, numbers)
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:

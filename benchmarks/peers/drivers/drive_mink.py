@@ -38,11 +38,11 @@ class Mink:
         model = mujoco.MjModel.from_xml_string(text.replace("</robot>", _COMPILER + "</robot>"))
         self._model, self._dt = model, plan["dt_s"]
         self._configuration = mink.Configuration(model, q)
-        cost = plan["hand_cost"]
-        self._hand = mink.FrameTask(plan["hand"], "body", position_cost=cost, orientation_cost=cost)
+        cost = plan["ee_cost"]
+        self._ee = mink.FrameTask(plan["ee"], "body", position_cost=cost, orientation_cost=cost)
         costs = np.full(model.nv, plan["arm_cost"])
         costs[:3] = base_cost
-        self._tasks = [self._hand, mink.DampingTask(model, cost=costs)]
+        self._tasks = [self._ee, mink.DampingTask(model, cost=costs)]
         self._pairs = [tuple(self._geom(link) for link in pair) for pair in plan["pairs"]]
         v, w = plan["base_velocity"]
         names = [*plan["planar_joints"], *plan["arm_joints"]]
@@ -71,7 +71,7 @@ class Mink:
 
     def step(self, target: Array) -> Array:
         """See `Follower.step`."""
-        self._hand.set_target(mink.SE3.from_matrix(target))
+        self._ee.set_target(mink.SE3.from_matrix(target))
         velocity = mink.solve_ik(
             self._configuration,
             self._tasks,

@@ -49,11 +49,11 @@ class Pink:
             collision_model=shapes,
             collision_data=pin.GeometryData(shapes),
         )
-        cost = plan["hand_cost"]
-        self._hand = FrameTask(plan["hand"], position_cost=cost, orientation_cost=cost)
+        cost = plan["ee_cost"]
+        self._ee = FrameTask(plan["ee"], position_cost=cost, orientation_cost=cost)
         costs = np.full(model.nv, plan["arm_cost"])
         costs[:3] = base_cost
-        self._tasks = [self._hand, DampingTask(cost=costs)]
+        self._tasks = [self._ee, DampingTask(cost=costs)]
         self._barriers = [
             SelfCollisionBarrier(
                 len(plan["pairs"]),
@@ -70,7 +70,7 @@ class Pink:
 
     def step(self, target: Array) -> Array:
         """See `Follower.step`."""
-        self._hand.set_target(pin.SE3(target))
+        self._ee.set_target(pin.SE3(target))
         velocity = solve_ik(
             self._configuration,
             self._tasks,
