@@ -109,7 +109,7 @@ CORNER = 0.01  # [m] between the ends of two rings that meet
 
 
 class Ring(NamedTuple):
-    """The offset of one shape at each height, or at one of them; points as x + iy."""
+    """The outline of one shape's offset, at all heights or at one height; points as x + iy."""
 
     heights: Array
     vertices: Array

@@ -304,7 +304,7 @@ def test_an_unreadable_visual_mesh_is_removed_if_it_is_not_needed(
         ('velocity="2"', 'velocity="2,5"', ["'pan'", "no commas"]),
         ('length="0.34"', 'height="0.34"', ["link 'upper'", "its cylinder has no length"]),
         ('type="revolute"', 'type="Revolute"', ["(did you mean 'revolute'?)"]),
-        ('<child link="fore"/>', '<child link="Fore"/>', ["no link (did you mean 'fore'?)"]),
+        ('<child link="fore"/>', '<child link="Fore"/>', ["not a link (did you mean 'fore'?)"]),
         ("<link", "<Link", ["the URDF has no <link> (did you mean 'Link'?)"]),
     ],
 )

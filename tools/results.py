@@ -73,7 +73,7 @@ def commit() -> str:
     """The commit that last changed the code, with a `+` if files have uncommitted changes.
 
     Raises:
-        SystemExit: This is no git checkout.
+        SystemExit: This is not a git checkout.
     """
     last = _git("log", "-1", "--format=%h", "--", *CODE)
     return f"{last}+" if _git("status", "--porcelain", "--", *CODE) else last

@@ -403,7 +403,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     `widget` returns a widget of the page by its name, or None.
 
     Raises:
-        GarbageError: The data are no message of the types `_TAKEN`, or a field has a wrong type.
+        GarbageError: The data are not a message of the types `_TAKEN`, or a field has a wrong type.
         RefusedError: A value does not match its widget, is too large, or is not finite; or an
             upload is not allowed.
     """

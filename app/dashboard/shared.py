@@ -81,7 +81,7 @@ class Tuning:
             if last == path and now - at <= BURST:
                 self._steps.pop()
                 self._at -= 1
-            if self._steps[self._at] != config:  # a fast change and its reversal are no step
+            if self._steps[self._at] != config:  # a fast change and its reversal are not a step
                 self._add(config)
                 self._burst = path, now
             else:

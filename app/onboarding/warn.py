@@ -108,7 +108,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     if robot.unseen.unseen:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
-            f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are no "
+            f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are not a "
             f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
     if robot.unseen.left_out:
@@ -125,7 +125,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
             )
     for pair in sorted(meetings.nested):
         a, b = (meetings.units[unit].name for unit in pair)
-        yield f"{a} and {b} touch in most poses: they count as nested, and are no pair"
+        yield f"{a} and {b} touch in most poses: they count as nested, and are not a pair"
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
     for body in robot.bodies:

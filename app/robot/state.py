@@ -44,7 +44,7 @@ def numbers(name: str, values: Any, *sizes: int) -> Array:
     """An array of floats from a caller's values; masked values become NaN.
 
     Raises:
-        MeasurementError: The values are no real numbers, or their number is none of `sizes`.
+        MeasurementError: The values are not real numbers, or their number is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -60,7 +60,7 @@ def velocities(name: str, values: Any, size: int) -> Array:
     """`numbers` of velocities (size,); None or an empty array becomes NaN.
 
     Raises:
-        MeasurementError: The values are no real numbers, or their number is not `size`.
+        MeasurementError: The values are not real numbers, or their number is not `size`.
     """
     found = numbers(name, () if values is None else values, size, 0)
     return found if found.size == size else np.full(size, np.nan)

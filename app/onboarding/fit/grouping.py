@@ -352,7 +352,7 @@ def _left_out(
 def _body_distances(
     model: RobotModel, bodies: Sequence[FittedBody], q_m: Array
 ) -> tuple[list[str], Array]:
-    """Names of all pairs of bodies that are no neighbours, and their distances (N, pairs) [m]."""
+    """Names of all pairs of bodies that are not neighbours, and their distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
     shapes = [

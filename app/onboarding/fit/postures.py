@@ -201,7 +201,7 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that comes nearer than `INNER` d_b and satisfies `shows`.
+    """The first line that satisfies `shows` and leads the arm nearer to the base than `INNER` d_b.
 
     At most three lines are tested. If none of them satisfies `shows`, the result is the first of
     them with `anyway`, otherwise the reason why there is no line.

@@ -130,7 +130,7 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
     elif ".." in PurePosixPath(name).parts:
         problem = "leads out of the zip by '..'"
     elif not name.isprintable() or not name.strip("/. ") or len(name) > _LONGEST_NAME:
-        problem = "is no name of a file"
+        problem = "is not a file name"
     elif stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
         problem = "is a link or a device, not a file"
     elif info.flag_bits & 1:

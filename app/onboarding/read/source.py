@@ -193,7 +193,7 @@ def spellings(reference: str) -> list[str]:
 def _split_address(reference: str) -> tuple[str, str, str]:
     """Scheme, package and path of an address; the package is empty for other schemes.
 
-    A drive of Windows is no scheme. Several slashes count as one.
+    A Windows drive letter is not a scheme. Several slashes count as one.
     """
     scheme, mark, rest = reference.partition(":")
     if not mark or len(scheme) == 1:
@@ -260,7 +260,7 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
     found = "FOLDER" if holder is None else f"{holder}, which contains a file of that path"
     return (
-        f"the package {package!r} is no folder beside or above {folder}, is not in "
+        f"the package {package!r} is not a folder beside or above {folder}, is not in "
         "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
         f"set --package {package}={found}"
     )

@@ -50,7 +50,7 @@ _BOUNDS = {
     "released": (0.0, 1.0, ""),
     "regrasped": (0.0, 1.0, ""),
 }
-"""Smallest valid value, largest valid value and unit of the quantities that are no parameters of
+"""Smallest valid value, largest valid value and unit of the quantities that are not parameters of
 the configuration."""
 
 
