@@ -86,7 +86,7 @@ class Arm:
         return np.array(points), np.array(poses)
 
     def reach(self, target: np.ndarray, starts: np.ndarray) -> float:
-        """[m] the least distance of the closest point to a target that least squares finds."""
+        """[m] the smallest distance of the closest point to a target that least squares finds."""
         lower, upper, best = self.model.q_lower, self.model.q_upper, np.inf
         for start in starts:
             found = least_squares(

@@ -116,7 +116,7 @@ def test_only_the_horizontal_part_of_an_oblique_force_moves_the_base(base):
 
 
 def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
-    """[m] least distance of an end-effector that approaches from the front at v.
+    """[m] smallest distance of an end-effector that approaches from the front at v.
 
     Steps the product's admittance law and drive with a queue for the delay; only the avoidance
     force is written again here.

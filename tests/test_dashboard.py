@@ -1000,10 +1000,10 @@ def test_robot_with_contact_or_overlap_is_never_marked_best(loop):
         for name, (least, contacts) in OUTCOMES.items()
     )
     assert outcomes_html(scores).split("<br>") == [
-        "<b>With avoidance</b> (dbb): no contact, least distance 104 mm",
+        "<b>With avoidance</b> (dbb): no contact, smallest distance 104 mm",
         "<b>Without avoidance</b> (none): bodies overlap by 8 mm",
-        "<b>Arm repulsion only</b> (repulsive): contact, least distance 50 mm",
-        "<b>Minimum distance only</b> (barrier): no contact, least distance 20 mm",
+        "<b>Arm repulsion only</b> (repulsive): contact, smallest distance 50 mm",
+        "<b>Minimum distance only</b> (barrier): no contact, smallest distance 20 mm",
     ]
     html = scores_html(scores)
     assert coloured(html, "contact") == 3, "two outcomes, and a distance below zero"

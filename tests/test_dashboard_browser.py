@@ -262,7 +262,7 @@ def test_second_robot_appears_in_the_scene_and_in_the_table(tab, served):
         lambda: (tab.text("/names/1") or "").startswith("violet, arm repulsion only"),
         what="the ghost's name",
     )
-    tab.page.get_by_text("no contact, least distance").first.wait_for(timeout=40_000)
+    tab.page.get_by_text("no contact, smallest distance").first.wait_for(timeout=40_000)
     heads = tab.page.locator("th").filter(visible=True)
     heads.nth(1).wait_for()
     assert [text.split()[-1] for text in heads.all_inner_texts()] == ["dbb", "repulsive"]

@@ -46,7 +46,7 @@ class Run(NamedTuple):
     share: float
     """Largest share of a joint's speed limit."""
     nearest: float
-    """[m] least distance of a pair."""
+    """[m] smallest distance of a pair."""
     faults: dict[str, float]
     """[s] time of the first report of each fault."""
     ee: Array

@@ -443,7 +443,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
 
 
 def is_picture(content: bytes) -> bool:
-    """Whether `content` is empty (the page has no picture), or a PNG of limited size."""
+    """Whether `content` is empty (the page has no picture), or a still PNG of limited size."""
     head = content.partition(b"IDAT")[0]
     size = 0 if len(head) < 24 else math.prod(struct.unpack_from(">II", head, 16))
     whole = head.startswith(b"\x89PNG\r\n\x1a\n") and 0 < size <= _MOST_PIXELS

@@ -164,7 +164,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 
 def engines_row(model: RobotModel) -> Row:
-    """Compare depth pictures and contacts of pybullet and MuJoCo in random poses."""
+    """Compare depth images and contacts of pybullet and MuJoCo in random poses."""
     if not find_spec("pybullet"):
         text = "pybullet is not installed, so there is no second engine for a comparison"
         return Row("engines", "warned", text, {})

@@ -184,7 +184,10 @@ def _worst(path: Path) -> tuple[Worst, Worst]:
 
 
 def _refined(place: Refinement) -> list[list[float]]:
-    """(steps, 2) largest change in one step around a place, for steps of decreasing length."""
+    """(steps, 2) largest changes in one step around a place, for steps of decreasing length.
+
+    The columns are the base's linear and angular acceleration, as in `_changes`.
+    """
     found = []
     for share in (1.0, *_FINER):
         h = share * _STEP

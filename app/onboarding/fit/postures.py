@@ -91,7 +91,7 @@ class _Judge:
         return Ready(q_m, float(clearance), self._names[i] if distances else "")
 
     def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the end-effector in a pose; of its position with fewer than six joints."""
+        """√det(J Jᵀ) of the end-effector in a pose; if n_m < 6, J has only the position's rows."""
         self.search.place(q_m)
         return manipulability(self.search.J_ee if len(q_m) >= 6 else self.search.J_ee[:3])
 

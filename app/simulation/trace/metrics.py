@@ -81,7 +81,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     larger = ""
     if least is not None:
         pair, distance = spoken(least[0], chain) if chain else least[0], 1000 * least[1]
-        near = f"least distance {distance:.0f}"
+        near = f"smallest distance {distance:.0f}"
         if distance < 0:
             near = f"bodies overlapped by {-distance:.1f}"
         text += f"; {near} mm ({pair})"
