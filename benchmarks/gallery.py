@@ -191,8 +191,8 @@ def dbb(*words: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """Run a command of dbb with `--json`, with the robots in `FOLDER`.
 
     Returns:
-        The output of the command, or None; and its duration, the processor time of all cores, and
-            without an output the reason: `refused`, or `crashed` with the last message.
+        The output of the command or None, and a record: its duration, the processor time of all
+            cores, and without an output the reason: `refused`, or `crashed` with the last message.
     """
     begin, before = perf_counter(), _cpu_seconds()
     done = subprocess.run(

@@ -1,9 +1,9 @@
 """Drawing speed of the page without a GPU: `python -m benchmarks.page`.
 
-A headless browser, which draws in software, shows the page of `dbb serve`; the page can detect
-this. The results are the rate of pictures, the delay of a drag, the rate of sent bytes, and the
-longest time for which the page is blocked, also with the tab "Plots". On a loaded machine, compare
-alternating runs.
+A headless browser with software rendering shows the page of `dbb serve`; the page detects such
+rendering and reduces its detail. The results are the rate of pictures, the delay of a drag, the
+rate of sent bytes, and the longest time for which the page is blocked, also with the tab "Plots".
+On a loaded machine, compare alternating runs.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ class Oracle:
         self.damping = np.minimum(model.joint_damping, inertia / (3 * dt))
 
     def configure(self, config: Config) -> None:
-        """Use other parameters; the buffer distance in force follows at 0.1 m/s."""
+        """Use other parameters; the present buffer distance follows at 0.1 m/s."""
         self.config = config
         self.border = Border(self.model, config.border.d_b)
 
@@ -386,7 +386,7 @@ class Oracle:
     # Limits
 
     def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
-        """Limits of torques, joints and `distances`: "none", "all", or "buffers", d_b for links."""
+        """Limits of torques, joints and distances: "none", "all", or "buffers" (d_b for links)."""
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)

@@ -152,7 +152,7 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
 
 
 def _scale(robot: NewRobot) -> Iterator[str]:
-    """Shapes with another scale than the joints, such as a mesh that is not in metres."""
+    """Shapes whose scale differs from that of the joints, such as a mesh not in metres."""
     arm, shapes = robot.parsed.arm, robot.parsed.geometry
     sizes = [
         max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)

@@ -70,7 +70,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats; missing velocities are NaN.
 
     Raises:
-        MeasurementError: The value is no `Measurement`, or a field is not an array of the right
+        MeasurementError: The value is not a `Measurement`, or a field is not an array of the right
             number of values; the message names the field.
     """
     if not isinstance(measurement, Measurement):
@@ -226,7 +226,7 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
-    """(3, n) [m/rad or 1] Jacobian of the point at p (3,) [m] in the world of a joint's body."""
+    """(3, n) [m/rad or 1] Jacobian of a point on a joint's body; p (3,) [m] is in the world."""
     n_b = B.shape[1]
     reduced = np.zeros((3, n_b + J.shape[1] - 3))
     for k in range(carrying(joint)):

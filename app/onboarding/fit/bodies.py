@@ -203,9 +203,10 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
     """The volumes that the points on a chain of joints sweep, as seen from each joint of the chain.
 
     Seen from the frame of one joint, the points on other joints move if the joints between them
-    move. For each joint, the result is the hull of all places of all points in the joint's frame:
-    corners (N, 3) [m], and volume [m³]. The sweep of the points beyond a joint is the same for all
-    frames before this joint, so the sweep over each joint is computed only once in each direction.
+    move. For each joint, the result is the hull of all positions of the points in the joint's
+    frame: corners (N, 3) [m], and volume [m³]. The sweep of the points beyond a joint is the same
+    for all frames before this joint, so the sweep over each joint is computed only once in each
+    direction.
 
     Args:
         model: The robot.

@@ -127,7 +127,7 @@ class StudyRange(Strict):
 
 
 class StudyParameters(Strict):
-    """The parameters that determine each case of a study; the number of cases is not one."""
+    """The parameters that determine each case of a study, without the number of cases."""
 
     seed: int = 0
     """Seed of the random quantities. The quantities of case k depend only on the seed, k, the robot

@@ -13,13 +13,13 @@ _COMPILER = '<mujoco><compiler fusestatic="false" discardvisual="true"/></mujoco
 
 
 class NoSlip(mink.Task):
-    """The base has no velocity along the wheels' axis."""
+    """The base has no velocity along the wheel axis."""
 
     def __init__(self) -> None:
         super().__init__(cost=np.ones(1))
 
     def compute_error(self, configuration: mink.Configuration) -> Array:
-        """Nothing to correct."""
+        """Zero: the constraint is on velocities."""
         return np.zeros(1)
 
     def compute_jacobian(self, configuration: mink.Configuration) -> Array:

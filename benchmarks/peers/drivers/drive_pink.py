@@ -11,13 +11,13 @@ from pink.tasks import DampingTask, FrameTask, Task
 
 
 class NoSlip(Task):
-    """The base has no velocity along the wheels' axis."""
+    """The base has no velocity along the wheel axis."""
 
     def __init__(self) -> None:
         super().__init__(cost=1.0)
 
     def compute_error(self, configuration: Configuration) -> Array:
-        """Nothing to correct."""
+        """Zero: the constraint is on velocities."""
         return np.zeros(1)
 
     def compute_jacobian(self, configuration: Configuration) -> Array:
@@ -28,7 +28,7 @@ class NoSlip(Task):
         return J
 
     def __repr__(self) -> str:
-        """Short."""
+        """A short name."""
         return "NoSlip()"
 
 
