@@ -182,7 +182,7 @@ class _Measurement:
         return float(median(times))
 
     def _drag(self, tab: DashboardTab) -> dict[str, Any]:
-        """Measure jumps of the mouse until the end-effector follows, then a continuous drag."""
+        """Measure the delays after jumps of the mouse, then the rates of a continuous drag."""
         tab.page.evaluate(
             "([g, e]) => Object.assign(dbbWatch, "
             "{ gizmoNode: g, endEffectorNode: e, jumps: true })",

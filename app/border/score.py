@@ -34,7 +34,7 @@ class ScoreField:
     p_base: Array
     """(3,) [m] p_base of (9), the arm's mount."""
     A: float
-    """[1/m²] A of (9), the curvature."""
+    """[1/m²] A of (9), half of the curvature at the peak."""
     B: float
     """[m] B of (9), the distance of the best reachability."""
     C: float
@@ -192,7 +192,7 @@ class ReachFit(NamedTuple):
     """A, B, C of (9) and the quality of the fit."""
 
     A_per_m2: float
-    """[1/m²] A of (9), the curvature."""
+    """[1/m²] A of (9), half of the curvature at the peak."""
     B_m: float
     """[m] B of (9), the distance of the best reachability."""
     C: float

@@ -449,7 +449,7 @@ def push_warning(borne: Array) -> str:
     if weak <= _OFTEN:
         return ""
     return (
-        f"a person of {person:g} N can push the arm against the base: in {weak:.0%} of the poses "
+        f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the poses "
         f"near the base the joint torques resist a smaller force; in the worst {_OFTEN:.0%} they "
         f"resist {np.quantile(borne, _OFTEN):.0f} N or less"
     )
