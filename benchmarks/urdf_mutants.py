@@ -338,7 +338,7 @@ def _address(change: Callable[[Path, str], str]) -> Change:
 
 
 def _moved_to(name: str, escape: bool = False) -> Change:
-    """A mesh in a folder of another name; with `escape` the address has its blanks encoded."""
+    """A mesh in a folder of another name; with `escape` its address has encoded blanks, in NFC."""
 
     def change(path: Path, element: Element) -> None:
         target = path.parent.parent / name / path.name

@@ -77,7 +77,7 @@ def test_the_arm_stops_a_hard_pull_without_contact_or_overspeed(
 def test_a_pull_into_the_column_leaves_a_gap_and_the_bound_fits_speeds(
     robot: RobotModel, border_data: BorderData, force: float
 ) -> None:
-    """Formerly, the gap was -16 mm at the shoulder at 80 N, and the bound was 68 N at 60 N."""
+    """Formerly, the shoulder penetrated by 16 mm with 80 N, and 60 N was within the force bound."""
     pull = LINES["guiding-lateral"].changed(
         start=(0.067, -0.698, 0.392), move=(0.039, 0.758, -0.082), duration=1.16
     )

@@ -148,7 +148,7 @@ def test_joints_treated_as_rigid_are_reported_except_above_the_base(
 
 
 def rocking(*, xs: tuple[float, ...], axis: str) -> str:
-    """The robot with two wheels on one beam at each side, which turns about the beam's middle."""
+    """The robot with a beam on each side that carries two wheels and turns about its middle."""
     parts = [link("base", solid('<box size="0.6 0.4 0.2"/>', mass=30))]
     for side, y in (("left", 0.2), ("right", -0.2)):
         parts += [link(f"{side}_beam", solid('<box size="0.3 0.02 0.02"/>'))]

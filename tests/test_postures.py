@@ -253,7 +253,7 @@ def test_a_base_that_returns_before_the_end_has_not_given_way(
 def test_a_line_just_above_the_base_is_tried_if_no_other_height_works(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """For example for an arm that cannot start as low as its small base."""
+    """A short arm on a low base, for example, cannot reach the heights that are tried first."""
     monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
     found = find_place(husky_panda(), pairs_of(husky_panda()), "guiding-lateral")
     top = float(MobileBody(husky_panda()).upper[2])

@@ -104,18 +104,18 @@ def _poses(robot: NewRobot) -> Iterator[str]:
 
 
 def _bodies(robot: NewRobot) -> Iterator[str]:
-    verdict, meetings = robot.verdict, robot.meetings
-    if robot.unseen.unseen:
+    verdict, meetings, found = robot.verdict, robot.meetings, robot.detection
+    if found.undetected:
         yield (
-            f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
-            f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are not a "
+            f"no pair detects {found.share:.1%} of the random poses in which links collide; "
+            f"mostly {found.worst}; bodies that are neighbours or close by design are not a "
             f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
-    if robot.unseen.left_out:
+    if found.left_out:
         yield (
-            f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
+            f"in {found.left_out} of {found.looked_at:,} random poses links meet "
             "that no pair can monitor, because they are neighbours or close by design: "
-            f"{robot.unseen.rule}; {_LIMIT}"
+            f"{found.rule}; {_LIMIT}"
         )
     for name, why in verdict.unwatched.items():
         if why == BY_BODIES:

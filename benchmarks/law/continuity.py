@@ -117,7 +117,7 @@ def continuity(
 
 
 def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any]:
-    """The largest changes of one kind, and their jumps."""
+    """Row of one mode: the largest changes of the acceleration in a step, and the largest jumps."""
     worst = played(_worst, paths, jobs, kind)
     found: dict[str, Any] = {"kind": kind}
     for axis, (name, unit) in enumerate((("linear", "mps2"), ("angular", "radps2"))):

@@ -238,7 +238,7 @@ def _encoded(name: str) -> Iterator[bytes]:
 
 
 def _as_stored(name: bytes) -> str:
-    """The file name of an entry without a stated encoding: its bytes in code page 437."""
+    """The file name of an entry without a stated encoding: code page 437, two bytes escaped."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 
