@@ -179,7 +179,7 @@ class Seen(list[ClosestPoints]):
 
 @pytest.fixture
 def led(robot: RobotModel, border_data: BorderData):
-    """A function for state and pairs of L_m as the end-effector moves towards the base."""
+    """A function that returns state and pairs of L_m for an end-effector that nears the base."""
     from app.simulation.scenarios.start import StartSolver
 
     q_m = StartSolver(robot, border_data.pairs, 0.15).solve((0.30, 0.72, 0.30))

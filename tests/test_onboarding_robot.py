@@ -710,7 +710,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
 
 
 def test_collision_of_a_fixed_part_counts_where_its_watched_pair_overlaps() -> None:
-    """A mast whose collisions no pair detects belongs to l_m, independently of other ones."""
+    """A mast belongs to l_m if no pair detects the mast's own collisions."""
     model = husky_panda()
     pairs = tuple(combinations(range(5), 2))
     touching = np.where([pair == (1, 3) for pair in pairs], -0.01, 1.0)[None]

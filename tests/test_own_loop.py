@@ -324,7 +324,7 @@ def test_perfect_readings_have_no_fault(
 def test_motion_by_another_controller_is_not_reported_as_lag(
     robot: RobotModel, border_data: BorderData, starts
 ) -> None:
-    """The torques of the watching loop explain the motion for no delay."""
+    """The motion does not result from the torques of the watching loop at any delay."""
     moving, watching = (
         ControlLoop(robot, border_data, Config().changed({"barrier.rate": rate}))
         for rate in (5.0, 20.0)

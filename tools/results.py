@@ -80,7 +80,7 @@ def commit() -> str:
 
 
 def machine() -> str:
-    """The machine that times depend on, as in `Intel Xeon (2 cores), Linux x86_64, Python 3.11`."""
+    """The machine on which times depend: `Intel Xeon (2 cores), Linux x86_64, Python 3.11`."""
     name = platform.processor() or platform.machine()
     cpus = Path("/proc/cpuinfo")
     if cpus.is_file():

@@ -44,8 +44,8 @@ KINDS: dict[Kind, tuple[str, str]] = {
 }
 """Modes of the law: with or without a reference, and the limits of the arm.
 
-A guided base has no arm limits; the last kind includes changes of active limits, so it has no
-bound.
+The arm's limits do not act on the base of a guided robot. The last kind includes changes of active
+limits, so it has no bound.
 """
 
 

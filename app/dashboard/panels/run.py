@@ -226,7 +226,7 @@ def compared_html(shown: Snapshot, last: str) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """A line per robot, as in "With avoidance (dbb): no contact, smallest distance 72 mm"."""
+    """A line per robot, such as "With avoidance (dbb): no contact, smallest distance 72 mm"."""
     lines = (
         f"<b>{METHOD_WORDS[score.controller].capitalize()}</b> ({score.controller}): "
         f"{outcome_text(score.clearance, touched=bool(score.contacts))}"

@@ -91,7 +91,7 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
-    """[-] mean number of units of the arm that fits of l_m touch in free random poses, per try.
+    """(tries,) [-] mean number of the arm's units that each fit of l_m touches in a free pose.
 
     Units that are close to the base by design do not count.
     """

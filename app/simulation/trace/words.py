@@ -66,7 +66,7 @@ def millimetres(distance: float) -> str:
 
 
 def outcome_text(least: float, *, touched: bool) -> str:
-    """A text with the outcome of a run, as in "no contact, smallest distance 105 mm".
+    """A text with the outcome of a run, such as "no contact, smallest distance 105 mm".
 
     `least` is the smallest distance [m]; a negative one is an overlap of the convex bodies.
     """
