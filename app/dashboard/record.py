@@ -131,7 +131,7 @@ class Strip:
     def __init__(self, chain: Sequence[str]) -> None:
         """Create an empty history; `chain` has the names of the robot's bodies, the base first."""
         self._chain, self.runs = chain, -1
-        """Number of restarts since the creation."""
+        """`runs` is the number of restarts since the creation."""
         self.begin()
 
     def begin(self) -> None:

@@ -154,7 +154,7 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int] | None:
-        """The smallest fit over the frames of the units' joints, and the number of its joint.
+        """The smallest fit, of one or more shapes, in a joint's frame, and the joint's number.
 
         `masks` select the points of each unit. The result is None if no points are selected, or if
         their swept volume is below `_SPOT`.

@@ -191,7 +191,7 @@ def spellings(reference: str) -> list[str]:
 
 
 def _split_address(reference: str) -> tuple[str, str, str]:
-    """Scheme, package and path of an address; the package is empty for other schemes.
+    """Scheme, package and path of an address; only schemes of `_IN_PACKAGE` have a package.
 
     A Windows drive letter is not a scheme. Several slashes count as one.
     """
@@ -208,7 +208,7 @@ def _split_address(reference: str) -> tuple[str, str, str]:
 def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Path]:
     """Possible files of a mesh: in its package, or relative to the URDF's folder or one above it.
 
-    There is none for other schemes than `package`, `model` and `file`.
+    Only paths, and addresses with the scheme `package`, `model` or `file`, have possible files.
     """
     scheme, package, path = _split_address(reference)
     own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()

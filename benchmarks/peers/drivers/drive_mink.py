@@ -23,7 +23,7 @@ class NoSlip(mink.Task):
         return np.zeros(1)
 
     def compute_jacobian(self, configuration: mink.Configuration) -> Array:
-        """(1, n) across the heading."""
+        """(1, n) Jacobian of the base's sideways velocity."""
         J = np.zeros((1, configuration.nv))
         yaw = configuration.q[2]
         J[0, :2] = -np.sin(yaw), np.cos(yaw)

@@ -21,7 +21,7 @@ class NoSlip(Task):
         return np.zeros(1)
 
     def compute_jacobian(self, configuration: Configuration) -> Array:
-        """(1, n) across the heading."""
+        """(1, n) Jacobian of the base's sideways velocity."""
         J = np.zeros((1, configuration.model.nv))
         yaw = configuration.q[2]
         J[0, :2] = -np.sin(yaw), np.cos(yaw)
