@@ -104,8 +104,8 @@ class _PartLowering(NativeLowering):
 class _Lowering(NativeLowering):
     """Translation to machine code without vector instructions and unrolled loops.
 
-    Vector instructions are slower for loops of nine rounds. Unrolled loops double the size of the
-    code, which each control step has to read from memory.
+    Vector instructions are slower for loops of nine iterations. Unrolled loops double the size of
+    the code, which each control step has to read from memory.
     """
 
     _name = "compact_lowering"

@@ -107,7 +107,7 @@ class EeHoldConfig(Strict):
     )
     """[m/s] if joints at full speed move the end-effector slower than this in a direction, the arm
     counts as unable to compensate base motion in this direction."""
-    weight: Annotated[float, Shown("Held end-effector weight")] = Field(
+    weight: Annotated[float, Shown("End-effector hold weight")] = Field(
         default=3000.0, ge=0.01, le=1e5
     )
     """[-] weight of the end-effector motion that the base would cause, relative to the base's

@@ -153,8 +153,8 @@ def wake_children() -> None:
 def end_group(leader: int, *, at_once: bool) -> None:
     """End all processes of a group.
 
-    The processes receive SIGTERM, or SIGKILL with `at_once`. It is no error if the group does not
-    exist or has ended.
+    The processes receive SIGTERM, or SIGKILL with `at_once`. A group that does not exist or has
+    ended is not an error.
 
     Args:
         leader: Number of the process that leads the group; 0 is the group of this process.

@@ -116,7 +116,7 @@ class _Run:
     def __init__(self, browser: Any, server: _Server, args: Actions) -> None:
         self._server, self._args, self._random = server, args, random.Random(args.seed)
         self._tabs = [DashboardTab(browser, server.address, size) for size in _SIZES]
-        self._robot, self._hand = "", ("", np.zeros(3))
+        self._robot, self._ee = "", ("", np.zeros(3))
         self._memory: list[tuple[str, float]] = []
         self._off = 0.0
         self._failed: list[str] = []
@@ -147,7 +147,7 @@ class _Run:
             "server_says": self._server.lines[1:][-20:],
             "actions_that_failed": self._failed,
             "apart_after": self._apart,
-            "largest_distance_of_hand_and_gizmo_mm": 1000.0 * self._off,
+            "largest_distance_of_end_effector_and_gizmo_mm": 1000.0 * self._off,
             "pauses": len(self._memory),
             "megabytes_by_robot": megabytes,
         }
@@ -224,7 +224,7 @@ class _Run:
         first.click("Use this robot")
         self._use(robot)
         for each in self._tabs:
-            each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._hand[0], 900.0)
+            each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._ee[0], 900.0)
             each.wait_for_scene()
 
     def _use(self, name: str) -> None:
@@ -237,7 +237,7 @@ class _Run:
         p_ee = data.oMf[robot.ee_frame].translation
         last = poses.model.getJointId(arm.joints[-1])
         found = poses.update(q_m, np.zeros(len(robot.description.base.wheels)))[last]
-        self._robot, self._hand = name, (node_of(poses.model, last), found.actInv(p_ee))
+        self._robot, self._ee = name, (node_of(poses.model, last), found.actInv(p_ee))
 
     def _calm(self, tab: DashboardTab) -> None:
         """Release everything, close all overlays, and go to the present."""
@@ -280,7 +280,7 @@ class _Run:
         If the connection of a page was closed, the page reconnects; until then it has no scene.
         """
         deadline = time.monotonic() + PATIENCE
-        node, point = self._hand
+        node, point = self._ee
         while True:
             drawn = np.array(tab.page.evaluate(_AT, [node, point.tolist()]))
             off = float(np.linalg.norm(drawn - tab.position(GIZMO)))

@@ -50,7 +50,7 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 def _sweep(tab: DashboardTab, end: float) -> int:
     """Drag the end-effector `SWEEPS` times, release it and press Restart; count the drags."""
     try:
-        arrow, hand = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
+        arrow, start = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
     except LookupError:  # on a busy machine the robot is not visible yet
         _restart(tab)
         return 0
@@ -62,7 +62,7 @@ def _sweep(tab: DashboardTab, end: float) -> int:
         sweeps = (time.monotonic() - begin) / SWEEP
         share = 0.5 + 0.5 * np.cos(2.0 * np.pi * sweeps)
         x_base = tab.position("/robot")[0]
-        target = np.array([x_base + NEAR + share * (FAR - NEAR), *hand[1:]])
+        target = np.array([x_base + NEAR + share * (FAR - NEAR), *start[1:]])
         tab.page.mouse.move(*tab.pixel("", tuple((target + arrow).tolist())))
         tab.page.wait_for_timeout(1000.0 * MOVE)
     tab.page.mouse.up()

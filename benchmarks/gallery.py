@@ -74,7 +74,7 @@ _PANDA = "robot_assets/bases/panda.urdf", "panda_hand"
 _WX = f"{_RTB}/trossen_descriptions/urdf/wx250s.urdf.xacro", "/ee_gripper_link"
 _IIWA = f"{_RTB}/kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.xacro", "tool0"
 _FRONT, _BACK, _DECK = (0.3, 0.0, 0.256), (-0.3, 0.0, 0.256), (0.2, 0.0, 0.3)
-_TIAGO, _STRETCH_HAND = f"{_DATA}/tiago_description/robots", "link_grasp_center"
+_TIAGO, _STRETCH_TIP = f"{_DATA}/tiago_description/robots", "link_grasp_center"
 _FRANKIE = f"{_RTB}/qut_frankie_description/robots"
 _ON_FRANKIE = {"tip_xyz": (0.0, 0.0, 0.1034), "assume_inertia": True}
 ROBOTS: dict[str, dict[str, Any]] = {
@@ -104,17 +104,17 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "stretch_re1": _of(
         f"{_STRETCH}/RE1V0/stretch_description_RE1V0_tool_stretch_gripper.urdf",
         "base_link",
-        _STRETCH_HAND,
+        _STRETCH_TIP,
     ),
     "stretch_re2": _of(
         f"{_STRETCH}/RE2V0/stretch_description_RE2V0_eoa_wrist_dw3_tool_sg3.urdf",
         "base_link",
-        _STRETCH_HAND,
+        _STRETCH_TIP,
     ),
     "stretch_se3": _of(
         f"{_STRETCH}/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf",
         "base_link",
-        _STRETCH_HAND,
+        _STRETCH_TIP,
     ),
     "tiago": _of(f"{_TIAGO}/tiago_no_hand.urdf", "base_footprint", "wrist_ft_tool_link"),
     "tiago_hand": _of(f"{_TIAGO}/tiago.urdf", "base_footprint", "arm_tool_link"),
@@ -191,8 +191,8 @@ def dbb(*words: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """Run a command of dbb with `--json`, with the robots in `FOLDER`.
 
     Returns:
-        The output of the command, or None; and its duration, the processor time of all cores, and
-            without an output the reason: `refused`, or `crashed` with the last message.
+        The output of the command or None, and a record: its duration, the processor time of all
+            cores, and without an output the reason: `refused`, or `crashed` with the last message.
     """
     begin, before = perf_counter(), _cpu_seconds()
     done = subprocess.run(

@@ -1,9 +1,9 @@
 """Drawing speed of the page without a GPU: `python -m benchmarks.page`.
 
-A headless browser, which draws in software, shows the page of `dbb serve`; the page can detect
-this. The results are the rate of pictures, the delay of a drag, the rate of sent bytes, and the
-longest time for which the page is blocked, also with the tab "Plots". On a loaded machine, compare
-alternating runs.
+A headless browser with software rendering shows the page of `dbb serve`; the page detects such
+rendering and reduces its detail. The results are the rate of pictures, the delay of a drag, the
+rate of sent bytes, and the longest time for which the page is blocked, also with the tab "Plots".
+On a loaded machine, compare alternating runs.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SIZE, LARGE = (1280, 720), (1600, 900)  # [px] sizes of the two pages
 SETTLED = 6.0  # [s] time in which a page has loaded everything
 _HELPERS = """
 (() => {
-  const watch = { hand: [], gizmo: [], stall: 0 };
+  const watch = { endEffector: [], gizmo: [], stall: 0 };
   let before = performance.now(), moved = null;
   const { viewer, node, canvas } = window.dbbPage;
   const frame = () => window.__viserTestpoints?.rendererInfo?.render?.frame ?? 0;
@@ -58,7 +58,7 @@ _HELPERS = """
   };
   window.addEventListener("pointermove", (event) => {
     if (!watch.jumps) return;
-    const last = [watch.gizmoNode, watch.handNode].map(height);
+    const last = [watch.gizmoNode, watch.endEffectorNode].map(height);
     moved = { at: event.timeStamp, frame: frame(), last, gizmo: false };
   }, true);
   const look = () => {
@@ -70,8 +70,8 @@ _HELPERS = """
         moved.gizmo = true;
         watch.gizmo.push(drawn() - moved.at);
       }
-      if (moved.gizmo && Math.abs(height(watch.handNode) - moved.last[1]) > 0.003) {
-        watch.hand.push(drawn() - moved.at);
+      if (moved.gizmo && Math.abs(height(watch.endEffectorNode) - moved.last[1]) > 0.003) {
+        watch.endEffector.push(drawn() - moved.at);
         moved = null;
       }
     }
@@ -182,9 +182,10 @@ class _Measurement:
         return float(median(times))
 
     def _drag(self, tab: DashboardTab) -> dict[str, Any]:
-        """Measure jumps of the mouse until the end-effector follows, then a continuous drag."""
+        """Measure the delays after jumps of the mouse, then the rates of a continuous drag."""
         tab.page.evaluate(
-            "([g, h]) => Object.assign(dbbWatch, { gizmoNode: g, handNode: h, jumps: true })",
+            "([g, e]) => Object.assign(dbbWatch, "
+            "{ gizmoNode: g, endEffectorNode: e, jumps: true })",
             [GIZMO, "/robot/panda_joint7"],
         )
         arrow = tab.arrow(GIZMO, AXIS, SCALE)
@@ -200,15 +201,17 @@ class _Measurement:
         for i in range(JUMPS):
             to(STEP if i % 2 == 0 else 0.0)
             tab.page.wait_for_timeout(1000 * REST)
-        found = tab.page.evaluate("() => ({ gizmo: dbbWatch.gizmo, hand: dbbWatch.hand })")
+        found = tab.page.evaluate(
+            "() => ({ gizmo: dbbWatch.gizmo, endEffector: dbbWatch.endEffector })"
+        )
         tab.page.evaluate("() => (dbbWatch.jumps = false)")
         begin = time.monotonic()
         dragged = self._over(tab, lambda: to(STEP * np.sin(3.0 * (time.monotonic() - begin))))
         tab.page.mouse.up()
         return {
             "gizmo_follows_ms": median(found["gizmo"]) if found["gizmo"] else None,
-            "hand_follows_ms": median(found["hand"]) if found["hand"] else None,
-            "jumps_followed": len(found["hand"]),
+            "hand_follows_ms": median(found["endEffector"]) if found["endEffector"] else None,
+            "jumps_followed": len(found["endEffector"]),
             **{f"dragging_{key}": value for key, value in dragged.items()},
         }
 

@@ -185,7 +185,7 @@ def _of_robot(
 
 
 def _print_robots(rows: list[dict[str, Any]]) -> None:
-    head = "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts"
+    head = "robot", "case", "from", "controller", "clearance", "error", "base drove", "contacts"
     shown = []
     for row in rows:
         if "reason" in row:

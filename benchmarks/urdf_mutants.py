@@ -109,7 +109,10 @@ def supports(urdf: Path, base: str, poses: int = _POSES) -> dict[str, Array]:
 
 
 def _place(model: pin.Model, data: pin.Data, pose: int) -> None:
-    """Compute placements: pose 0 has all joints at zero; else angles depend on names of joints."""
+    """Compute placements: in pose 0 all joints are at zero, otherwise joints have random angles.
+
+    The random angle of a joint depends only on the joint's name and the number of the pose.
+    """
     v = np.zeros(model.nv)
     for name, joint in zip(model.names, model.joints, strict=True):
         if pose and joint.nv == 1 and _is_arm(name):
@@ -338,7 +341,7 @@ def _address(change: Callable[[Path, str], str]) -> Change:
 
 
 def _moved_to(name: str, escape: bool = False) -> Change:
-    """A mesh in a folder of another name; with `escape` the address has its blanks encoded."""
+    """A mesh in a folder of another name; with `escape` its address has encoded blanks, in NFC."""
 
     def change(path: Path, element: Element) -> None:
         target = path.parent.parent / name / path.name

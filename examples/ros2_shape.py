@@ -1,7 +1,7 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-The methods of `ros` are create_subscription, create_publisher(…).publish and create_timer of rclpy.
-Run it: python examples/ros2_shape.py
+`publisher`, `subscribe` and `timer` of `ros` stand for create_publisher(…).publish,
+create_subscription and create_timer of rclpy. Run it: python examples/ros2_shape.py
 """
 
 from functools import partial

@@ -27,7 +27,7 @@ class RunningAdmittance:
         self._v_max, self._a_max = largest_command(base, config), np.array(base.max_acceleration)
         self._sum, self._t = np.zeros(base.n_b), 0.0
         self.command = np.zeros(base.n_b)
-        """(n_b,) [m/s or rad/s] the velocity command in force."""
+        """(n_b,) [m/s or rad/s] the present velocity command."""
 
     def update(self, acceleration: Array, dt: float) -> Array:
         """The command (n_b,) after a step of dt [s] with an acceleration (n_b,)."""

@@ -1,4 +1,4 @@
-"""The dashboard in front of a loop without physics, for tests with a browser or a raw client."""
+"""A dashboard with a loop without physics, for tests with a browser or a raw client."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ Array = np.ndarray
 
 PAIRS = (("lm", "lEE"), ("lm", "l3"), ("l1", "lEE"), ("l1", "l3"), ("l2", "lEE"))
 DT = 0.02  # [s] of one step of the loop
-HAND_SPEED = 0.25  # [m/s] speed of the end-effector towards the pull's target
+EE_SPEED = 0.25  # [m/s] speed of the end-effector towards the pull's target
 
 
 class ScriptedLoop:
@@ -178,7 +178,7 @@ class ScriptedLoop:
         if not stretches:
             return
         stretch = np.mean(stretches, axis=0)
-        v = stretch * min(HAND_SPEED / max(float(np.linalg.norm(stretch)), 1e-9), 1.0 / dt)
+        v = stretch * min(EE_SPEED / max(float(np.linalg.norm(stretch)), 1e-9), 1.0 / dt)
         J = self._state.J_ee[:3, 2:]
         self._q += dt * J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), v)
         self._q = np.clip(self._q, self.model.q_lower, self.model.q_upper)
@@ -189,8 +189,8 @@ class ScriptedLoop:
         pairs = self._distances(state, config)
         p_ee = state.T_world_ee.translation.copy()
         pulls = tuple(self._pull_reading(pull, p_ee) for pull in self._pulls.values())
-        of_hand = [pull for pull in pulls if pull.link is None]
-        target = of_hand[0].target if of_hand else None
+        of_ee = [pull for pull in pulls if pull.link is None]
+        target = of_ee[0].target if of_ee else None
         error = 0.0 if target is None else float(np.linalg.norm(target - p_ee))
         beta_m = max(pair.beta for pair in pairs if pair.mobile)
         desired = beta_m * np.array([-0.8, 0.5])
@@ -212,7 +212,7 @@ class ScriptedLoop:
             acting=tuple(_acting(p, config) for p in pairs if p.mobile and p.beta > 0),
             beta_m=beta_m,
             hand_target=target,
-            hand_force=sum((pull.force for pull in of_hand), np.zeros(3)),
+            hand_force=sum((pull.force for pull in of_ee), np.zeros(3)),
             ee_error=error,
             in_contact=any(p.d <= 0 for p in pairs),
             arm_in_contact=False,

@@ -66,7 +66,7 @@ def nap(report: Report, seconds: float) -> float:
 
 
 def wait_for_ever(report: Report, file: str) -> None:
-    """Writes the id of its child process to a file."""
+    """Starts a child process, writes the child's id to a file, and does not end by itself."""
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     Path(file).write_text(str(child.pid))
     report("waiting", 0.5)
@@ -79,7 +79,7 @@ def say_and_wait(context: object, job: int) -> None:
 
 
 def wait_with_workers(report: Report, folder: str) -> None:
-    """Waits in a folder, together with workers that wait too; the long timeout prevents a kill."""
+    """Waits with two workers and a temporary folder; a long timeout prevents a kill of workers."""
     from app.jobs import process
     from app.jobs.pool import Workers
 
@@ -98,7 +98,7 @@ def wait_in_a_folder(report: Report, out: str) -> None:
 
 
 def wait_for_ever_for_a_request(report: Report, request: Request) -> None:
-    """Leaves a folder that it cannot remove."""
+    """Begins a folder, waits without an end, and leaves the folder when it is killed."""
     from app.system import whole_folder
 
     begun = whole_folder(request.out)

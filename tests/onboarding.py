@@ -155,7 +155,7 @@ def line_without_a_run(
 
 def few_poses(patch: pytest.MonkeyPatch) -> None:
     """Let bodies be fitted and judged with a third of the product's random poses."""
-    patch.setattr(grouping, "UNSEEN_POSES", 1300)
+    patch.setattr(grouping, "TEST_POSES", 1300)
     for module in (new_robot, grouping, bodies):
         patch.setattr(module, "ENOUGH", 200)
 

@@ -82,7 +82,7 @@ class Oracle:
         self.damping = np.minimum(model.joint_damping, inertia / (3 * dt))
 
     def configure(self, config: Config) -> None:
-        """Use other parameters; the buffer distance in force follows at 0.1 m/s."""
+        """Use other parameters; the present buffer distance follows at 0.1 m/s."""
         self.config = config
         self.border = Border(self.model, config.border.d_b)
 
@@ -350,7 +350,7 @@ class Oracle:
         w.H_low, w.c_low = np.diag(weight), -weight * wanted
 
     def _end_effector(self, slowness: float) -> tuple[Array, float]:
-        """(26): ẍ_d − J̇ q̇ + k_v ė + k_p e, k_p e within k_v times a speed; and λ."""
+        """(26): ẍ_d − J̇ q̇ + k_v ė + k_p e, with k_p e limited to k_v times a speed; and λ."""
         w, task = self.w, self.config.task
         k_p, k_v = task.ee_stiffness / slowness**2, task.ee_damping / slowness
         most = k_v * task.ee_speed
@@ -363,7 +363,7 @@ class Oracle:
         return b, float(pull @ pull) / k_p**2
 
     def _tracking(self, slowness: float, give: float, weight: float) -> tuple[Array, Array]:
-        """The posture and ½ w (‖J q̈ − b‖² + λ ‖q̈ + k_v q̇‖²), λ in the posture's metric."""
+        """Posture task plus ½ w (‖J q̈ − b‖² + λ ‖q̈ + k_v q̇‖²), the last norm in its metric."""
         w, k_v = self.w, self.config.task.ee_damping / slowness
         b, _ = self._end_effector(slowness)
         H = w.H_low + weight * (give * w.H_low + w.J_ee.T @ w.J_ee)
@@ -386,7 +386,7 @@ class Oracle:
     # Limits
 
     def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
-        """Limits of torques, joints and `distances`: "none", "all", or "buffers", d_b for links."""
+        """Limits of torques, joints and distances: "none", "all", or "buffers" (d_b for links)."""
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
@@ -489,7 +489,7 @@ class Oracle:
         )
 
     def _undragged(self) -> Array:
-        """Nearest to a_des in the metric of the inertia plus a mass on a dragged end-effector."""
+        """Base acceleration nearest to a_des, and with little motion of a dragged end-effector."""
         w, base, hold = self.w, self.base, self.config.ee_hold
         reach = w.J_ee[:3, self.n_b :] * self.model.qd_max / hold.min_speed
         follows = reach @ reach.T
@@ -501,7 +501,7 @@ class Oracle:
         return np.linalg.solve(I + mass * drag.T @ drag, I @ wanted + mass * drag.T @ drag @ a_hold)
 
     def _make_room(self) -> None:
-        """Make the least change with which the predicted arm tracks T_2 within its limits."""
+        """Change a_base_cmd by the least amount with which the arm can fulfil T_2 in its limits."""
         w, n_b, task = self.w, self.n_b, self.config.task
         slow = task.base_time_scale
         _, give = self._end_effector(slow)

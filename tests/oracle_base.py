@@ -49,7 +49,7 @@ class OracleBase:
         return self.T.T @ np.array([f_x / self.mass, f_y / self.mass, torque / self._I])
 
     def admissible(self, command: Array, before: Array) -> Array:
-        """The command; for a car, the nearest velocity in its cone by m v² + I ω²."""
+        """The command; for a car, the nearest velocity in its cone in the inertia's metric."""
         if self.kind != "car-like" or abs(command[1]) <= self.kappa * abs(command[0]):
             return command
         turn = self.kappa * np.sign(command[1])

@@ -109,7 +109,7 @@ CORNER = 0.01  # [m] between the ends of two rings that meet
 
 
 class Ring(NamedTuple):
-    """The offset of one shape at each height, or at one of them; points as x + iy."""
+    """The outline of one shape's offset, at all heights or at one height; points as x + iy."""
 
     heights: Array
     vertices: Array
@@ -223,7 +223,7 @@ def feet(p: complex, corners: Array, tangents: Array, outside: Array, found: lis
 
 
 def right_angle(to_p: complex, edge: complex, t: complex, turn: complex) -> float:
-    """The s within [0, 1] at which (to_p − s edge) · (t + s turn) = 0."""
+    """The s within [0, 1] at which (to_p − s edge) · (t + s turn) = 0; 0 without one."""
     a, b, c = -dot(edge, turn), dot(to_p, turn) - dot(edge, t), dot(to_p, t)
     roots = [s.real for s in np.roots([a, b, c]) if abs(s.imag) < 1e-9]
     inside = [s for s in roots if -1e-9 <= s <= 1 + 1e-9]

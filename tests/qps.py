@@ -133,10 +133,10 @@ def posture_of(
 
 
 def with_ee(
-    posture: Objective, hand: EeTask, at: RobotState | ControlStep, task: TaskConfig
+    posture: Objective, tracking: EeTask, at: RobotState | ControlStep, task: TaskConfig
 ) -> Objective:
     """The objective with T_2 above the posture task."""
-    return Objective(*add_tracking(*posture, *hand, task.ee_damping * at.qd, task.ee_weight))
+    return Objective(*add_tracking(*posture, *tracking, task.ee_damping * at.qd, task.ee_weight))
 
 
 def joint_bounds_of(model: RobotModel, at: RobotState | ControlStep, limit: LimitConfig) -> Array:

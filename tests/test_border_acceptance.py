@@ -86,7 +86,7 @@ class Arm:
         return np.array(points), np.array(poses)
 
     def reach(self, target: np.ndarray, starts: np.ndarray) -> float:
-        """[m] the least distance of the closest point to a target that least squares finds."""
+        """[m] the smallest distance of the closest point to a target that least squares finds."""
         lower, upper, best = self.model.q_lower, self.model.q_upper, np.inf
         for start in starts:
             found = least_squares(
@@ -160,7 +160,7 @@ def _reach(arm: Arm, target: np.ndarray, tree: cKDTree, poses: np.ndarray) -> fl
     return arm.reach(target, poses[tree.query(target, k=6)[1]])
 
 
-def test_the_wheels_axis_is_covered_on_both_sides(clouds):
+def test_the_wheel_axis_is_covered_on_both_sides(clouds):
     """Above 0.21 m the end-effector reaches the axis x = 0 beside the base."""
     border = construct_dbb(clouds["lm-lEE"], 0.15, 0.01)
     for z in np.arange(0.21, TOP, 0.01):

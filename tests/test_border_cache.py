@@ -1,4 +1,4 @@
-"""The border file returns the read_back content, and a changed file is refused."""
+"""A border file returns the written content, and a changed file is refused."""
 
 from __future__ import annotations
 

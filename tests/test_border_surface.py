@@ -39,7 +39,7 @@ def points(border: Border, offset: OffsetContours) -> BorderSearch:
     return BorderSearch(offset, [border])
 
 
-def hand_path(seed: int, steps: int) -> np.ndarray:
+def random_path(seed: int, steps: int) -> np.ndarray:
     """(steps, 3) [m] smooth path inside the buffer along the base's side and front corner.
 
     The base is 0.99 m by 0.69 m by 0.248 m.
@@ -82,7 +82,7 @@ def test_acting_point_is_continuous_on_the_surface_but_not_on_points(
 ) -> None:
     """Ten times finer sampling of the path divides the largest step by at least eight."""
     field = ScoreField.of(robot, "lEE")
-    coarse, fine = hand_path(seed, 4001), hand_path(seed, 40001)
+    coarse, fine = random_path(seed, 4001), random_path(seed, 40001)
     ratios = {}
     for border, last in ((surface, None), (points, 20001)):
         finder = ActingPointFinder(border, field)
@@ -103,7 +103,7 @@ def test_desired_acceleration_jumps_20_times_less_with_surface_than_points(
     for border in (surface, points):
         finder = ActingPointFinder(border, field)
         accelerations = []
-        for p_b in hand_path(seed, 4001):
+        for p_b in random_path(seed, 4001):
             d = abs(p_b[1]) - 0.345
             acting = finder.find_acting_point(p_b, d, FORCE)
             assert acting is not None

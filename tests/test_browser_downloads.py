@@ -129,7 +129,7 @@ def test_a_replay_moves_the_robot_without_a_network(tab, tmp_path, offline):
 
     wait_for(moves, what="the arm moves")
     assert "husky_panda" in offline.title()
-    assert offline.get_by_text("least distance").is_visible()
+    assert offline.get_by_text("smallest distance").is_visible()
 
 
 def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):

@@ -117,7 +117,7 @@ def acting_points(snapshot: Snapshot) -> list[Array]:
 
 
 def person_force(snapshot: Snapshot) -> list[Array]:
-    """Places along the person's force and above the base."""
+    """Places along the arrow of the person's force, and above the base around its arrows."""
     tip = snapshot.p_ee + METRES_PER_NEWTON * snapshot.hand_force
     base = np.append(snapshot.base_pose[:2], 0.45)
     around_base = [base + 0.22 * np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(0, 6, 1)]

@@ -150,7 +150,7 @@ def test_strip_shows_the_history_and_accepts_mouse_touch_and_keys(tab, served):
 
     tab.click("Nearest")
     least = min(served.loop.history(-1.0), key=lambda s: min(p.d for p in s.pairs))
-    wait_for(lambda: page.timeline.shown().t == pytest.approx(least.t), what="least distance")
+    wait_for(lambda: page.timeline.shown().t == pytest.approx(least.t), what="smallest distance")
 
     x, y = tab.page.evaluate("() => dbb.pixel(1)")
     tab.page.mouse.move(*tab.page.evaluate("() => dbb.pixel(3)"))

@@ -39,7 +39,7 @@ FOREIGN = (
     '<img src="data:," onerror="top.foreign = 1">'
 )
 BLOCKED = "Blocked script execution in 'about:srcdoc'"
-"""The browser's error for the script in the report."""
+"""The browser's error when it blocks the script in the report."""
 LATE = "Tried to update non-existent component"
 """The error of viser's page for a widget that is changed and removed in the same frame.
 

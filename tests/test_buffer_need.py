@@ -116,7 +116,7 @@ def test_only_the_horizontal_part_of_an_oblique_force_moves_the_base(base):
 
 
 def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
-    """[m] least distance of an end-effector that approaches from the front at v.
+    """[m] smallest distance of an end-effector that approaches from the front at v.
 
     Steps the product's admittance law and drive with a queue for the delay; only the avoidance
     force is written again here.
@@ -179,7 +179,7 @@ class Seen(list[ClosestPoints]):
 
 @pytest.fixture
 def led(robot: RobotModel, border_data: BorderData):
-    """A function for state and pairs of L_m as the end-effector moves towards the base."""
+    """A function that returns state and pairs of L_m for an end-effector that nears the base."""
     from app.simulation.scenarios.start import StartSolver
 
     q_m = StartSolver(robot, border_data.pairs, 0.15).solve((0.30, 0.72, 0.30))

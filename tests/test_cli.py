@@ -485,7 +485,7 @@ def test_run_prints_the_verdict_first_and_the_written_files_last(dbb, tmp_path):
     log = tmp_path / "run.csv"
     first, *others = dbb(*QUICK, "--out", str(tmp_path), "--log", str(log)).out.splitlines()
     assert re.fullmatch(
-        r"No contact; least distance \d+ mm \([^)]+\); final end-effector error .* mm\.", first
+        r"No contact; smallest distance \d+ mm \([^)]+\); final end-effector error .* mm\.", first
     )
     written = [tmp_path / "log.csv", tmp_path / "metrics.json", log]
     assert others[-3:] == [f"wrote {path}" for path in written]
@@ -506,10 +506,10 @@ FIGURES_OF_A_RUN = {
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({}, "No contact; least distance 50 mm (lm-lEE); final end-effector error 12.3 mm."),
+        ({}, "No contact; smallest distance 50 mm (lm-lEE); final end-effector error 12.3 mm."),
         (
             {"contacts": 7, "floor_contacts": 1},
-            "The arm touched the base and the floor; least distance 50 mm (lm-lEE)",
+            "The arm touched the base and the floor; smallest distance 50 mm (lm-lEE)",
         ),
         (
             {"min_distance_m": {"lm-lEE": -0.008}},

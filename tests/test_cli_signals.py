@@ -36,7 +36,7 @@ def default_handler(monkeypatch) -> Iterator[None]:
 
 
 def turned_into_another_error() -> None:
-    """Like a compiled kernel that was about to return."""
+    """Interrupt like a compiled kernel that is about to return, which raises another error."""
     try:
         interrupted()
     except KeyboardInterrupt as error:
@@ -44,7 +44,7 @@ def turned_into_another_error() -> None:
 
 
 def swallowed() -> None:
-    """Like a callback from compiled code, which loses the interrupt; the work continues."""
+    """Lose the interrupt, like a callback from compiled code; the work continues."""
     with progress_bar("work", 10.0) as on_progress:
         for done in range(10):
             try:
@@ -58,7 +58,7 @@ def swallowed() -> None:
 
 
 def swallowed_by_an_import() -> None:
-    """Like an import that ignores missing optional parts; then the work starts."""
+    """Lose the interrupt, like an import that ignores missing modules; then the work starts."""
     with suppress(BaseException):
         interrupted()
     with progress_bar("work", 10.0):

@@ -41,13 +41,13 @@ def near_both(a: Box, b: Box, normals: Normals, seed: int) -> Measurement:
     rng, robot = np.random.default_rng(seed), husky_panda()
     models = [with_mobile_shapes((shape,)) for shape in (a, b)]
     readers = [PairDistances(model, candidate_pairs(model)) for model in models]
-    hand = [pair.name for pair in readers[0].pairs].index("lm-lEE")
+    lm_lEE = [pair.name for pair in readers[0].pairs].index("lm-lEE")
     while True:
         q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
         for reader, normal in zip(readers, normals, strict=True):
             reader.update(robot.configuration(np.zeros(3), q_m))
-            near = reader.closest(hand)
-            others = np.delete(reader.distances(), hand)
+            near = reader.closest(lm_lEE)
+            others = np.delete(reader.distances(), lm_lEE)
             if not (0.03 < near.d < 0.05 and near.n @ normal > 0.99 and others.min() > 0.08):
                 break
         else:

@@ -1000,10 +1000,10 @@ def test_robot_with_contact_or_overlap_is_never_marked_best(loop):
         for name, (least, contacts) in OUTCOMES.items()
     )
     assert outcomes_html(scores).split("<br>") == [
-        "<b>With avoidance</b> (dbb): no contact, least distance 104 mm",
+        "<b>With avoidance</b> (dbb): no contact, smallest distance 104 mm",
         "<b>Without avoidance</b> (none): bodies overlap by 8 mm",
-        "<b>Arm repulsion only</b> (repulsive): contact, least distance 50 mm",
-        "<b>Minimum distance only</b> (barrier): no contact, least distance 20 mm",
+        "<b>Arm repulsion only</b> (repulsive): contact, smallest distance 50 mm",
+        "<b>Minimum distance only</b> (barrier): no contact, smallest distance 20 mm",
     ]
     html = scores_html(scores)
     assert coloured(html, "contact") == 3, "two outcomes, and a distance below zero"
@@ -1019,10 +1019,10 @@ def test_robot_with_contact_or_overlap_is_never_marked_best(loop):
     ]
 
 
-@pytest.mark.parametrize(("link", "at_hand"), [(None, 1.0), ("panda_link4", 0.0)])
-def test_pull_row_shows_the_force_and_the_force_that_the_arm_resists(loop, link, at_hand):
+@pytest.mark.parametrize(("link", "at_ee"), [(None, 1.0), ("panda_link4", 0.0)])
+def test_pull_row_shows_the_force_and_the_force_that_the_arm_resists(loop, link, at_ee):
     pull = PullReading(1, link, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
-    held = replace(loop.latest(), pulls=(pull,), hand_force=at_hand * pull.force)
+    held = replace(loop.latest(), pulls=(pull,), hand_force=at_ee * pull.force)
     assert "30.0 N</td>" in status_html(held)
     held = replace(held, force_bound=61.7)
     assert "30.0 N (arm resists up to 62 N)</td>" in status_html(held)

@@ -254,7 +254,7 @@ def test_second_robot_appears_in_the_scene_and_in_the_table(tab, served):
     assert tab.page.get_by_text("No comparison is running.").is_visible()
     tab.choose("Second robot", "repulsive: arm repulsion only")
     wait_for(lambda: served.loop.commands == [Compare(("repulsive",), "path")])
-    hand = served.loop.latest().p_ee
+    p_ee = served.loop.latest().p_ee
     assert not tab.is_shown("/ghost_0"), "a ghost that coincides with the robot is hidden"
     served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: tab.is_shown("/ghost_0"))
@@ -262,13 +262,13 @@ def test_second_robot_appears_in_the_scene_and_in_the_table(tab, served):
         lambda: (tab.text("/names/1") or "").startswith("violet, arm repulsion only"),
         what="the ghost's name",
     )
-    tab.page.get_by_text("no contact, least distance").first.wait_for(timeout=40_000)
+    tab.page.get_by_text("no contact, smallest distance").first.wait_for(timeout=40_000)
     heads = tab.page.locator("th").filter(visible=True)
     heads.nth(1).wait_for()
     assert [text.split()[-1] for text in heads.all_inner_texts()] == ["dbb", "repulsive"]
     wait_for(lambda: np.linalg.norm(tab.position("/robot") - [-0.35, 0.0, 0.0]) < 1e-3)
     np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
-    wait_for(lambda: in_scene(tab, hand), what="the ghost's end-effector beside the panels")
+    wait_for(lambda: in_scene(tab, p_ee), what="the ghost's end-effector beside the panels")
     with_ghost = tab.picture_at_rest()
     tab.choose("Third robot", "none: without avoidance")
     wait_for(lambda: len(served.loop.latest().ghosts) == 2)
@@ -279,7 +279,7 @@ def test_second_robot_appears_in_the_scene_and_in_the_table(tab, served):
         tab.row("Third robot").locator("input").first.input_value() == "none: without avoidance"
     ), "the third robot stays"
     served.loop.send(Compare())
-    tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(hand))[None], radius=50)
+    tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(p_ee))[None], radius=50)
     assert tab.page.get_by_text("No comparison is running.").is_visible()
     tab.open_tab("Why")
 

@@ -52,8 +52,8 @@ def test_every_link_within_the_project_has_a_target(path: Path) -> None:
 
 @pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
 def test_every_file_that_a_page_names_exists(path: Path) -> None:
-    rooms = "app|tests|tools|benchmarks|examples|robot_assets|dbb_cache|docs"
-    named = re.findall(rf"`((?:{rooms})/[\w./]*)`", path.read_text(encoding="utf-8"))
+    folders = "app|tests|tools|benchmarks|examples|robot_assets|dbb_cache|docs"
+    named = re.findall(rf"`((?:{folders})/[\w./]*)`", path.read_text(encoding="utf-8"))
     missing = [name for name in named if "NAME" not in name and not (PROJECT / name).exists()]
     assert missing == []
 
@@ -87,9 +87,9 @@ def test_an_unknown_generated_block_is_refused() -> None:
 
 
 def test_only_the_content_of_a_block_is_replaced() -> None:
-    text = "before\n\n<!-- generated: rooms -->\n<stale>\n<!-- end -->\n\nafter\n"
+    text = "before\n\n<!-- generated: packages -->\n<stale>\n<!-- end -->\n\nafter\n"
     made = pages.generated(text)
-    assert made.startswith("before\n\n<!-- generated: rooms -->\n| room |")
+    assert made.startswith("before\n\n<!-- generated: packages -->\n| module or package |")
     assert made.endswith("|\n<!-- end -->\n\nafter\n")
     assert "<stale>" not in made
     assert pages.generated(made) == made

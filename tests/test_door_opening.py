@@ -54,15 +54,15 @@ class Hinged:
 
     def __post_init__(self) -> None:
         into, left = turned(self.yaw)[:, 0], turned(self.yaw)[:, 1]
-        self.hand = pin.SE3(np.column_stack([UP, -left, into]), np.array([0.7, -0.2, 1.1]))
+        self.ee = pin.SE3(np.column_stack([UP, -left, into]), np.array([0.7, -0.2, 1.1]))
         to_hinge = math.cos(self.inset) * self.side * left + math.sin(self.inset) * into
-        self.hinge = self.hand.translation + self.radius * to_hinge
-        self.closed, self.angle, self.velocity = self.hand.copy(), 0.0, np.zeros(3)
+        self.hinge = self.ee.translation + self.radius * to_hinge
+        self.closed, self.angle, self.velocity = self.ee.copy(), 0.0, np.zeros(3)
 
     @property
     def radial(self) -> Array:
         """(3,) true direction from the end-effector to the hinge."""
-        away = (self.hinge - self.hand.translation) * [1, 1, 0]
+        away = (self.hinge - self.ee.translation) * [1, 1, 0]
         return away / np.linalg.norm(away)
 
     def handle(self, angle: float) -> pin.SE3:
@@ -76,28 +76,26 @@ class Hinged:
         origin.
         """
         handle = self.handle(angle)
-        force = self.stiffness * (self.hand.translation - handle.translation)
-        torque = self.twist * pin.log3(self.hand.rotation @ handle.rotation.T)
+        force = self.stiffness * (self.ee.translation - handle.translation)
+        torque = self.twist * pin.log3(self.ee.rotation @ handle.rotation.T)
         return Wrench(force, torque)
 
     def opening_moment(self, angle: float) -> float:
         """[N m] moment about the hinge; positive opens."""
         force, torque = self.wrench(angle)
-        arm = self.hand.translation - self.hinge
+        arm = self.ee.translation - self.hinge
         return -self.side * float(arm[0] * force[1] - arm[1] * force[0] + torque[2])
 
     def read(self) -> tuple[pin.SE3, Array, Wrench]:
-        return self.hand.copy(), self.velocity, self.wrench(self.angle)
+        return self.ee.copy(), self.velocity, self.wrench(self.angle)
 
     def follow(self, reference: Reference) -> None:
         """Move the end-effector towards the reference, and the door as its friction permits."""
         share = -math.expm1(-DT / self.lag)
-        step = share * (reference.pose.translation - self.hand.translation)
+        step = share * (reference.pose.translation - self.ee.translation)
         self.velocity = step / DT
-        spin = pin.log3(reference.pose.rotation @ self.hand.rotation.T)
-        self.hand = pin.SE3(
-            pin.exp3(share * spin) @ self.hand.rotation, self.hand.translation + step
-        )
+        spin = pin.log3(reference.pose.rotation @ self.ee.rotation.T)
+        self.ee = pin.SE3(pin.exp3(share * spin) @ self.ee.rotation, self.ee.translation + step)
         moment = self.opening_moment(self.angle)
         if abs(moment) > self.friction:
             rest = math.copysign(self.friction, moment)
@@ -109,8 +107,8 @@ class Hinged:
 
     def move_hinge(self, radial: Array, radius: float) -> None:
         """Replace the door by one with another hinge, at the same end-effector pose."""
-        self.hinge = self.hand.translation + radius * radial
-        self.closed, self.angle, self.radius = self.hand.copy(), 0.0, radius
+        self.hinge = self.ee.translation + radius * radial
+        self.closed, self.angle, self.radius = self.ee.copy(), 0.0, radius
 
 
 def random_door(seed: int) -> tuple[Hinged, float]:
@@ -143,7 +141,7 @@ class Sample(NamedTuple):
 
 def opening_of(door: Hinged, wrong: float, gains: DoorOpeningGains | None = None) -> DoorOpening:
     guess = turned(wrong) @ door.radial
-    return DoorOpening(door.hand.copy(), guess[:2], gains or DoorOpeningGains(), DT)
+    return DoorOpening(door.ee.copy(), guess[:2], gains or DoorOpeningGains(), DT)
 
 
 def step_at(t: float) -> int:

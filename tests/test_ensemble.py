@@ -1,4 +1,4 @@
-"""A scenario behind the dashboard is the same run as on the command line."""
+"""A scenario in the dashboard gives the same run as on the command line."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def test_the_arm_stops_a_hard_pull_without_contact_or_overspeed(
 def test_a_pull_into_the_column_leaves_a_gap_and_the_bound_fits_speeds(
     robot: RobotModel, border_data: BorderData, force: float
 ) -> None:
-    """Formerly, the gap was -16 mm at the shoulder at 80 N, and the bound was 68 N at 60 N."""
+    """Formerly, 80 N moved the end-effector 16 mm into the shoulder; 60 N was below the bound."""
     pull = LINES["guiding-lateral"].changed(
         start=(0.067, -0.698, 0.392), move=(0.039, 0.758, -0.082), duration=1.16
     )

@@ -19,7 +19,7 @@ from tests.raw_client import RawClient
 pytestmark = pytest.mark.slow
 
 FLOOD = 4_000
-"""Messages of one client."""
+"""Number of messages that one client sends."""
 WRONG = (99999.0, -1e308, float("nan"), float("inf"), "wide", None, [1, 2], {"a": 1}, True, b"\xff")
 
 

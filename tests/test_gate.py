@@ -484,7 +484,7 @@ def test_an_upload_accepts_exactly_the_announced_parts():
 
 
 def test_a_duplicate_part_of_an_upload_is_refused():
-    """A counted duplicate would let viser wait for a missing part and store the others."""
+    """If a duplicate counted as a new part, viser would wait for ever for the missing part."""
     uploads = Uploads(1000)
     for transfer in ("a", "b"):
         pass_on(announced(900, 3, transfer), uploads=uploads)

@@ -1,4 +1,4 @@
-"""Data flows in one direction: a module imports only from its own room and earlier rooms."""
+"""Data flows in one direction: a module imports only from its own layer and earlier layers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 
-ROOMS = (
+LAYERS = (
     "errors",
     "system",
     "jobs",
@@ -52,32 +52,32 @@ ONLY_IN = {
     "matplotlib": {"studies", "onboarding"},
     "mpl_toolkits": {"studies"},
 }
-"""Libraries that only some rooms may import."""
+"""Libraries that only some layers may import."""
 
 ONE_FOLDER = {"pyarrow": "simulation/trace/"}
-"""The one folder outside these rooms that may import a library: a log is a Parquet file, and the
+"""The one folder outside these layers that may import a library: a log is a Parquet file, and the
 dashboard writes logs without the libraries of a study."""
 
 
 FILES = sorted((PROJECT / "app").rglob("*.py"))
 
 
-def test_every_module_is_in_a_known_room() -> None:
-    assert len(FILES) > len(ROOMS)
-    assert {room_of(path) for path in FILES} <= {*ROOMS, "__init__"}
-    assert {room_of(path) for path in FILES} >= set(ROOMS)
+def test_every_module_is_in_a_known_layer() -> None:
+    assert len(FILES) > len(LAYERS)
+    assert {layer_of(path) for path in FILES} <= {*LAYERS, "__init__"}
+    assert {layer_of(path) for path in FILES} >= set(LAYERS)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PROJECT)))
-def test_a_module_imports_only_from_its_own_and_earlier_rooms(path: Path) -> None:
+def test_a_module_imports_only_from_its_own_and_earlier_layers(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
     here = path.relative_to(PROJECT / "app").as_posix()
     excused = {library for library, folder in ONE_FOLDER.items() if here.startswith(folder)}
-    assert set(violations(source, room_of(path), package_of(path))) <= excused
+    assert set(violations(source, layer_of(path), package_of(path))) <= excused
 
 
 @pytest.mark.parametrize(
-    ("room", "source", "culprit"),
+    ("layer", "source", "culprit"),
     [
         ("robot", "import app.border.dbb", "app.border.dbb"),
         ("border", "from app.avoidance.task import activation", "app.avoidance.task"),
@@ -93,9 +93,9 @@ def test_a_module_imports_only_from_its_own_and_earlier_rooms(path: Path) -> Non
         ("simulation", "import pyarrow.csv", "pyarrow"),
     ],
 )
-def test_the_rule_detects_every_forbidden_import(room: str, source: str, culprit: str) -> None:
-    package = "app" if room == "config" else f"app.{room}"
-    assert violations(source, room, package) == [culprit]
+def test_the_rule_detects_every_forbidden_import(layer: str, source: str, culprit: str) -> None:
+    package = "app" if layer == "config" else f"app.{layer}"
+    assert violations(source, layer, package) == [culprit]
 
 
 SCREEN = re.compile(
@@ -108,7 +108,7 @@ def test_the_core_has_no_markup_and_no_column_names() -> None:
     found = [
         f"{path.relative_to(PROJECT)}: {node.value}"
         for path in FILES
-        if room_of(path) in CORE
+        if layer_of(path) in CORE
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if is_text(node) and SCREEN.search(node.value)
     ]
@@ -127,7 +127,7 @@ def is_text(node: ast.AST) -> TypeGuard[ast.Constant]:
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
-def room_of(path: Path) -> str:
+def layer_of(path: Path) -> str:
     """The first part of a module's name below `app`."""
     return path.relative_to(PROJECT / "app").parts[0].removesuffix(".py")
 
@@ -137,21 +137,21 @@ def package_of(path: Path) -> str:
     return ".".join(path.relative_to(PROJECT).parent.parts)
 
 
-def violations(source: str, room: str, package: str) -> list[str]:
-    """Forbidden imports of a module in a room."""
-    return [name for name in imported(ast.parse(source), package) if not allowed(name, room)]
+def violations(source: str, layer: str, package: str) -> list[str]:
+    """Forbidden imports of a module in a layer."""
+    return [name for name in imported(ast.parse(source), package) if not allowed(name, layer)]
 
 
-def allowed(name: str, room: str) -> bool:
-    """Whether a room may import a module."""
+def allowed(name: str, layer: str) -> bool:
+    """Whether a layer may import a module."""
     top, _, rest = name.partition(".")
     if top == "app":
         other = rest.partition(".")[0]
-        if room == "__init__":
-            return other in ROOMS[: ROOMS.index("simulation")]
-        # `import app` alone gives access to every room.
-        return other in ROOMS and ROOMS.index(other) <= ROOMS.index(room)
-    return room in ONLY_IN.get(top, {room})
+        if layer == "__init__":
+            return other in LAYERS[: LAYERS.index("simulation")]
+        # `import app` alone gives access to every layer.
+        return other in LAYERS and LAYERS.index(other) <= LAYERS.index(layer)
+    return layer in ONLY_IN.get(top, {layer})
 
 
 def imported(tree: ast.AST, package: str) -> Iterator[str]:

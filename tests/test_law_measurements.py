@@ -186,7 +186,7 @@ def test_command_of_a_tracking_base_is_continuous_as_links_enter_a_buffer(
     ("kind", "motion"), [("guided", 51), ("guided", 659), ("tracking", 851), ("tracking", 924)]
 )
 def test_steepest_of_a_thousand_motions_are_within_the_limits(kind: Kind, motion: int) -> None:
-    """In steps of 1 ms where the cloud has gaps; a border with gaps gave 0.023 m/s²."""
+    """The cloud has gaps near these motions; with such gaps in the border the change was larger."""
     summary = continuity(Options(), 1, first=motion, refined=1, kinds=(kind,)).summary
     assert summary["away_from_limits_mps2"] < 0.02
     assert summary["away_from_limits_radps2"] < 0.05

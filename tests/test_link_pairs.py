@@ -50,8 +50,8 @@ def test_distances_agree_with_the_capsules_segment_and_the_box(model):
     """The reference is independent: dense points of the capsule's axis and the box."""
     reader = PairDistances(model, [Pair("lm", "lEE")])
     data = model.pin.createData()
-    hand = model.description.body("lEE")
-    capsule, frame = hand.shapes[0], model.pin.getFrameId(hand.frame)
+    last = model.description.body("lEE")
+    capsule, frame = last.shapes[0], model.pin.getFrameId(last.frame)
     axis = np.linspace(capsule.start_m, capsule.end_m, 20_001)
     rng = np.random.default_rng(1)
     for q_m in rng.uniform(model.q_lower, model.q_upper, (50, 7)):

@@ -143,7 +143,7 @@ def test_error_explains_a_damaged_csv(csv_lines):
     head, names, *rows = lines
     assert len(read(lines).snapshots) == 4
     for broken, words in (
-        (lines[1:], "first line is no metadata comment"),
+        (lines[1:], "first line is not a metadata comment"),
         (["# {}", *lines[1:]], "no metadata"),
         (["# {", *lines[1:]], "no metadata"),
         (["# " + "[" * 100_000, *lines[1:]], "no metadata"),

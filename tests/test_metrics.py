@@ -34,7 +34,7 @@ Columns = dict[str, np.ndarray]
 
 @pytest.fixture(scope="module")
 def recorded(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]]:
-    """A pull into the buffer with a few inserted contacts; the person lets go before the end."""
+    """A pull into the buffer with a few inserted contacts; the person releases before the end."""
     scenario = LINES["guiding-lateral"].changed(duration=2.0)
     q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(scenario.start)
     session = Session(robot, border_data, Config(), physics="kinematic")

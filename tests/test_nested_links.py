@@ -1,4 +1,4 @@
-"""Links that are built into one another, like a shoulder into a torso, are no contact pair.
+"""Links that are built into one another, like a shoulder into a torso, are not a contact pair.
 
 An example is Baxter, whose shoulder overlaps its torso in 87 % of all poses and in the ready pose.
 """
@@ -108,7 +108,7 @@ def test_check_has_no_row_for_a_robot_without_nested_links(toy: Toy) -> None:
 
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])
 def test_a_plant_reports_the_collisions_that_the_fit_finds(toy: Toy, engine: str) -> None:
-    """The upper arm always overlaps the torso; only the other units decide about a contact."""
+    """The upper arm always overlaps the torso; a contact depends only on the other units."""
     others = toy.meetings.random.distances[:, [column(toy, k) for k in (4, 5, 6, 7)]].min(axis=1)
     built = toy.meetings.random.distances[:, column(toy, UPPER)]
     assert (built < -0.01).all()

@@ -148,7 +148,7 @@ def test_joints_treated_as_rigid_are_reported_except_above_the_base(
 
 
 def rocking(*, xs: tuple[float, ...], axis: str) -> str:
-    """The robot with two wheels on one beam at each side, which turns about the beam's middle."""
+    """The robot with a beam on each side that carries two wheels and turns about its middle."""
     parts = [link("base", solid('<box size="0.6 0.4 0.2"/>', mass=30))]
     for side, y in (("left", 0.2), ("right", -0.2)):
         parts += [link(f"{side}_beam", solid('<box size="0.3 0.02 0.02"/>'))]
@@ -203,7 +203,7 @@ def test_the_option_for_wheels_requires_wheels_of_the_base(tmp_path: Path) -> No
 def test_a_wheel_that_is_not_round_is_refused(tmp_path: Path) -> None:
     square = robot([*cart(wheel='<box size="0.2 0.05 0.1"/>', wheel_rpy="0 0 0"), *arm()])
     reported = refused(tmp_path, square, wheels=("left_axle", "right_axle"))
-    assert "left_axle is no wheel" in reported
+    assert "left_axle is not a wheel" in reported
     assert "not round" in reported
     assert "--wheels LEFT RIGHT" in refused(tmp_path, square)
 
@@ -389,7 +389,7 @@ def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path) -> None:
     assert "not well-formed" in refused(tmp_path, TOY[:-20])
     assert "a URDF's is <robot>" in refused(tmp_path, "<sdf/>")
     unknown = TOY.replace('<child link="hand"/>', '<child link="hnd"/>')
-    assert "its child is 'hnd', which is no link" in refused(tmp_path, unknown)
+    assert "its child is 'hnd', which is not a link" in refused(tmp_path, unknown)
 
 
 def test_an_existing_folder_is_not_changed(tmp_path: Path) -> None:

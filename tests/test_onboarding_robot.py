@@ -42,7 +42,7 @@ from app.onboarding.fit import grouping, stops
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, Poses, _close_pairs, sample_meetings
 from app.onboarding.fit.convex import Fit
-from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
+from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import compiled, description, finish, parse
@@ -260,19 +260,19 @@ def test_end_effector_body_smaller_than_its_link_fails(
     assert "do not enclose their colliding links" in row.text
 
 
-def test_new_robot_and_check_robot_report_the_same_unseen_collisions(made: NewRobot) -> None:
+def test_new_robot_and_check_robot_report_the_same_undetected_collisions(made: NewRobot) -> None:
     row = arm_row(written(made))
     assert row.numbers["colliding_poses"] > 100
-    assert row.numbers["unseen_share"] == pytest.approx(made.unseen.share, abs=2e-3)
-    assert row.numbers["colliding_poses"] == pytest.approx(made.unseen.poses, rel=5e-3)
-    assert row.numbers["collisions"] == pytest.approx(made.unseen.watched, rel=5e-3)
+    assert row.numbers["unseen_share"] == pytest.approx(made.detection.share, abs=2e-3)
+    assert row.numbers["colliding_poses"] == pytest.approx(made.detection.poses, rel=5e-3)
+    assert row.numbers["collisions"] == pytest.approx(made.detection.watched, rel=5e-3)
 
 
-def test_collision_is_unseen_if_no_watched_pair_of_bodies_overlaps(
+def test_collision_is_undetected_if_no_watched_pair_of_bodies_overlaps(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """More unwatched pairs leave more collisions unseen; without any pair all are unseen."""
-    monkeypatch.setattr(grouping, "UNSEEN_POSES", 500)
+    """With fewer monitored pairs, more collisions are undetected; without any pair, all are."""
+    monkeypatch.setattr(grouping, "TEST_POSES", 500)
     # With more poses, only the hulls would overlap in a few of them.
     monkeypatch.setattr(grouping, "ENOUGH", 0)
     pairs = [pair.name for pair in candidate_pairs(written(made))]
@@ -287,7 +287,7 @@ def test_collision_is_unseen_if_no_watched_pair_of_bodies_overlaps(
 
 
 def test_rare_collisions_are_sampled_with_more_poses(made: NewRobot) -> None:
-    """A Stretch has only 114 collisions in 6,000 poses: too few for the share of unseen ones."""
+    """A Stretch has only 114 collisions in 6,000 poses: too few for the undetected share."""
     units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
@@ -368,9 +368,9 @@ def test_arm_without_collisions_has_nothing_to_show(
 def test_bodies_that_do_not_enclose_their_links_are_rejected(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    blind, found = made.unseen._replace(blind=("l1-lEE",)), Grouping(made.bodies, made.verdict)
+    blind, found = made.detection._replace(blind=("l1-lEE",)), Grouping(made.bodies, made.verdict)
     monkeypatch.setattr(new_robot, "find_grouping", lambda *_, **__: found)
-    monkeypatch.setattr(new_robot, "unseen_collisions", lambda *_: blind)
+    monkeypatch.setattr(new_robot, "detection_of", lambda *_: blind)
     urdf = str(write(tmp_path, robot([*cart(), *arm()])))
     request = Request(urdf=urdf, base="base", tip="hand", out=tmp_path / "toy")
     with (
@@ -398,13 +398,15 @@ def test_bodies_are_fitted_again_if_new_poses_show_a_gap(
     )
     monkeypatch.setattr(new_robot, "find_grouping", lambda *_, **__: found)
     monkeypatch.setattr(
-        new_robot, "unseen_collisions", lambda *_: made.unseen._replace(unseen=left.pop(0))
+        new_robot,
+        "detection_of",
+        lambda *_: made.detection._replace(undetected=left.pop(0)),
     )
     bare = compiled(description(made.request, made.parsed), path)
     made_again = new_robot._embodied(
         made.request, made.parsed, bare, path, ALONE, lambda _: None, lambda _: None
     )
-    assert made_again.unseen.unseen == chosen
+    assert made_again.detection.undetected == chosen
     assert len({*seeds}) == fits
 
 
@@ -618,7 +620,7 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     return compiled(description(request, parsed, found.bodies), path)
 
 
-def test_paper_robot_made_from_its_urdf_sees_its_collisions(husky: RobotModel) -> None:
+def test_paper_robot_made_from_its_urdf_detects_its_collisions(husky: RobotModel) -> None:
     """By the pairs of (1); the fitted bodies of l_2 and l_EE can never meet."""
     pairs = find_link_pairs(husky, samples=3000, seed=2)
     assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
@@ -629,7 +631,7 @@ def test_paper_robot_made_from_its_urdf_sees_its_collisions(husky: RobotModel) -
 
 
 def test_upper_arm_near_the_base_keeps_its_own_body(tmp_path: Path) -> None:
-    """Links 2 and 3 of a UR10 on a Husky collide with the whole wrist; the bodies see it."""
+    """Links 2 and 3 of a UR10 on a Husky collide with the whole wrist; the bodies detect it."""
     if not package_roots("example-robot-data"):
         pytest.skip("pip install '.[robots]'")
     request = Request(
@@ -691,8 +693,8 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         compiled(description(request, each, bodies), path)
         for each in (parsed, replace(parsed, limits=limits))
     )
-    assert unseen_collisions(free, parsed.geometry, 0.15).share > 0.1
-    assert unseen_collisions(stopped, parsed.geometry, 0.15).share < 0.01
+    assert detection_of(free, parsed.geometry, 0.15).share > 0.1
+    assert detection_of(stopped, parsed.geometry, 0.15).share < 0.01
     ready = [0.0] * 6
     ready[k] = 2.4
     with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
@@ -708,7 +710,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
 
 
 def test_collision_of_a_fixed_part_counts_where_its_watched_pair_overlaps() -> None:
-    """A mast in l_1 that no pair sees belongs to l_m, independent of other collisions."""
+    """A mast belongs to l_m if no pair detects the mast's own collisions."""
     model = husky_panda()
     pairs = tuple(combinations(range(5), 2))
     touching = np.where([pair == (1, 3) for pair in pairs], -0.01, 1.0)[None]
@@ -719,7 +721,7 @@ def test_collision_of_a_fixed_part_counts_where_its_watched_pair_overlaps() -> N
     both = ("lm-lEE", "l1-lEE")
     for radius, unwatched, seen in ((0.01, (), False), (2.0, (), True), (2.0, both, False)):
         found = grouped((0.01, 0.01, 0.01, radius), unwatched)
-        assert grouping._sees(model, found, meetings, 1) == seen
+        assert grouping._detects(model, found, meetings, 1) == seen
 
 
 def grouped(radii: tuple[float, ...], unwatched: tuple[str, ...]) -> grouping.Grouping:

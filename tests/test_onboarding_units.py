@@ -77,7 +77,7 @@ def test_messages_name_a_unit_by_its_largest_link(sizes: dict[str, float], name:
 
 
 def test_links_fixed_to_the_base_are_never_grouped_with_a_slide() -> None:
-    """A common body of a mast and its lift would move up and down beside the mast."""
+    """A common body of a mast and its lift would wrongly move the mast up and down."""
     part = Part("link", np.zeros((0, 3)), np.zeros(0))
     units = tuple(unit(k)._replace(parts=(part,)) for k in range(5))
     poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))

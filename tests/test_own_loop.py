@@ -46,10 +46,10 @@ class Run(NamedTuple):
     share: float
     """Largest share of a joint's speed limit."""
     nearest: float
-    """[m] least distance of a pair."""
+    """[m] smallest distance of a pair."""
     faults: dict[str, float]
     """[s] time of the first report of each fault."""
-    hand: Array
+    ee: Array
     """(k, 3) [m] path of the end-effector."""
     sent: Measurement
     """The last readings."""
@@ -83,7 +83,7 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
         plant, seen = Kinematic(robot, dt=real), RobotState(robot)
         plant.reset(np.zeros(3), starts[start] if isinstance(start, tuple) else start)
         seen.update_kinematics(plant.measure())
-        origin, share, nearest, faults, hand = seen.T_world_ee.copy(), 0.0, np.inf, {}, []
+        origin, share, nearest, faults, ee = seen.T_world_ee.copy(), 0.0, np.inf, {}, []
         for k in range(round(time / real)):
             sent = plant.measure()
             share = max(share, float((np.abs(sent.qd_m) / robot.qd_max).max()))
@@ -93,10 +93,10 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
             for name in command.faults:
                 faults.setdefault(name, k * real)
             seen.update_kinematics(sent)
-            hand.append(seen.p_ee.copy())
+            ee.append(seen.p_ee.copy())
             plant.step(command.u_a, driven(np.asarray(command.base_velocity)), pull)
         sent = plant.measure()
-        return Run(sent.base_pose, share, nearest, faults, np.array(hand), sent)
+        return Run(sent.base_pose, share, nearest, faults, np.array(ee), sent)
 
     return run
 
@@ -337,7 +337,7 @@ def test_perfect_readings_have_no_fault(
 def test_motion_by_another_controller_is_not_reported_as_lag(
     robot: RobotModel, border_data: BorderData, starts
 ) -> None:
-    """The torques of the watching loop explain the motion for no delay."""
+    """The motion does not result from the torques of the watching loop at any delay."""
     moving, watching = (
         ControlLoop(robot, border_data, Config().changed({"barrier.rate": rate}))
         for rate in (5.0, 20.0)
@@ -564,10 +564,10 @@ def sampled(rate: float, jitter: float) -> Callable[[float, pin.SE3], Reference]
     return reference
 
 
-def jerk(hand: Array) -> float:
+def jerk(ee: Array) -> float:
     """[m/s³] largest jerk in the second half of a path at 1 kHz, smoothed over 5 ms."""
-    a = np.apply_along_axis(lambda x: np.convolve(x, np.ones(5) / 5, "same"), 0, hand)
-    late = np.diff(a, n=3, axis=0)[len(hand) // 2 : -10]
+    a = np.apply_along_axis(lambda x: np.convolve(x, np.ones(5) / 5, "same"), 0, ee)
+    late = np.diff(a, n=3, axis=0)[len(ee) // 2 : -10]
     return float(np.linalg.norm(late, axis=1).max()) / 1e-9
 
 
@@ -578,8 +578,8 @@ def test_interpolation_smooths_the_motion_to_sampled_references(
     options = {"start": SIDE, "pull": np.zeros(3), "time": 1.6}
     smooth = run(reference=sampled(rate, jitter), **options)
     raw = run(reference=sampled(rate, jitter), interpolate=False, **options)
-    assert jerk(smooth.hand) < 0.15 * jerk(raw.hand)
-    lag = (smooth.hand[-1] - smooth.hand[0])[1] + 0.1 * 1.6
+    assert jerk(smooth.ee) < 0.15 * jerk(raw.ee)
+    lag = (smooth.ee[-1] - smooth.ee[0])[1] + 0.1 * 1.6
     assert 0.0 < lag < 0.1 * 2.5 / rate + 0.01
 
 
@@ -649,7 +649,7 @@ def test_event_is_reported_and_causes_no_jump(run, case: str) -> None:
     found = run(degrade, start=SIDE, pull=np.zeros(3), reference=still)
     assert found.faults[fault] <= 0.5
     assert found.share < most
-    assert np.linalg.norm(np.diff(found.hand, axis=0), axis=1).max() < 0.0006  # 0.6 m/s
+    assert np.linalg.norm(np.diff(found.ee, axis=0), axis=1).max() < 0.0006  # 0.6 m/s
 
 
 @pytest.mark.parametrize("called", [True, False])
@@ -659,9 +659,9 @@ def test_arm_continues_after_a_protective_stop_without_a_jump(
     """The readings freeze for 0.25 s, and the arm is moved before they continue."""
     loop, plant = ControlLoop(robot, border_data), Kinematic(robot)
     plant.reset(np.zeros(3), starts[SIDE])
-    hand = RobotState(robot)
-    hand.update_kinematics(plant.measure())
-    stay = still(0.0, hand.T_world_ee.copy())
+    state = RobotState(robot)
+    state.update_kinematics(plant.measure())
+    stay = still(0.0, state.T_world_ee.copy())
     fastest = 0.0
     for k in range(1200):
         if k == 300:

@@ -24,9 +24,9 @@ from benchmarks.peers.__main__ import Peers, main
 from benchmarks.peers.drivers import loop
 from benchmarks.peers.drivers.capsules import without_capsules
 from benchmarks.peers.evaluator import Evaluator, slips
-from benchmarks.peers.model import HAND, UNICYCLE, CommonModel, common_model
+from benchmarks.peers.model import EE, UNICYCLE, CommonModel, common_model
 from benchmarks.peers.names import PEERS, Peer, chosen
-from benchmarks.peers.paths import PATHS, axis_name, hand_paths
+from benchmarks.peers.paths import PATHS, axis_name, ee_paths
 from benchmarks.peers.picture import draw
 from benchmarks.peers.plan import DT, arrays_of, run_name, write_plan
 from benchmarks.peers.quick import pink_step
@@ -45,7 +45,7 @@ def common(robot: RobotModel, border_data: BorderData) -> CommonModel:
 
 @pytest.fixture(scope="module")
 def judge(common: CommonModel) -> Evaluator:
-    return Evaluator(common.planar, common.pairs, HAND)
+    return Evaluator(common.planar, common.pairs, EE)
 
 
 def still(duration: float = 0.05) -> StartedLine:
@@ -75,7 +75,7 @@ def test_the_common_model_has_the_projects_kinematics_and_distances(
         m = random_measurement(rng)
         q = np.concatenate([m.base_pose, m.q_m])
         state.update(m)
-        assert judge.hand(q).isApprox(state.T_world_ee, 1e-9)
+        assert judge.ee(q).isApprox(state.T_world_ee, 1e-9)
         reader.update(robot.configuration(m.base_pose, m.q_m))
         ours = [reader.distance(i) for i in range(len(reader.pairs))]
         np.testing.assert_allclose(judge.distances(q), ours, atol=1e-5)  # tolerance of GJK
@@ -84,14 +84,14 @@ def test_the_common_model_has_the_projects_kinematics_and_distances(
 def test_the_unicycle_base_has_the_poses_of_the_planar_base(
     common: CommonModel, judge: Evaluator
 ) -> None:
-    unicycle = Evaluator(common.unicycle, common.pairs, HAND)
+    unicycle = Evaluator(common.unicycle, common.pairs, EE)
     assert list(unicycle.model.names)[1:3] == list(UNICYCLE)
     rng = np.random.default_rng(1)
     for _ in range(20):
         yaw, ahead = rng.uniform(-2, 2, 2)
         floor = np.concatenate([[ahead * np.cos(yaw), ahead * np.sin(yaw), yaw], READY])
-        other = unicycle.hand(np.concatenate([[yaw, ahead], READY]))
-        assert judge.hand(floor).isApprox(other, 1e-12)
+        other = unicycle.ee(np.concatenate([[yaw, ahead], READY]))
+        assert judge.ee(floor).isApprox(other, 1e-12)
 
 
 def test_capsules_as_marked_cylinders_have_the_same_distances(
@@ -100,7 +100,7 @@ def test_capsules_as_marked_cylinders_have_the_same_distances(
     text = without_capsules(common.planar)
     assert "<geometry><capsule" not in text.replace("\n", "").replace(" ", "")
     assert "version" not in text
-    old, rng = Evaluator(text, common.pairs, HAND), np.random.default_rng(2)
+    old, rng = Evaluator(text, common.pairs, EE), np.random.default_rng(2)
     for _ in range(50):
         q = rng.uniform(judge.model.lowerPositionLimit, judge.model.upperPositionLimit)
         np.testing.assert_allclose(old.distances(q), judge.distances(q), atol=1e-12)
@@ -142,8 +142,8 @@ def drive(x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 def test_a_base_that_drives_straight_has_a_path_and_no_slip(judge: Evaluator) -> None:
     s, dt = np.arange(21) * 0.001, 0.005
     q = drive(0.8 * s, 0.6 * s, np.full(21, np.arctan2(0.6, 0.8)))
-    hands = [judge.hand(at) for at in q]
-    found = judge.figures(q, np.array([h.translation for h in hands]), hands[0].rotation, dt)
+    poses = [judge.ee(at) for at in q]
+    found = judge.figures(q, np.array([T.translation for T in poses]), poses[0].rotation, dt)
     assert found["error_max_m"] == pytest.approx(0.0, abs=1e-12)
     assert found["turn_error_max_rad"] == pytest.approx(0.0, abs=1e-7)
     assert found["base_path_m"] == pytest.approx(0.02)
@@ -156,7 +156,7 @@ def test_a_base_that_drives_straight_has_a_path_and_no_slip(judge: Evaluator) ->
 
 def test_errors_are_distance_and_rotation_of_the_end_effector(judge: Evaluator) -> None:
     q = drive(np.zeros(3), np.zeros(3), np.zeros(3))
-    at = judge.hand(q[0])
+    at = judge.ee(q[0])
     p = at.translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.03, 0.04], [0.01, 0.0, 0.0]])
     found = judge.figures(q, p, at.rotation @ pin.rpy.rpyToMatrix(0.2, 0.0, 0.0), 0.005)
     assert found["error_max_m"] == pytest.approx(0.05)
@@ -186,7 +186,7 @@ def test_slip_is_only_motion_that_no_heading_of_a_step_explains() -> None:
 
 def test_an_unknown_link_is_refused(common: CommonModel) -> None:
     with pytest.raises(ValueError, match="no shape nowhere_0"):
-        Evaluator(common.planar, [("base_link", "nowhere")], HAND)
+        Evaluator(common.planar, [("base_link", "nowhere")], EE)
     with pytest.raises(ValueError, match="no link nowhere"):
         Evaluator(common.planar, common.pairs, "nowhere")
 
@@ -198,10 +198,10 @@ def test_an_unknown_link_is_refused(common: CommonModel) -> None:
 def test_a_path_starts_at_the_end_effector_and_goes_from_rest_to_rest(
     robot: RobotModel, border_data: BorderData, judge: Evaluator, name: str
 ) -> None:
-    line = hand_paths(robot, border_data, [name])[name]
+    line = ee_paths(robot, border_data, [name])[name]
     found = arrays_of(robot, {name: line})
     p, R = found[f"{name}_p"], found[f"{name}_R"]
-    at = judge.hand(np.concatenate([np.zeros(3), line.q_m]))
+    at = judge.ee(np.concatenate([np.zeros(3), line.q_m]))
     assert p.shape == (3001, 3)
     np.testing.assert_allclose(p[0], at.translation, atol=1e-5)
     np.testing.assert_allclose(R, at.rotation, atol=1e-9)
@@ -215,7 +215,7 @@ def test_a_path_starts_at_the_end_effector_and_goes_from_rest_to_rest(
 def test_a_path_on_the_wheel_axis_starts_with_its_closest_point_there(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    (line,) = hand_paths(robot, border_data, [axis_name(0.010)]).values()
+    (line,) = ee_paths(robot, border_data, [axis_name(0.010)]).values()
     reader = PairDistances(robot, border_data.pairs.mobile)
     reader.update(robot.configuration(np.zeros(3), np.array(line.q_m)))
     nearest = min((reader.closest(i) for i in range(len(reader.pairs))), key=lambda c: c.d)

@@ -116,9 +116,9 @@ def test_fixed_links_do_not_count_towards_the_limit_of_the_engine(tmp_path):
     path = tmp_path / "robot.urdf"
     urdf = resolved_urdf(known).replace("</robot>", "".join(parts) + "</robot>")
     path.write_text(urdf, encoding="utf-8")
-    *inner, hand = known.bodies
-    covers = (*hand.covers, *(f"f{k}" for k in range(140)))
-    bodies = (*inner, hand.model_copy(update={"covers": covers}))
+    *inner, last = known.bodies
+    covers = (*last.covers, *(f"f{k}" for k in range(140)))
+    bodies = (*inner, last.model_copy(update={"covers": covers}))
     model = RobotModel(known.model_copy(update={"urdf": str(path), "bodies": bodies}))
     state, q_m = RobotState(model), np.array(known.arm.ready_position)
     qd = np.linspace(-0.5, 0.5, model.n_b + model.n_m)

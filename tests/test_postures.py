@@ -235,7 +235,7 @@ def test_a_base_gives_way_if_it_moves_and_the_clearance_suffices(
 def test_a_base_that_returns_before_the_end_has_not_given_way(
     border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A Stretch had moved by 0.051 m at rest of its end-effector and by 0.012 m at the end."""
+    """A Stretch had moved by 0.051 m when its end-effector stopped, and by 0.012 m at the end."""
     place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
 
     def back(*args: Any) -> Iterator[Any]:
@@ -253,7 +253,7 @@ def test_a_base_that_returns_before_the_end_has_not_given_way(
 def test_a_line_just_above_the_base_is_tried_if_no_other_height_works(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """For example for an arm that cannot start as low as its small base."""
+    """A short arm on a low base, for example, cannot reach the heights that are tried first."""
     monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
     found = find_place(husky_panda(), pairs_of(husky_panda()), "guiding-lateral")
     top = float(MobileBody(husky_panda()).upper[2])

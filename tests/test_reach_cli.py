@@ -51,8 +51,8 @@ def test_json_contains_the_fit_and_the_values_of_paper_and_description(dbb, robo
     result = json.loads(out)
     assert (result["robot"], result["seed"]) == ("husky_panda", 0)
     assert list(result["bodies"]) == ["lEE", "l3"]
-    hand, forearm = result["bodies"]["lEE"], result["bodies"]["l3"]
-    assert hand["paper"] == {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}
+    end_effector, forearm = result["bodies"]["lEE"], result["bodies"]["l3"]
+    assert end_effector["paper"] == {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}
     assert forearm["paper"] is None
     for body, figures in result["bodies"].items():
         fit = fit_reachability(fine(robot, body))

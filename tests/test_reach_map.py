@@ -186,14 +186,19 @@ def test_a_chains_jacobian_is_the_derivative_of_its_pose(body):
 def test_chains_end_at_the_end_effector_and_on_the_forearms_axis():
     model = husky_panda()
     state = RobotState(model)
-    hand, forearm = Chain(model, "lEE"), Chain(model, "l3")
-    assert (hand.coordinates, hand.free, forearm.coordinates, forearm.free) == (6, 1, 5, 0)
-    assert (len(hand.joints), len(forearm.joints)) == (7, 5)
+    end_effector, forearm = Chain(model, "lEE"), Chain(model, "l3")
+    assert (end_effector.coordinates, end_effector.free, forearm.coordinates, forearm.free) == (
+        6,
+        1,
+        5,
+        0,
+    )
+    assert (len(end_effector.joints), len(forearm.joints)) == (7, 5)
     rng = np.random.default_rng(1)
     for _ in range(5):
-        q = hand.random(rng)
+        q = end_effector.random(rng)
         state.update(Measurement(np.zeros(3), np.zeros(2), q, np.zeros(7)))
-        at, _ = hand.pose_and_jacobian(q)
+        at, _ = end_effector.pose_and_jacobian(q)
         np.testing.assert_allclose(at.homogeneous, state.T_world_ee.homogeneous)
         frame = model.pin.getFrameId("panda_link5")
         link = pin.updateFramePlacement(model.pin, state.data, frame)

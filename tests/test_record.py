@@ -66,7 +66,7 @@ def test_a_path_has_points_at_least_a_spacing_apart_in_bounded_memory(snapshot, 
 
 @pytest.mark.parametrize(("before", "after"), [(0.0, 0.0), (0.0, 0.02), (0.3, 0.5)])
 def test_a_new_run_is_detected_even_if_its_time_is_not_smaller(snapshot, before, after):
-    """For example a scenario with a door that another one without a door replaces."""
+    """For example, a scenario without a door replaces one with a door."""
     strip = Strip(husky_panda().body_names)
     past = Past(snapshot, strip)
     door = snapshot.pairs[0]._replace(name="lm-door")

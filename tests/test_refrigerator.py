@@ -459,7 +459,7 @@ def overlaps(step: Step) -> bool:
 def test_with_avoidance_the_door_opens_and_the_base_backs_off_clockwise(
     robot: RobotModel, setting: Setting
 ):
-    """§4.2.3 at half the time: open by 80° within 40/2 s, the base moves from about 20/2 s on."""
+    """§4.2.3 at twice the speed: open by 80° within 40/2 s; the base moves from about 20/2 s on."""
     figures, trace = whole_run(
         robot, setting, "dbb", lambda step: opening(step) > math.radians(80.5)
     )
@@ -490,7 +490,7 @@ def test_with_avoidance_the_door_opens_and_the_base_backs_off_clockwise(
 
 @pytest.mark.slow
 def test_without_avoidance_the_door_hits_the_base(robot: RobotModel, setting: Setting):
-    """§4.2.3 at half the time: after about 30/2 s, with the base at rest."""
+    """§4.2.3 at twice the speed: the contact is after about 30/2 s; the base stays at rest."""
     figures, trace = whole_run(robot, setting, "none", overlaps)
     assert 12.5 < figures["door_met_base_s"] < 17.5
     assert figures["door_opened_80deg_at_s"] is None

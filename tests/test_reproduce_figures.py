@@ -255,8 +255,8 @@ def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeyp
     assert all(image.std() > 15 for image in images)
     table = drawing.tables[""]
     half = len(table["t_s"]) // 2
-    hand = sources.runs[LATERAL].trace.of("p_ee")[::10]
-    np.testing.assert_array_equal(table["hand_y_m"][:half], hand[:, 1])
+    p_ee = sources.runs[LATERAL].trace.of("p_ee")[::10]
+    np.testing.assert_array_equal(table["hand_y_m"][:half], p_ee[:, 1])
 
 
 @pytest.mark.slow

@@ -304,7 +304,7 @@ def test_an_unreadable_visual_mesh_is_removed_if_it_is_not_needed(
         ('velocity="2"', 'velocity="2,5"', ["'pan'", "no commas"]),
         ('length="0.34"', 'height="0.34"', ["link 'upper'", "its cylinder has no length"]),
         ('type="revolute"', 'type="Revolute"', ["(did you mean 'revolute'?)"]),
-        ('<child link="fore"/>', '<child link="Fore"/>', ["no link (did you mean 'fore'?)"]),
+        ('<child link="fore"/>', '<child link="Fore"/>', ["not a link (did you mean 'fore'?)"]),
         ("<link", "<Link", ["the URDF has no <link> (did you mean 'Link'?)"]),
     ],
 )
@@ -514,15 +514,17 @@ def test_a_very_large_mesh_is_reduced_with_the_same_hull(
     np.testing.assert_allclose(*reach, atol=1e-4)
 
 
-@pytest.mark.parametrize(("unseen", "outcome"), [(0, "passed"), (1, "failed")])
+@pytest.mark.parametrize(("undetected", "outcome"), [(0, "passed"), (1, "failed")])
 def test_check_fails_on_an_unmonitored_collision_and_reports_exclusions(
-    monkeypatch: pytest.MonkeyPatch, unseen: int, outcome: str
+    monkeypatch: pytest.MonkeyPatch, undetected: int, outcome: str
 ) -> None:
     from app.onboarding import check
-    from app.onboarding.fit.grouping import Unseen
+    from app.onboarding.fit.grouping import Detection
 
-    found = Unseen(4000, 638, unseen, 900, 0, 0.0, (), "head and arm", 287, "link5 and hand (7.2%)")
-    monkeypatch.setattr(check, "unseen_collisions", lambda *_: found)
+    found = Detection(
+        4000, 638, undetected, 900, 0, 0.0, (), "head and arm", 287, "link5 and hand (7.2%)"
+    )
+    monkeypatch.setattr(check, "detection_of", lambda *_: found)
     monkeypatch.setattr(check, "_geometry", lambda _: {})
     row = check.arm_row(husky_panda())
     assert row.outcome == outcome

@@ -18,8 +18,8 @@ from tests.robots import husky_panda
 
 COVER = 0.005  # [m] how far a mesh may extend beyond its body
 SHELTERED = {"panda_link3", "panda_link4"}
-"""The elbow extends beyond its two bodies by up to 0.18 m. No pair misses a collision by that:
-these links meet only bodies of neighbours (tested below).
+"""The elbow extends beyond its two bodies by up to 0.18 m. No pair misses a collision because
+of that: these links meet only bodies of neighbours (tested below).
 """
 
 

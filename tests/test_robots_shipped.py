@@ -1,4 +1,4 @@
-"""The shipped robots: their descriptions are valid, and they load with their package."""
+"""The delivered robots: their descriptions are valid, and both engines load them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The motion of the leading point: its start, its end and consistent derivatives."""
+"""The motion of a scenario's target: its start, its end and consistent derivatives."""
 
 from __future__ import annotations
 

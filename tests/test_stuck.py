@@ -52,7 +52,7 @@ def test_end_effector_without_a_resting_reference_is_not_stuck(session, short: S
 
 def test_report_contains_actual_and_target_position(session, short: Step):
     stuck = find_stuck(session.model, short)
-    np.testing.assert_allclose(np.subtract(stuck.target_m, stuck.hand_m), [0.05, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(np.subtract(stuck.target_m, stuck.ee_m), [0.05, 0, 0], atol=1e-12)
     assert stuck.ee_error_m == pytest.approx(0.05)
     assert stuck.reasons == ("unknown",)
     assert json.loads(json.dumps(stuck._asdict()))["joints"] == []

@@ -84,7 +84,7 @@ def test_envelope_without_failures_extends_to_the_exerted_force():
 
 
 def test_known_limit_is_found_from_below_within_the_margin():
-    """The limit of the hardest case within the intervals."""
+    """The true limit is that of the largest speed and delay within the intervals."""
 
     def law(speed: float, delay: float) -> float:
         return 100.0 - 40.0 * speed - 50.0 * delay

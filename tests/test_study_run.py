@@ -147,9 +147,9 @@ def test_report_is_self_contained_and_has_its_figures(undisturbed):
 
 
 def test_killed_study_resumes_and_gives_the_same_table(undisturbed, tmp_path):
-    """Killed with SIGKILL with two processes, resumed with one; no process is left.
+    """The study is killed with two processes and resumed with one.
 
-    No process listens on a port.
+    No process listens on a port, or remains after the kill.
     """
     args = ("study", "--cases", str(CASES), *OPTIONS, "--processes", "2", "--out", str(tmp_path))
     journal = tmp_path / "cases.jsonl"
@@ -264,7 +264,7 @@ def test_ctrl_c_ends_the_study_cleanly_and_keeps_finished_cases(tmp_path):
 
 
 def test_failed_case_is_stored_and_replayed_with_the_same_figures(tmp_path):
-    """Without avoidance, fast and low: some end-effector hits the base."""
+    """In fast, low pulls without avoidance, an end-effector hits the base."""
     args = ("study", "--cases", "2", "--physics", "kinematic", "--seed", "3", *FAST)
     printed_here(*args, "--processes", "1", "--out", str(tmp_path))
     result = json.loads((tmp_path / "study.json").read_text(encoding="utf-8"))

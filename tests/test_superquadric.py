@@ -78,7 +78,7 @@ def coal_distance(shape: Superquadric, other: coal.CollisionGeometry, pose: pin.
 
 
 def distance_to_box(shape: Superquadric, half: Array, pose: pin.SE3) -> float:
-    """[m] least distance of a point of the solid from a point of a box, by SLSQP; 0 inside."""
+    """[m] smallest distance of a point of the solid from a point of a box, by SLSQP; 0 inside."""
     T = shape.placement().actInv(pose)  # of the box in the shape's frame
     best = np.inf
     for start in (T.translation, T.act(half), T.act(-half), np.array(shape.semi_axes_m)):
@@ -98,7 +98,7 @@ def distance_to_box(shape: Superquadric, half: Array, pose: pin.SE3) -> float:
 
 
 def depth_of_point(shape: Superquadric, p: Array) -> float:
-    """[m] least distance from a point inside, in the shape's frame, to the surface, by SLSQP."""
+    """[m] smallest distance from a point inside, in the shape's frame, to the surface, by SLSQP."""
     around = np.random.default_rng(0).normal(size=(20_000, 3))
     around *= shape.semi_axes_m / np.linalg.norm(around, axis=1, keepdims=True)
     surface = around[:2_000] / gauge(around[:2_000], shape)[:, None]

@@ -128,9 +128,10 @@ def test_a_fast_target_close_above_the_deck_is_reached_in_time(
     speed: float,
     hold: float,
 ) -> None:
-    """Parts of the arm above the end-effector come near their buffers; the base must make room.
+    """Links above the end-effector would enter their buffers unless the base moves away in time.
 
-    On the wheel axis, the force at the base's edge has only the horizontal part of the normal.
+    On the wheel axis, the end-effector passes the base's edge, where the normal is partly vertical,
+    so the force on the base is smaller.
     """
     plan = replace(QUICK, length=0.2, hold=hold)
     start = StartFinder(robot, border_data, plan.config.border.d_b).find(

@@ -292,7 +292,7 @@ def test_in_a_removed_folder_only_absolute_paths_are_written(
 
 
 def test_concurrent_writers_of_one_file_do_not_mix_their_contents(tmp_path: Path) -> None:
-    """As two containers with a shared cache, in both of which the first thread has number 1."""
+    """Like two containers with a shared cache: in each, the first thread has the number 1."""
     with system.whole_file(tmp_path / "a") as one, system.whole_file(tmp_path / "a") as other:
         one.write_text("whole")
         other.write_text("hal")

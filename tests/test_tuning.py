@@ -45,7 +45,7 @@ class Clock:
 
 
 class Person:
-    """A client that records its messages."""
+    """A client that records the messages and files that it receives."""
 
     client_id = 1
 

@@ -94,7 +94,7 @@ def test_the_robot_leaves_the_inner_buffer_and_stays_outside(
 def test_the_first_torques_are_near_gravity_compensation(
     robot: RobotModel, border_data: BorderData, drawn: Draw, seed: int
 ) -> None:
-    """No start causes a kick, at any depth of penetration."""
+    """No start causes a jump of the torques, at any depth of penetration."""
     session = Session(robot, border_data, Config(), physics="kinematic")
     session.reset(drawn("penetration", seed))
     step = session.step()

@@ -377,19 +377,27 @@ def gallery_table(found: Figures) -> str:
         checks = row.get("checks", {})
         notes = [f"{check}: {each['outcome']}" for check, each in checks.items()]
         notes = [line for line in notes if not line.endswith(": passed")]
-        unseen = checks.get("arm's bodies", {"numbers": {}})["numbers"].get("unseen_share")
+        undetected = checks.get("arm's bodies", {"numbers": {}})["numbers"].get("unseen_share")
         rows.append(
             [
                 f"`{name}`",
                 row["verdict"],
                 number(row["cpu_s"], "s"),
                 ", ".join(row.get("pairs", [])),
-                "" if unseen is None else number(100 * unseen, "%", 2),
+                "" if undetected is None else number(100 * undetected, "%", 2),
                 *(guided_cell(checks.get(each)) for each in ("guiding-lateral", "guiding-front")),
                 row.get("refusal", "; ".join(notes)).replace("|", "\\|"),
             ]
         )
-    head = ["robot", "verdict", "creation", "pairs", "unseen", "from the side", "from the front"]
+    head = [
+        "robot",
+        "verdict",
+        "creation",
+        "pairs",
+        "undetected",
+        "from the side",
+        "from the front",
+    ]
     return grid([*head, "checks that did not pass"], rows)
 
 

@@ -155,7 +155,7 @@ def figures() -> str:
     )
 
 
-def rooms() -> str:
+def packages() -> str:
     """A row for each module in `app`, and for each package."""
     rows = []
     app = PROJECT / "app"
@@ -165,7 +165,7 @@ def rooms() -> str:
     for path in sorted(app.rglob("__init__.py")):
         if path.parent != app:
             rows.append([f"`{path.parent.relative_to(PROJECT).as_posix()}/`", about(path)])
-    return grid(["room", "contents"], rows)
+    return grid(["module or package", "contents"], rows)
 
 
 def step() -> str:
@@ -190,7 +190,7 @@ BLOCKS: dict[str, Callable[..., str]] = {
     "commands": commands,
     "figures": figures,
     "study_range": study_range,
-    "rooms": rooms,
+    "packages": packages,
     "step": step,
 }
 

@@ -73,14 +73,14 @@ def commit() -> str:
     """The commit that last changed the code, with a `+` if files have uncommitted changes.
 
     Raises:
-        SystemExit: This is no git checkout.
+        SystemExit: This is not a git checkout.
     """
     last = _git("log", "-1", "--format=%h", "--", *CODE)
     return f"{last}+" if _git("status", "--porcelain", "--", *CODE) else last
 
 
 def machine() -> str:
-    """The machine that times depend on, as in `Intel Xeon (2 cores), Linux x86_64, Python 3.11`."""
+    """The machine on which times depend: `Intel Xeon (2 cores), Linux x86_64, Python 3.11`."""
     name = platform.processor() or platform.machine()
     cpus = Path("/proc/cpuinfo")
     if cpus.is_file():

@@ -121,8 +121,8 @@ class _Sampler:
         return starts
 
     def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
-        """One job for each sector with a starting pose: after the first round, one of another
-        sector.
+        """One job for each sector that has a starting pose, which is from another sector after the
+        first round.
         """
         taken = self._voxels.keys(self._voxels.cells(kept.points))
         free = np.ones(self._voxels.count, dtype=bool)
@@ -408,7 +408,7 @@ class Voxels:
         self.shape = np.maximum(-(-span // self._size), 1)
         """(3,) number of voxels along x, y and z."""
         self.count = int(self.shape.prod())
-        # Turned by half a sector, so that no edge of a sector is on the wheels' axis.
+        # Turned by half a sector, so that no edge of a sector is on the wheel axis.
         x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
         turn = np.arctan2(y[:, None], x[None, :]).ravel() / (2 * np.pi) + 0.5 / sectors
         self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns

@@ -34,7 +34,7 @@ class ScoreField:
     p_base: Array
     """(3,) [m] p_base of (9), the arm's mount."""
     A: float
-    """[1/m²] A of (9), the curvature."""
+    """[1/m²] A of (9), half of the curvature at the peak."""
     B: float
     """[m] B of (9), the distance of the best reachability."""
     C: float
@@ -63,9 +63,9 @@ class ScoreField:
         """(…) [-] R, the reachability of a point, which depends on the distance from the mount.
 
         Paper: Eq. (9).
-        Departs from the print: (9) is negative far from B and would change the score's sign. Below
-        R_1 = 0.05 C the function continues as R_1² / (2 R_1 − R), with the same value and slope at
-        R_1. It is positive everywhere, and its gradient does not vanish far from B.
+        Departure: far from B, (9) is negative and would change the score's sign. Below R_1 = 0.05 C
+        the function continues as R_1² / (2 R_1 − R), with the same value and slope at R_1. It is
+        positive everywhere, and its gradient does not vanish far from B.
         """
         return self._fields(p)[..., 0]
 
@@ -192,7 +192,7 @@ class ReachFit(NamedTuple):
     """A, B, C of (9) and the quality of the fit."""
 
     A_per_m2: float
-    """[1/m²] A of (9), the curvature."""
+    """[1/m²] A of (9), half of the curvature at the peak."""
     B_m: float
     """[m] B of (9), the distance of the best reachability."""
     C: float

@@ -145,9 +145,9 @@ def study(
     """Pull the end-effector towards or along the base in random cases.
 
     The pulls come from all sides, with noise, delay, slip and model errors. The force, stiffness
-    and mass of the hand vary. In some cases the person releases the end-effector early, and in some
-    of these cases grasps it again. Each finished case is stored. After an interruption, the same
-    command continues the study; a larger number of cases extends the study.
+    and mass of the person's hand vary. In some cases the person releases the end-effector early,
+    and in some of these cases grasps it again. Each finished case is stored. After an interruption,
+    the same command continues the study; a larger number of cases extends the study.
 
     Args:
         cases: Number of cases.

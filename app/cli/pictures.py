@@ -101,7 +101,7 @@ class Filming:
     orbit: float = 0.0
     """[deg/s] speed of the camera's rotation around the robot, in the film's time."""
     span: tuple[float, float] | None = None
-    """[s] part of the scenario; default: the whole scenario."""
+    """[s] start and end of the filmed part; default: the whole scenario."""
     side_by_side: bool = False
     """Draw the robot of each controller of --beside in a separate picture to the left, not as a
     ghost."""

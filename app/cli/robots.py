@@ -210,7 +210,7 @@ def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
         "pairs": [pair.name for pair in data.pairs.all],
         "collision_rate": data.pairs.rates,
         "least_distance_m": data.pairs.least_distance_m,
-        "missed_collisions": robot.unseen.share,
+        "missed_collisions": robot.detection.share,
         "false_collisions": robot.verdict.false,
         "reachability": {
             name: {

@@ -32,7 +32,7 @@ class Serving:
     """Address of the dashboard, and the robot's first state."""
 
     host: str = "127.0.0.1"
-    """Address to listen on; the default accepts only this machine."""
+    """Address to listen on; the default accepts connections only from this machine."""
     port: int = 8080
     """Port to listen on; 0 selects a free port."""
     allow_host: tuple[str, ...] = ()

@@ -58,7 +58,7 @@ window.dbbControls = (box, ranges) => {
   rate.setAttribute("aria-label", "Replay speed");
   for (const x of [0.1, 0.25, 0.5, 1, 2, 4]) Object.assign(make("option", rate, "", `${x} ×`), { value: x, selected: x === 1 });
   button(row, "Back to now", "N", () => ask("now"));
-  button(row, "Nearest", "Go to the instant with the least distance", () => ask("nearest"));
+  button(row, "Nearest", "Go to the instant with the smallest distance", () => ask("nearest"));
   button(row, "Largest pull", "Go to the instant with the largest force", () => ask("pull"));
   button(row, "◂ Event", "Previous event", () => beside(-1));
   button(row, "Event ▸", "Next event", () => beside(1));
@@ -231,7 +231,7 @@ window.dbbControls = (box, ranges) => {
     const mark = nearest(e), t = time(local(e));
     const there = rows.findLast?.((r) => r[0] <= t);
     hint.textContent = mark ? `${mark[1].toFixed(1)} s: ${mark[3]}`
-      : there ? `${t.toFixed(1)} s: least distance ${Math.round(1000 * there[1])} mm, activation β ${there[2].toFixed(2)}` : "";
+      : there ? `${t.toFixed(1)} s: smallest distance ${Math.round(1000 * there[1])} mm, activation β ${there[2].toFixed(2)}` : "";
     hint.hidden = !hint.textContent;
     hint.style.left = `${Math.min(Math.max(e.clientX - hint.offsetWidth / 2, 4), innerWidth - hint.offsetWidth - 4)}px`;
     if (!fingers.has(e.pointerId)) return;

@@ -80,7 +80,7 @@ class Explorer:
         """Find a posture with the end-effector at `place` (3,) [m] in the world.
 
         The search starts from `posture`. The base stays, and the end-effector's z axis keeps its
-        direction if the position can be reached so.
+        direction if the position is then reachable.
 
         Returns:
             The posture whose end-effector comes closest to `place`, and the remaining distance [m].

@@ -403,7 +403,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     `widget` returns a widget of the page by its name, or None.
 
     Raises:
-        GarbageError: The data are no message of the types `_TAKEN`, or a field has a wrong type.
+        GarbageError: The data are not a message of the types `_TAKEN`, or a field has a wrong type.
         RefusedError: A value does not match its widget, is too large, or is not finite; or an
             upload is not allowed.
     """
@@ -443,7 +443,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
 
 
 def is_picture(content: bytes) -> bool:
-    """Whether `content` is empty (the page has no picture), or a PNG of limited size."""
+    """Whether `content` is empty (the page has no picture), or a still PNG of limited size."""
     head = content.partition(b"IDAT")[0]
     size = 0 if len(head) < 24 else math.prod(struct.unpack_from(">II", head, 16))
     whole = head.startswith(b"\x89PNG\r\n\x1a\n") and 0 < size <= _MOST_PIXELS

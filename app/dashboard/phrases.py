@@ -35,7 +35,7 @@ _BOUNDS: dict[BoundKind, str] = {
 
 
 def angle(x: float, y: float) -> str:
-    """Return a direction in degrees from forward, as in "150° to the left"."""
+    """Return a direction in degrees from forward, such as "150° to the left"."""
     degrees = round(math.degrees(math.atan2(y, x)))
     if degrees in (0, 180, -180):
         return f"{abs(degrees)}°"
@@ -55,7 +55,7 @@ def place(n: Sequence[float]) -> str:
 
 
 def bound(reading: Bound, chain: Sequence[str]) -> str:
-    """Return an active limit in words, as in "panda_joint4: torque limit"."""
+    """Return an active limit in words, such as "panda_joint4: torque limit"."""
     where = reading.where
     if reading.kind == "barrier":
         where = spoken(where, chain)
@@ -68,7 +68,7 @@ def length(d: float) -> str:
 
 
 def borne(bound: float) -> str:
-    """Return an addition to a person's force, as in " (arm resists up to 62 N)"; empty if unknown.
+    """Return a text after a person's force, such as " (arm resists up to 62 N)"; empty if unknown.
 
     `bound` [N] is `Snapshot.force_bound`, which is NaN if it is unknown.
     """
@@ -76,11 +76,11 @@ def borne(bound: float) -> str:
 
 
 def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
-    """Describe a base's motion, as in "backs away at 0.21 m/s and turns left"; None at rest.
+    """Describe a base's motion, such as "backs away at 0.21 m/s and turns left"; None at rest.
 
     Args:
         v: [m/s, m/s, rad/s] velocity of the base; or, if `intended`, its commanded acceleration,
-            which is described as the next motion, as in "back away and turn left".
+            which is described as the next motion, such as "back away and turn left".
         ahead: Whether the avoided body is in front of the base or beside it.
         intended: Whether the base is at rest.
     """
@@ -101,7 +101,7 @@ def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
 
 
 def speeds(velocity: Array) -> str:
-    """Return a base's velocity (n_b,) in words, as in "0.09 m/s, 5°/s left"."""
+    """Return a base's velocity (n_b,) in words, such as "0.09 m/s, 5°/s left"."""
     *linear, w = velocity
     turn = math.degrees(abs(w))
     side = "" if turn < 0.5 else " left" if w > 0 else " right"
@@ -114,7 +114,7 @@ def signed(value: float, digits: int = 2) -> str:
 
 
 def scientific(value: float) -> str:
-    """Format a number as in 2.3·10⁻⁴, with a typographic minus; zero is "0"."""
+    """Format a number, such as 2.3·10⁻⁴, with a typographic minus; zero is "0"."""
     if value == 0.0:
         return "0"
     mantissa, _, exponent = f"{value:.1e}".partition("e")

@@ -53,7 +53,7 @@ class Course:
         running: Whether the scenario is running.
         duration: [s] end of the scenario.
         until: [s] time of the scenario's last snapshot, or `duration` if the scenario completed.
-        least: [m] least distance of all pairs; infinite before the first snapshot.
+        least: [m] smallest distance of all pairs; infinite before the first snapshot.
         pull: [N] largest external force.
         speed: [m/s] peak speed of the end-effector.
         path: [m] length of the base's path.
@@ -124,30 +124,30 @@ class Event(NamedTuple):
 class Strip:
     """Data of the dashboard's time line.
 
-    The simulated time is divided into bins of `BIN` seconds. Each bin has the least distance and
-    the largest β of its snapshots; every two bins store the snapshot with the least distance.
+    The simulated time is divided into bins of `BIN` seconds. Each bin has the smallest distance and
+    the largest β of its snapshots; every two bins store the snapshot with the smallest distance.
     """
 
     def __init__(self, chain: Sequence[str]) -> None:
         """Create an empty history; `chain` has the names of the robot's bodies, the base first."""
         self._chain, self.runs = chain, -1
-        """Number of restarts since the creation."""
+        """`runs` is the number of restarts since the creation."""
         self.begin()
 
     def begin(self) -> None:
         """Delete all data, and increase the number of restarts by one."""
         self.runs += 1
         self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(HISTORY / BIN))
-        """Start [s] of each bin, least distance [m] and largest β in this bin."""
+        """Start [s] of each bin, smallest distance [m] and largest β in this bin."""
         self.closed = self._numbered = 0
         """Numbers of rows and of events since the restart, including deleted ones."""
         self.events: dict[int, Event] = {}
         """Events by their numbers, in order."""
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
         self.past: deque[Snapshot] = deque(maxlen=round(HISTORY / BIN / 2))
-        """For every two bins, the snapshot with the least distance."""
+        """For every two bins, the snapshot with the smallest distance."""
         self.nearest: Snapshot | None = None
-        """Snapshot with the least distance since the restart; None without snapshots."""
+        """Snapshot with the smallest distance since the restart; None without snapshots."""
         self.hardest: Snapshot | None = None
         """Snapshot with the largest external force since the restart; None without a force."""
         self._bin: list[Snapshot] = []

@@ -68,7 +68,7 @@ class Tuning:
         return self.config.changes(self.usual)
 
     def set(self, path: str, value: float | str) -> None:
-        """Change one parameter; fast successive changes of the same parameter are one step.
+        """Change one parameter; undo reverts fast successive changes of it in one step.
 
         Raises:
             ConfigError: The parameter does not exist, or the value is not allowed.
@@ -81,7 +81,7 @@ class Tuning:
             if last == path and now - at <= BURST:
                 self._steps.pop()
                 self._at -= 1
-            if self._steps[self._at] != config:  # a fast change and its reversal are no step
+            if self._steps[self._at] != config:  # a fast change and its reversal are not a step
                 self._add(config)
                 self._burst = path, now
             else:
@@ -89,14 +89,14 @@ class Tuning:
             self._sink.send(Configure(config))
 
     def load(self, config: Config) -> None:
-        """Replace the configuration, in one step."""
+        """Replace the configuration, as one step."""
         with self._lock:
             if config != self.config:
                 self._add(config)
                 self._sink.send(Configure(config))
 
     def reset(self, paths: Iterable[str] | None = None) -> None:
-        """Set the parameters `paths` (default: all) to the robot's defaults, in one step."""
+        """Set the parameters `paths` (default: all) to the robot's defaults, as one step."""
         with self._lock:
             defaults = {path: self.usual.value(path) for path in paths or ()}
             self.load(self.usual if paths is None else self.config.changed(defaults))

@@ -85,7 +85,7 @@ class _Knocks(logging.Filter):
 
 
 def _broke_off(connection: Any) -> bool:
-    """Whether a connection has failed because its first data are no valid request.
+    """Whether a connection has failed because its first data are not a valid request.
 
     An example is a second request right behind the first one: the answer fails within websockets.
     """

@@ -16,7 +16,7 @@ from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
 from app.onboarding import SIDES
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
-from app.onboarding.fit.grouping import MAX_UNSEEN, unseen_collisions
+from app.onboarding.fit.grouping import MAX_UNDETECTED, detection_of
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import units_of_links
@@ -52,7 +52,7 @@ _TOUCHED = {
 }
 _STILL = f"; the base moves away by less than {GIVES_WAY:g} m"
 _HELD = (
-    ", because the arm cannot hold its end-effector in place (`hand held`) and avoids the base by "
+    ", because the arm cannot hold its end-effector in place and avoids the base by "
     "itself; with a smaller ee_hold.weight the base moves more"
 )
 
@@ -104,7 +104,7 @@ def check_robot(
         **({"nested links": nested_row} if description.nested else {}),
         "base's body": base_row,
         "arm's bodies": arm_row,
-        "hand held": holding_row,
+        "end-effector in place": holding_row,
     }.items():
         tell(name)
         yield _done(name, check, model)
@@ -164,7 +164,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 
 def engines_row(model: RobotModel) -> Row:
-    """Compare depth pictures and contacts of pybullet and MuJoCo in random poses."""
+    """Compare depth images and contacts of pybullet and MuJoCo in random poses."""
     if not find_spec("pybullet"):
         text = "pybullet is not installed, so there is no second engine for a comparison"
         return Row("engines", "warned", text, {})
@@ -234,11 +234,11 @@ def base_row(model: RobotModel) -> Row:
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Check that bodies overlap when their links collide, and that a pair sees each collision."""
-    found = unseen_collisions(model, _geometry(model), model.description.config.border.d_b)
+    """Check that bodies overlap when their links collide and that a pair detects each collision."""
+    found = detection_of(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.poses),
-        "unseen_poses": float(found.unseen),
+        "unseen_poses": float(found.undetected),
         "collisions": float(found.watched),
         "missed": float(found.missed),
         "missed_distance_m": found.deepest,
@@ -247,9 +247,9 @@ def arm_row(model: RobotModel) -> Row:
     }
     text = (
         f"links collide in {found.poses} of {found.looked_at:,} random poses; in all but "
-        f"{found.unseen} of these, bodies of a pair meet"
+        f"{found.undetected} of these, bodies of a pair meet"
     )
-    if found.unseen:
+    if found.undetected:
         text += f", mostly {found.worst}"
     if found.missed:
         text += f"; bodies do not enclose their links in {found.missed} of {found.watched} "
@@ -260,7 +260,7 @@ def arm_row(model: RobotModel) -> Row:
     if found.blind:
         text += f"; the bodies of {', '.join(found.blind)} do not enclose their colliding links"
     outcome: Outcome = "passed" if found.poses else "nothing to show"
-    if found.blind or found.unseen or found.missed > MAX_UNSEEN * found.watched:
+    if found.blind or found.undetected or found.missed > MAX_UNDETECTED * found.watched:
         outcome = "failed"
     elif found.missed:
         outcome = "warned"
@@ -285,7 +285,7 @@ def holding_row(model: RobotModel) -> Row:
     worst = max(each.place for each in carried)
     text = f"the arm can hold its end-effector in place in {1 - worst:.0%} of the poses"
     warning = holding_warning(carried)
-    return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
+    return Row("end-effector in place", "warned" if warning else "passed", warning or text, numbers)
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:

@@ -17,7 +17,7 @@ from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import SIDES
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
-from app.onboarding.fit.grouping import Grouping, Unseen, find_grouping, unseen_collisions
+from app.onboarding.fit.grouping import Detection, Grouping, detection_of, find_grouping
 from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, line_from
 from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
@@ -119,7 +119,7 @@ def _make_robot(
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
     fitted = _embodied(request, parsed, bare, path, workers, tell, on_progress)
-    request, parsed, model, meetings, (bodies, verdict), unseen = fitted
+    request, parsed, model, meetings, (bodies, verdict), detection = fitted
     counted = find_reach(model, workers)
     tell("sampling the border")
     data = border(model)
@@ -140,7 +140,7 @@ def _make_robot(
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     model = compiled(content, path)
     held = holding_warning(carried_ee(model))
-    fit = meetings, bodies, verdict, unseen, ready, reach
+    fit = meetings, bodies, verdict, detection, ready, reach
     return NewRobot(request, parsed, urdf, content, model, *fit, {}, {}, held, []), data
 
 
@@ -187,7 +187,7 @@ class _Embodied(NamedTuple):
     model: RobotModel
     meetings: Meetings
     grouping: Grouping
-    unseen: Unseen
+    detection: Detection
 
 
 def _embodied(
@@ -211,7 +211,7 @@ def _embodied(
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     found: list[_Embodied] = []
-    while not found or (found[-1].unseen.unseen and len(found) < _MAX_FITS):
+    while not found or (found[-1].detection.undetected and len(found) < _MAX_FITS):
         if found:
             tell("sampling other random poses")
         meetings = sample_meetings(
@@ -238,12 +238,12 @@ def _embodied(
         unwatched = grouping.verdict.unwatched
         content = description(request, limited, grouping.bodies, unwatched=unwatched)
         model = compiled(content, path)
-        unseen = unseen_collisions(model, geometry, request.buffer, workers)
-        found.append(_Embodied(request, limited, model, meetings, grouping, unseen))
-    best = min(found, key=lambda each: (len(each.unseen.blind), each.unseen.unseen))
-    if best.unseen.blind:
+        detection = detection_of(model, geometry, request.buffer, workers)
+        found.append(_Embodied(request, limited, model, meetings, grouping, detection))
+    best = min(found, key=lambda each: (len(each.detection.blind), each.detection.undetected))
+    if best.detection.blind:
         raise RobotFileError(
-            f"the bodies {', '.join(best.unseen.blind)} do not enclose their colliding links; "
+            f"the bodies {', '.join(best.detection.blind)} do not enclose their colliding links; "
             f"choose a number of --bodies other than {len(best.grouping.bodies) - 1}, or "
             "a different --seed"
         )

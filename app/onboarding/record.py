@@ -5,7 +5,7 @@ from typing import Any
 
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import Meetings
-from app.onboarding.fit.grouping import Unseen, Verdict
+from app.onboarding.fit.grouping import Detection, Verdict
 from app.onboarding.fit.postures import Place, Ready
 from app.onboarding.numbers import Limits, Reach
 from app.onboarding.read.links import LinkGeometry, LinkInertia
@@ -44,7 +44,7 @@ class NewRobot:
     bodies: list[FittedBody]
     verdict: Verdict
     """Quality of the grouping."""
-    unseen: Unseen
+    detection: Detection
     ready: Ready
     reach: dict[str, Reach]
     """Reachability by the name of the body."""

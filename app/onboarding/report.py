@@ -123,7 +123,7 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
 
 
 def _verdict(robot: NewRobot) -> list[str]:
-    ready, share = robot.ready, robot.unseen.share
+    ready, share = robot.ready, robot.detection.share
     points = [
         f"links collide, but no pair of bodies overlaps: {share:.1%} of the colliding random poses",
         f"a pair of bodies overlaps, but no links collide: {robot.verdict.false:.1%} of the free "

@@ -104,18 +104,18 @@ def _poses(robot: NewRobot) -> Iterator[str]:
 
 
 def _bodies(robot: NewRobot) -> Iterator[str]:
-    verdict, meetings = robot.verdict, robot.meetings
-    if robot.unseen.unseen:
+    verdict, meetings, found = robot.verdict, robot.meetings, robot.detection
+    if found.undetected:
         yield (
-            f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
-            f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are no "
+            f"no pair detects {found.share:.1%} of the random poses in which links collide; "
+            f"mostly {found.worst}; bodies that are neighbours or close by design are not a "
             f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
-    if robot.unseen.left_out:
+    if found.left_out:
         yield (
-            f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
+            f"in {found.left_out} of {found.looked_at:,} random poses links meet "
             "that no pair can monitor, because they are neighbours or close by design: "
-            f"{robot.unseen.rule}; {_LIMIT}"
+            f"{found.rule}; {_LIMIT}"
         )
     for name, why in verdict.unwatched.items():
         if why == BY_BODIES:
@@ -125,7 +125,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
             )
     for pair in sorted(meetings.nested):
         a, b = (meetings.units[unit].name for unit in pair)
-        yield f"{a} and {b} touch in most poses: they count as nested, and are no pair"
+        yield f"{a} and {b} touch in most poses: they count as nested, and are not a pair"
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
     for body in robot.bodies:
@@ -152,7 +152,7 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
 
 
 def _scale(robot: NewRobot) -> Iterator[str]:
-    """Shapes with another scale than the joints, such as a mesh that is not in metres."""
+    """Shapes whose scale differs from that of the joints, such as a mesh not in metres."""
     arm, shapes = robot.parsed.arm, robot.parsed.geometry
     sizes = [
         max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)
@@ -449,7 +449,7 @@ def push_warning(borne: Array) -> str:
     if weak <= _OFTEN:
         return ""
     return (
-        f"a person of {person:g} N can push the arm against the base: in {weak:.0%} of the poses "
+        f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the poses "
         f"near the base the joint torques resist a smaller force; in the worst {_OFTEN:.0%} they "
         f"resist {np.quantile(borne, _OFTEN):.0f} N or less"
     )

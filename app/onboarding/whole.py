@@ -61,7 +61,7 @@ def whole_robot(request: Request) -> Whole:
     """Read the robot from one or two files, with distinct names and one joint per telescope.
 
     Raises:
-        RobotFileError: A file is no URDF, or the links of the request do not exist or have no arm
+        RobotFileError: A file is not a URDF, or the requested links do not exist or have no arm
             between them.
         AssetError: A package is not installed.
     """

@@ -276,7 +276,7 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
 
     Raises:
         AssetError: The file is missing.
-        DescriptionError: The file cannot be read, is no valid XML, or is larger than the file of
+        DescriptionError: The file cannot be read, is not valid XML, or is larger than the file of
             any robot.
     """
     path = urdf_path(description)
@@ -391,7 +391,7 @@ def _mesh(reference: str, folder: Path) -> Path:
     """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF.
 
     Raises:
-        AssetError: There is no such file.
+        AssetError: The file does not exist.
     """
     if "://" in reference:
         return resolve_package_uri(reference)

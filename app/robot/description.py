@@ -96,7 +96,7 @@ class BodyDescription(Strict):
     links. Only a part of a link that cannot meet another body can be outside of this body."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """For links in `covers`, the links of other bodies that are nested with them. If nested links
-    touch, this is no contact."""
+    touch, this does not count as a contact."""
 
 
 class ReachabilityDescription(Sourced):

@@ -22,7 +22,7 @@ class Pair(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The names of both bodies, as in `lm-lEE`."""
+        """The names of both bodies, such as `lm-lEE`."""
         return f"{self.a}-{self.b}"
 
 

@@ -44,7 +44,7 @@ def numbers(name: str, values: Any, *sizes: int) -> Array:
     """An array of floats from a caller's values; masked values become NaN.
 
     Raises:
-        MeasurementError: The values are no real numbers, or their number is none of `sizes`.
+        MeasurementError: The values are not real numbers, or their number is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -60,7 +60,7 @@ def velocities(name: str, values: Any, size: int) -> Array:
     """`numbers` of velocities (size,); None or an empty array becomes NaN.
 
     Raises:
-        MeasurementError: The values are no real numbers, or their number is not `size`.
+        MeasurementError: The values are not real numbers, or their number is not `size`.
     """
     found = numbers(name, () if values is None else values, size, 0)
     return found if found.size == size else np.full(size, np.nan)
@@ -70,7 +70,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats; missing velocities are NaN.
 
     Raises:
-        MeasurementError: The value is no `Measurement`, or a field is not an array of the right
+        MeasurementError: The value is not a `Measurement`, or a field is not an array of the right
             number of values; the message names the field.
     """
     if not isinstance(measurement, Measurement):
@@ -188,7 +188,7 @@ def seen_from(R: Array, p: Array, at: Array) -> Array:
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:])")
 def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
-    """Velocity [m/s] of a body's point at p (3,) [m], from the body's twist (6,)."""
+    """Velocity [m/s] of a body's point at p (3,) [m] in the world, from the body's twist (6,)."""
     w_x, w_y, w_z = twist[3], twist[4], twist[5]
     return (
         twist[0] + w_y * p[2] - w_z * p[1],
@@ -199,8 +199,8 @@ def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
 def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
-    """Acceleration [m/s²] of a body's point at p (3,) [m] at q̈ = 0, from the body's twist (6,) and
-    its bias (6,), the acceleration of `chain_motion`.
+    """Acceleration [m/s²] at q̈ = 0 of a body's point at p (3,) [m] in the world, from the body's
+    twist (6,) and its bias (6,), the acceleration of `chain_motion`.
     """
     x, y, z = point_velocity(bias, p)
     v_x, v_y, v_z = point_velocity(twist, p)
@@ -226,7 +226,7 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
-    """(3, n) [m/rad or 1] Jacobian of the point at p (3,) [m] of the body on a joint."""
+    """(3, n) [m/rad or 1] Jacobian of a point on a joint's body; p (3,) [m] is in the world."""
     n_b = B.shape[1]
     reduced = np.zeros((3, n_b + J.shape[1] - 3))
     for k in range(carrying(joint)):

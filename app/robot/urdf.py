@@ -124,7 +124,7 @@ def urdf_mesh(
     `load` reads the triangles of a mesh file.
 
     Raises:
-        RobotFileError: It is no shape of a URDF, or an attribute is missing or invalid.
+        RobotFileError: It is not a shape of a URDF, or an attribute is missing or invalid.
         AssetError: As for `resolve_package_uri`.
     """
     if shape.tag != "mesh":
@@ -154,7 +154,7 @@ def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None
     if shape.tag == "box":
         return creation.box(extents=sizes("size", 3)), None
     if shape.tag not in ("sphere", "cylinder", "capsule"):
-        raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")
+        raise RobotFileError(f"{where}: a <{shape.tag}> is not a shape of a URDF")
     radius = float(sizes("radius")[0])
     if shape.tag == "sphere":
         return creation.icosphere(subdivisions=3, radius=radius), radius

@@ -58,7 +58,7 @@ class RunCase(Strict):
     @model_validator(mode="before")
     @classmethod
     def _drop_figures(cls, data: Any) -> Any:
-        """Former files have results too."""
+        """Drop the results, which files of former versions have."""
         return {k: v for k, v in data.items() if k != "figures"} if isinstance(data, dict) else data
 
     @field_validator("parameters")

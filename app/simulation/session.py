@@ -322,7 +322,7 @@ class Disturbances:
     def configure(self, config: DisturbanceConfig) -> None:
         """Use these disturbances from the next step on.
 
-        At the beginning of a longer delay, the oldest known command and reading stay in force.
+        At the beginning of a longer delay, the oldest known command and reading stay in use.
         """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip = config.slip

@@ -164,8 +164,8 @@ def base_figure(run: Trace) -> Figure:
     return figure
 
 
-@style.picture("hand", "The end-effector")
-def hand_figure(run: Trace) -> Figure:
+@style.picture("end_effector", "The end-effector")
+def end_effector_figure(run: Trace) -> Figure:
     """Above: distance of the end-effector from the person's target, or from the reference if no
     person pulls. Below: force of people on the end-effector, or of the end-effector on a door.
     """

@@ -206,7 +206,7 @@ def _open_zip(path: Path) -> None:
 
 
 def _border(path: Path) -> None:
-    """A small border in the form of a cache."""
+    """Write a small border as a file of the cache."""
     points = np.random.default_rng(0).integers(0, 500, (60, 3)).astype(np.int16)
     pair = Pair("lm", "lEE")
     distances = np.arange(60, dtype=np.uint16)
@@ -224,7 +224,7 @@ def _figures(path: Path) -> None:
 
 
 def _played(path: Path) -> None:
-    """A case."""
+    """Write a case."""
     scenario = SCENARIOS["guiding-lateral"]
     case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "planar"))
     path.write_text(case.text(), encoding="utf-8")

@@ -1,1 +1,1 @@
-"""Measurements of the control law, which use only the public API of the project."""
+"""Measurements of the control law: continuity, tracking, and pulls and releases by people."""

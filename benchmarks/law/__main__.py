@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def _shown(measure: Callable[..., Report]) -> Callable[..., None]:
-    """A function with the arguments of a measurement that prints its report."""
+    """A function that has the arguments of a measurement and prints the measurement's report."""
 
     @wraps(measure)
     def run(options: Options, **others: Any) -> None:

@@ -44,8 +44,8 @@ KINDS: dict[Kind, tuple[str, str]] = {
 }
 """Modes of the law: with or without a reference, and the limits of the arm.
 
-A guided base has no arm limits; the last kind includes changes of active limits, so it has no
-bound.
+The arm's limits do not act on the base of a guided robot. The last kind includes changes of active
+limits, so it has no bound.
 """
 
 
@@ -117,7 +117,7 @@ def continuity(
 
 
 def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any]:
-    """The largest changes of one kind, and their jumps."""
+    """Row of one mode: the largest changes of the acceleration in a step, and the largest jumps."""
     worst = played(_worst, paths, jobs, kind)
     found: dict[str, Any] = {"kind": kind}
     for axis, (name, unit) in enumerate((("linear", "mps2"), ("angular", "radps2"))):
@@ -184,7 +184,10 @@ def _worst(path: Path) -> tuple[Worst, Worst]:
 
 
 def _refined(place: Refinement) -> list[list[float]]:
-    """(steps, 2) largest change in one step around a place, for steps of decreasing length."""
+    """(steps, 2) largest changes in one step around a place, for steps of decreasing length.
+
+    The columns are the base's linear and angular acceleration, as in `_changes`.
+    """
     found = []
     for share in (1.0, *_FINER):
         h = share * _STEP

@@ -31,7 +31,7 @@ _LENGTH = 0.08, 0.30  # [m] range of the length of a line towards the base
 _RISE = 0.15  # [m] largest difference of height between the ends of a curve
 _TURN = 0.3, 1.2  # [rad] range of the angle of an arc about the base's middle
 _NEAREST = 0.08  # [m] smallest distance of the end-effector from the base's box
-_HAND_TURN = 0.5  # [rad] largest angle of the end-effector to the direction away from the mount
+_EE_TURN = 0.5  # [rad] largest angle of the end-effector to the direction away from the mount
 _ALONG = np.linspace(0.25, 1.0, 4)  # [-] places on a curve at which reachability is checked
 _GUESSES = 6  # [-] random initial guesses of each search for a posture
 _REACHED = 1e-4  # [m] and [rad] largest error of a posture
@@ -63,7 +63,7 @@ def _drawn(options: Options, number: int) -> list[object]:
     model = load(options.robot).model
     for _ in range(_TRIES):
         curve = _curve(options.robot, rng)
-        seed, turn = int(rng.integers(2**31)), float(rng.uniform(-_HAND_TURN, _HAND_TURN))
+        seed, turn = int(rng.integers(2**31)), float(rng.uniform(-_EE_TURN, _EE_TURN))
         places = [curve.place(float(s))[0] for s in (0.0, *_ALONG)]
         if min(_gap(options.robot, p) for p in places) < _NEAREST:
             continue

@@ -17,9 +17,9 @@ from app.errors import DbbError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.plants import PLANTS
 from benchmarks.peers.evaluator import Evaluator
-from benchmarks.peers.model import HAND
+from benchmarks.peers.model import EE
 from benchmarks.peers.names import chosen
-from benchmarks.peers.paths import hand_paths
+from benchmarks.peers.paths import ee_paths
 from benchmarks.peers.plan import write_plan
 from benchmarks.peers.quick import pink_step
 from benchmarks.peers.rows import Row, rows_of
@@ -60,9 +60,9 @@ def _compare(args: Peers, peers: dict[str, Any]) -> int:
     plan_folder.mkdir(exist_ok=True)
     rows: list[Row] = []
     with progress_bar("peers", len(peers) + 1) as on_progress:
-        paths = hand_paths(model, data)
+        paths = ee_paths(model, data)
         plan, common = write_plan(plan_folder, model, data, paths, physics=args.physics)
-        judge = Evaluator(common.planar, common.pairs, HAND)
+        judge = Evaluator(common.planar, common.pairs, EE)
         for k, (name, peer) in enumerate(peers.items(), start=1):
             on_progress(k)
             rows += rows_of(name, peer, plan, args.out, args.out / "envs", judge)

@@ -19,13 +19,13 @@ class Evaluator:
     A configuration is (3 + n_m,): x, y [m], yaw [rad] and the arm's joints.
     """
 
-    def __init__(self, urdf: str, pairs: Sequence[tuple[str, str]], hand: str) -> None:
+    def __init__(self, urdf: str, pairs: Sequence[tuple[str, str]], ee: str) -> None:
         """Read a model.
 
         Args:
             urdf: Text of the URDF, with three joints for x, y and yaw of the base.
             pairs: The two links of each pair; each link has one shape.
-            hand: The link of the end-effector.
+            ee: The link of the end-effector.
 
         Raises:
             ValueError: A link does not exist, or a link of a pair has no shape.
@@ -43,19 +43,19 @@ class Evaluator:
                 pin.CollisionPair(*(self._shapes.getGeometryId(name) for name in names))
             )
         self._placed = pin.GeometryData(self._shapes)
-        if not self.model.existFrame(hand):
-            raise ValueError(f"the common model has no link {hand}")
-        self._hand = self.model.getFrameId(hand)
+        if not self.model.existFrame(ee):
+            raise ValueError(f"the common model has no link {ee}")
+        self._ee = self.model.getFrameId(ee)
 
     def distances(self, q: Array) -> Array:
         """(pairs,) [m] signed distances at a configuration."""
         pin.computeDistances(self.model, self._data, self._shapes, self._placed, q)
         return np.array([result.min_distance for result in self._placed.distanceResults])
 
-    def hand(self, q: Array) -> pin.SE3:
-        """T_world_hand at a configuration."""
+    def ee(self, q: Array) -> pin.SE3:
+        """T_world_ee at a configuration."""
         pin.framesForwardKinematics(self.model, self._data, q)
-        return self._data.oMf[self._hand].copy()
+        return self._data.oMf[self._ee].copy()
 
     def figures(self, q: Array, p: Array, R: Array, dt: float) -> dict[str, float]:
         """The results of a motion; each key ends in its unit.
@@ -67,9 +67,9 @@ class Evaluator:
             dt: [s]
         """
         least = np.min([self.distances(at) for at in q], axis=0)
-        hands = [self.hand(at) for at in q]
-        off = np.linalg.norm([hand.translation for hand in hands] - p, axis=1)
-        turned = [float(np.linalg.norm(pin.log3(R.T @ hand.rotation))) for hand in hands]
+        poses = [self.ee(at) for at in q]
+        off = np.linalg.norm([T.translation for T in poses] - p, axis=1)
+        turned = [float(np.linalg.norm(pin.log3(R.T @ T.rotation))) for T in poses]
         steps = np.diff(q, axis=0)
         velocity = np.vstack([np.zeros(q.shape[1]), steps / dt])
         change = np.abs(np.diff(velocity, axis=0)) / dt

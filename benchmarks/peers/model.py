@@ -17,7 +17,7 @@ from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
 
-HAND = "peers_hand"
+EE = "peers_ee"
 """Link of the end-effector's frame."""
 PLANAR = ("peers_x", "peers_y", "peers_yaw")
 """Joints of the base on the floor."""
@@ -86,7 +86,7 @@ def _urdf(model: RobotModel, base: dict[str, tuple[str, str, float]]) -> str:
         _link(robot, str(link.get("name")), description)
     for joint in source.iterfind("joint"):
         _joint(robot, joint, model)
-    _hand(robot, description)
+    _end_effector(robot, description)
     parent = "peers_floor"
     _link(robot, parent)
     for k, (name, (kind, axis, velocity)) in enumerate(base.items()):
@@ -148,11 +148,11 @@ def _joint(robot: Element, source: Element, model: RobotModel) -> None:
         _limit(joint, model.q_lower[k], model.q_upper[k], model.qd_max[k])
 
 
-def _hand(robot: Element, description: RobotDescription) -> None:
+def _end_effector(robot: Element, description: RobotDescription) -> None:
     arm = description.arm
-    _link(robot, HAND)
-    joint = SubElement(robot, "joint", name=f"{HAND}_joint", type="fixed")
-    _between(joint, arm.end_effector_link, HAND)
+    _link(robot, EE)
+    joint = SubElement(robot, "joint", name=f"{EE}_joint", type="fixed")
+    _between(joint, arm.end_effector_link, EE)
     _origin(joint, arm.end_effector_xyz_m, arm.end_effector_rpy_rad)
 
 

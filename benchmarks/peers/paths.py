@@ -37,7 +37,7 @@ PATHS = (*_LINES, *_OFFSETS)
 """Names of all paths."""
 
 
-def hand_paths(
+def ee_paths(
     model: RobotModel, data: BorderData, names: Sequence[str] = PATHS
 ) -> dict[str, StartedLine]:
     """Some of `PATHS`, each with the arm's initial posture for a base at the origin.

@@ -14,7 +14,7 @@ from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios.line import StartedLine
-from benchmarks.peers.model import HAND, PLANAR, UNICYCLE, CommonModel, common_model
+from benchmarks.peers.model import EE, PLANAR, UNICYCLE, CommonModel, common_model
 
 Array = np.ndarray
 
@@ -26,7 +26,7 @@ D_MIN = 0.05
 """[m] minimum distance of all pairs, also for our own controllers."""
 RATE = 20.0
 """[1/s] largest approach speed divided by the remaining distance, also for our own controllers."""
-_HAND_COST = 10.0  # [1/m and 1/rad] cost of the end-effector's error; the objective has its square
+_EE_COST = 10.0  # [1/m and 1/rad] cost of the end-effector's error; the objective has its square
 _ARM_COST = 0.1  # [1/rad] cost of a step of each joint of the arm; the objective has its square
 _DETECTION = 0.3  # [m] distance above which a library can ignore a pair
 
@@ -66,7 +66,7 @@ def write_plan(
         "planar_urdf": "robot.urdf",
         "unicycle_urdf": "unicycle.urdf",
         "paths": "paths.npz",
-        "hand": HAND,
+        "ee": EE,
         "planar_joints": PLANAR,
         "unicycle_joints": UNICYCLE,
         "arm_joints": common.joints,
@@ -77,7 +77,7 @@ def write_plan(
         "d_min_m": D_MIN,
         "rate_per_s": RATE,
         "detection_m": _DETECTION,
-        "hand_cost": _HAND_COST,
+        "ee_cost": _EE_COST,
         "arm_cost": _ARM_COST,
         "robot": model.description.name,
         "physics": physics,

@@ -12,7 +12,7 @@ from app.border.cache import BorderData
 from app.robot.model import RobotModel
 from benchmarks.peers.environments import PeerError, ensure_environment
 from benchmarks.peers.names import PEERS
-from benchmarks.peers.paths import hand_paths
+from benchmarks.peers.paths import ee_paths
 from benchmarks.peers.plan import BASE_WEIGHTS, write_plan
 from benchmarks.peers.running import run_driver
 
@@ -48,7 +48,7 @@ def pink_step(model: RobotModel, data: BorderData, environments: Path) -> PinkSt
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name) / "plan"
             folder.mkdir()
-            paths = hand_paths(model, data, [_PATH])
+            paths = ee_paths(model, data, [_PATH])
             write_plan(folder, model, data, paths, BASE_WEIGHTS[:1])
             done = run_driver("pink", pink, python, folder, Path(name) / "out")
     except PeerError as error:

@@ -88,7 +88,7 @@ def bench(
 
 
 def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int) -> dict[str, Any]:
-    """Durations of all control steps, and of the direct calls after each active step.
+    """Durations of all control steps, and of the calls of `Floor` after each active step.
 
     Each step is measured `_REPEATS` times; the `own` durations are the shortest ones, which exclude
     other work of the machine.

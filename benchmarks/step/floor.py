@@ -23,7 +23,7 @@ Array = np.ndarray
 
 
 class Floor:
-    """Measures the duration of these calls.
+    """Measures the duration of the direct calls of the libraries.
 
     Attributes:
         size: Unknowns, equalities and inequalities of the QP.

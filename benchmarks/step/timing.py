@@ -95,7 +95,7 @@ class Stages:
 
     @contextmanager
     def timing(self, parts: Sequence[tuple[str, Any, str]]) -> Iterator[None]:
-        """Measure functions during the `with`: for each its stage, its owner and its attribute."""
+        """Measure methods in the `with`; `parts` has stage, object and attribute of each method."""
         plain = [getattr(owner, name) for _, owner, name in parts]
         for stage, owner, name in parts:
             self._wrap(owner, name, stage)

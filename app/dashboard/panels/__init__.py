@@ -67,7 +67,7 @@ class Viewer:
         """Creates the viewer's files, one after the other."""
 
     def look(self, preset: str) -> None:
-        """Look at the shown snapshot from a preset, a key of `PRESETS`.
+        """Set the camera to a preset, a key of `PRESETS`, for the displayed snapshot.
 
         Raises:
             TargetError: The preset is "door", and the snapshot has no door.

@@ -50,7 +50,7 @@ is shared, and the forces of all who pull add up.
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
 TOUR = "Take the tour"
 SHOWN = "guiding-lateral"
-"""The scenario of the demonstration: the arm is pulled along the wheels' axis."""
+"""The scenario of the demonstration: the arm is pulled along the wheel axis."""
 FARTHER = 1.5  # [-] factor on this scenario's path; the arm then hits a base that stays
 
 
@@ -167,7 +167,7 @@ class Guide(Panel):
     def go(self, state: str) -> None:
         """Show the card of a state, or no card if the state is empty.
 
-        The demonstration ends with its card "demo", and if a viewer who watches it wants to pull.
+        The demonstration ends with its card "demo", or when its viewer chooses "pull" to pull.
         """
         before, self.state = self.state, state
         if (before, state) == ("watch", "pull") or (

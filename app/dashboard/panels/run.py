@@ -44,7 +44,7 @@ INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
 _SCORES = (
-    ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
+    ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("end-effector error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
     ("end-effector error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
     ("base travel [m]", "base_path", lambda d: f"{d:.2f}", None),
@@ -226,7 +226,7 @@ def compared_html(shown: Snapshot, last: str) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """Return a line per robot, as in "With avoidance (dbb): no contact, least distance 72 mm"."""
+    """A line per robot, such as "With avoidance (dbb): no contact, smallest distance 72 mm"."""
     lines = (
         f"<b>{METHOD_WORDS[score.controller].capitalize()}</b> ({score.controller}): "
         f"{outcome_text(score.clearance, touched=bool(score.contacts))}"
@@ -254,7 +254,7 @@ def course_html(course: Course, busy: str) -> str:
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
     values = (
-        reading("least distance", millimetres(course.least)),
+        reading("smallest distance", millimetres(course.least)),
         reading("largest pull", f"{course.pull:.0f} N"),
         reading("peak end-effector speed", f"{course.speed:.2f} m/s"),
         reading("base travel", f"{course.path:.2f} m"),

@@ -96,7 +96,7 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return the content of the header: verdict, sentence, nearest pair, base speed and pace."""
+    """Return the header: verdict, sentence, nearest pair, base speed and real-time factor."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"

@@ -40,7 +40,7 @@ _SMALL = 1e-4  # [m] step of a numerical gradient
 
 
 class ColouredCloud(NamedTuple):
-    """A border for a browser."""
+    """The drawn points of a border, with their colours and legend."""
 
     points: Array
     """(N, 3) [m] in the base's frame."""

@@ -110,8 +110,8 @@ class Canvas:
     """Shows the objects that were drawn in the last picture, and hides all others.
 
     A scene node is sent when it is drawn for the first time; later, viser sends only changes. The
-    name of an object states its parent node, as in `parent/object`, and the object's position is in
-    the frame of this parent node. Only the position of a label is in the world.
+    name of an object, such as `parent/object`, states its parent node, and the object's position is
+    in the frame of this parent node. Only the position of a label is in the world.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:

@@ -91,7 +91,7 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
-    """[-] mean number of units of the arm that fits of l_m touch in free random poses, per try.
+    """(tries,) [-] mean number of the arm's units that each fit of l_m touches in a free pose.
 
     Units that are close to the base by design do not count.
     """
@@ -154,7 +154,7 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int] | None:
-        """The smallest fit over the frames of the units' joints, and the number of its joint.
+        """The smallest fit, of one or more shapes, in a joint's frame, and the joint's number.
 
         `masks` select the points of each unit. The result is None if no points are selected, or if
         their swept volume is below `_SPOT`.
@@ -203,9 +203,10 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
     """The volumes that the points on a chain of joints sweep, as seen from each joint of the chain.
 
     Seen from the frame of one joint, the points on other joints move if the joints between them
-    move. For each joint, the result is the hull of all places of all points in the joint's frame:
-    corners (N, 3) [m], and volume [m³]. The sweep of the points beyond a joint is the same for all
-    frames before this joint, so the sweep over each joint is computed only once in each direction.
+    move. For each joint, the result is the hull of all positions of the points in the joint's
+    frame: corners (N, 3) [m], and volume [m³]. The sweep of the points beyond a joint is the same
+    for all frames before this joint, so the sweep over each joint is computed only once in each
+    direction.
 
     Args:
         model: The robot.

@@ -80,7 +80,7 @@ class Meetings:
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """Close pairs that are nested, as in a telescope; their contacts are no collisions."""
+        """Close pairs that are nested, as in a telescope; their contacts do not count."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 

@@ -57,8 +57,8 @@ def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
     The polytope has a face for each of 642 directions, which are evenly spread after the points are
-    scaled to equal widths along their main axes. It exceeds the hull by about 0.5 % of the points'
-    extent along each main axis.
+    scaled to equal widths along their principal axes. It exceeds the hull by about 0.5 % of the
+    points' extent along each principal axis.
     """
     corners, D = hull_corners(points), directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many
@@ -77,7 +77,7 @@ def _polytope(D: Array, reach: Array) -> Array:
 
 
 def fit_capsule(points: Array) -> Capsule:
-    """A capsule with a small volume, by a local search that starts at the best main axis."""
+    """A capsule with a small volume, by a local search that starts at the best principal axis."""
     some = _outermost(points)
     centre = some.mean(axis=0)
     axes = np.linalg.svd(some - centre, full_matrices=False)[2]
@@ -109,7 +109,7 @@ def fit_capsule(points: Array) -> Capsule:
 
 
 def fit_box(points: Array) -> Box:
-    """A small box that has an edge along an axis of the frame or a main axis of the points.
+    """A small box that has an edge along an axis of the frame or a principal axis of the points.
 
     First the box along the axes of the frame is the best one. A rotated box replaces the best box
     only if its volume is at least a tenth smaller.
@@ -127,8 +127,8 @@ def fit_box(points: Array) -> Box:
 def fit_hull(points: Array) -> Hull | Box:
     """A polytope around the points, with a face for each of 42 evenly spread directions.
 
-    Its frame is at the centre of the points' bounding box, with z along their main axis. If the
-    polytope cannot be computed, the result is a box.
+    Its frame is at the centre of the points' bounding box, with z along their principal axis. If
+    the polytope cannot be computed, the result is a box.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]

@@ -4,8 +4,8 @@ Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. 
 chain into groups is judged mainly by the share of colliding poses in which no pair of its bodies
 overlaps, by the share of free poses in which a pair overlaps, and by the pairs that are inside
 their buffer in most free poses. Such a pair is not monitored, like a pair of neighbours, if its
-links are that close by design or if other pairs see its collisions. A pair sees a collision if its
-bodies overlap in the same pose.
+links are that close by design or if other pairs detect its collisions. A pair detects a collision
+if its bodies overlap in the same pose.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,12 +35,12 @@ from app.strict import Array
 _PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
 _MAX_BODIES = 6  # [-] largest number of bodies of the arm
 _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
-MAX_UNSEEN = 0.01  # [-] largest share of the links' collisions that their bodies may miss
-UNSEEN_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
+MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their bodies may miss
+TEST_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
-_UNSEEN_SEED = 2**31  # [-] seed of these poses, which the fit does not use
-_MISSED = 0.1 * MAX_UNSEEN  # [-] largest share of colliding poses that a grouping may miss
+_TEST_SEED = 2**31  # [-] seed of these poses, which the fit does not use
+_MISSED = 0.1 * MAX_UNDETECTED  # [-] largest share of colliding poses that a grouping may miss
 _BODY_COST = 0.03  # [-] cost of each body
 _MISSED_COST = 40.0  # [-] cost of missed collisions, per share above `_MISSED`
 _FALSE_COST = 2.0  # [-] cost of free poses in which bodies overlap, per share
@@ -50,7 +50,7 @@ _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 
 BY_LINKS = "chosen: some of its links are nearer than d_b by design"
-BY_BODIES = "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions"
+BY_BODIES = "chosen: its bodies are within d_b in most poses; other pairs detect the collisions"
 """Reasons why a pair is not monitored."""
 
 
@@ -104,7 +104,7 @@ def find_grouping(
     """
     fixed = meetings.units[1]
     found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
-    if fixed.links and not _sees(model, found, meetings, fixed.index):
+    if fixed.links and not _detects(model, found, meetings, fixed.index):
         found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count, on_progress)
     return found._replace(bodies=with_nested(model, meetings, found.bodies))
 
@@ -124,7 +124,7 @@ def with_nested(
     return found
 
 
-def _sees(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
+def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
     """Whether monitored pairs overlap in nearly all poses in which a unit meets another one."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
     q_m = [
@@ -223,17 +223,17 @@ def judge(
     return Verdict(missed, false, spurious, always, unwatched, near, cost)
 
 
-class Unseen(NamedTuple):
-    """Collisions of links in random poses that the fit has not used, and the unseen ones.
+class Detection(NamedTuple):
+    """Collisions of links in random poses that the fit has not used, and the undetected ones.
 
-    A colliding pose is seen if the bodies of any pair overlap, because avoidance prevents this.
+    A colliding pose is detected if the bodies of any pair overlap, because avoidance prevents this.
     """
 
     looked_at: int
     """Number of random poses."""
     poses: int
     """Number of poses in which hulls of links collide."""
-    unseen: int
+    undetected: int
     """Number of these poses in which meshes of links collide, but no pair of bodies overlaps."""
     watched: int
     """Collisions of links whose bodies are a pair, counted by pose and pair."""
@@ -244,8 +244,8 @@ class Unseen(NamedTuple):
     blind: tuple[str, ...]
     """Pairs of bodies that miss more than half of their links' random and searched collisions."""
     worst: str
-    """The first links of the two units that meet most often in the unseen poses, with their share
-    of all random poses; `none` without unseen poses."""
+    """The first links of the two units that meet most often in the undetected poses, with their
+    share of all random poses; `none` without undetected poses."""
     left_out: int
     """Number of poses that a rule excludes: no pair of bodies overlaps, but links meet that are
     neighbours or close by design. It is extrapolated if more than 300 poses qualify."""
@@ -255,13 +255,13 @@ class Unseen(NamedTuple):
 
     @property
     def share(self) -> float:
-        """[-] share of the colliding poses that no pair sees."""
-        return self.unseen / max(1, self.poses)
+        """[-] share of the colliding poses that no pair detects."""
+        return self.undetected / max(1, self.poses)
 
 
-def unseen_collisions(
+def detection_of(
     model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float, workers: Workers = ALONE
-) -> Unseen:
+) -> Detection:
     """The collisions of links in random poses, and those that the bodies of a description miss.
 
     Contacts that are allowed by design (`neighbours`) do not count. Contacts of two links of the
@@ -273,8 +273,8 @@ def unseen_collisions(
     met = sample_meetings(
         model,
         units,
-        samples=UNSEEN_POSES,
-        seed=_UNSEEN_SEED,
+        samples=TEST_POSES,
+        seed=_TEST_SEED,
         d_b=d_b,
         enough=ENOUGH,
         points=False,
@@ -289,12 +289,12 @@ def unseen_collisions(
     rare = np.logical_and(met.rare.distances <= 0.0, met.rare.possible[:, None])
     q_m = np.vstack([met.random.q_m[random], met.rare.q_m])
     gaps = PairDistances(model, pairs).sampled(q_m)
-    unseen = np.all(gaps[:count] > 0.0, axis=1)
-    for k in np.flatnonzero(hits[unseen].any(axis=0)):  # few poses, so their meshes are compared
-        rows = np.flatnonzero(unseen & hits[:, k])
+    undetected = np.all(gaps[:count] > 0.0, axis=1)
+    for k in np.flatnonzero(hits[undetected].any(axis=0)):  # few poses: their meshes are compared
+        rows = np.flatnonzero(undetected & hits[:, k])
         a, b = (units[u] for u in met.pairs[k])
         hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])
-    unseen &= hits.any(axis=1)
+    undetected &= hits.any(axis=1)
     watched = missed = 0
     deepest, blind = 0.0, []
     for pair, gap in zip(pairs, gaps.T, strict=True):
@@ -309,18 +309,18 @@ def unseen_collisions(
         deepest = max(deepest, float(gap[:count][late[:count]].max(initial=0.0)))
         if late.sum() > 0.5 * there.sum():
             blind.append(pair.name)
-    worst, blame = "none", hits[unseen].sum(axis=0) / len(random)
+    worst, blame = "none", hits[undetected].sum(axis=0) / len(random)
     if blame.any():
         a, b = (units[k].name for k in met.pairs[int(blame.argmax())])
         worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
-    seen = len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
-    return Unseen(*seen, left_out, rule)
+    seen = len(random), count, int(undetected.sum()), watched, missed, deepest, tuple(blind), worst
+    return Detection(*seen, left_out, rule)
 
 
 def _left_out(
     model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Mapping[str, LinkGeometry]
 ) -> tuple[int, str]:
-    """`left_out` and `rule` of `Unseen`; nested links do not count."""
+    """`left_out` and `rule` of `Detection`; nested links do not count."""
     units, q_m = met.units, met.random.q_m
     near = sorted(met.close - met.nested)
     distant = set(met.pairs)
@@ -352,7 +352,7 @@ def _left_out(
 def _body_distances(
     model: RobotModel, bodies: Sequence[FittedBody], q_m: Array
 ) -> tuple[list[str], Array]:
-    """Names of all pairs of bodies that are no neighbours, and their distances (N, pairs) [m]."""
+    """Names of all pairs of bodies that are not neighbours, and their distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
     shapes = [

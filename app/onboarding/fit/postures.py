@@ -91,7 +91,7 @@ class _Judge:
         return Ready(q_m, float(clearance), self._names[i] if distances else "")
 
     def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the end-effector in a pose; of its position with fewer than six joints."""
+        """√det(J Jᵀ) of the end-effector in a pose; if n_m < 6, J has only the position's rows."""
         self.search.place(q_m)
         return manipulability(self.search.J_ee if len(q_m) >= 6 else self.search.J_ee[:3])
 
@@ -201,7 +201,7 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that comes nearer than `INNER` d_b and satisfies `shows`.
+    """The first line that satisfies `shows` and leads the arm nearer to the base than `INNER` d_b.
 
     At most three lines are tested. If none of them satisfies `shows`, the result is the first of
     them with `anyway`, otherwise the reason why there is no line.

@@ -84,7 +84,7 @@ def with_stops(
 
 
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
-    """A buffer distance [m] with which pairs of bodies see the collisions that no limit prevents.
+    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
     Two links can be monitored if they are outside of the buffer in enough poses. The result is the
     largest such distance: `d_b`, or less in steps of 0.01 m, within the bounds of `border.d_b`. The

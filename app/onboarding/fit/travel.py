@@ -50,8 +50,8 @@ def followers(tree: Tree, chain: Sequence[str]) -> list[Joint]:
 
 
 def _leader(tree: Tree, joint: Joint) -> tuple[Joint, float, float]:
-    """The motor that a mimic joint follows, also through other mimic joints, with multiplier and
-    offset; for a motor, the motor itself.
+    """The leader of a mimic joint, also through other mimic joints, with multiplier and offset; a
+    joint without <mimic> is its own leader.
     """
     multiplier, offset = 1.0, 0.0
     for _ in tree.joints:  # a closed chain of mimic joints ends too
@@ -68,20 +68,20 @@ def with_travel(
     geometry: Mapping[str, LinkGeometry],
     carrier: str,
     without: Sequence[str] = (),
-    motors: Sequence[Joint] | None = None,
+    leaders: Sequence[Joint] | None = None,
 ) -> dict[str, LinkGeometry]:
     """Geometry in which the shapes of each descendant of `carrier` cover its motion.
 
-    `motors` move through their ranges: first one at a time with the others at rest, then all
-    together; default: all motors below `carrier`. Mimic joints move with their leaders. The shapes
+    `leaders` move through their ranges: first one at a time with the others at rest, then all
+    together; default: all moving joints below `carrier`. Mimic joints follow. The shapes
     are in the frames of the links at rest, see `held_at`. Links beyond the joints in `without` do
     not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
     held = _placed(tree, links, carrier, {joint.name: held_at(joint) for joint in joints})
-    motors = [joint for joint in joints if joint.moves] if motors is None else motors
-    tried = [_placed(tree, links, carrier, each) for each in _positions(joints, motors)]
+    leaders = [joint for joint in joints if joint.moves] if leaders is None else leaders
+    tried = [_placed(tree, links, carrier, each) for each in _positions(joints, leaders)]
     found = dict(geometry)
     for link in links:
         motions = [held[link].actInv(places[link]) for places in tried]
@@ -97,12 +97,12 @@ def held_at(joint: Joint) -> float:
     return 0.0 if low >= high else float(np.clip(0.0, low, high))
 
 
-def _positions(joints: Sequence[Joint], motors: Sequence[Joint]) -> Iterator[Positions]:
-    """Positions of joints: each motor through its range with the others at rest, then all
+def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Positions]:
+    """Positions of joints: each leader through its range with the others at rest, then all
     together.
     """
-    ranges = {joint.name: _range(joint) for joint in motors}
-    rest = {joint.name: held_at(joint) for joint in [*joints, *motors] if joint.moves}
+    ranges = {joint.name: _range(joint) for joint in leaders}
+    rest = {joint.name: held_at(joint) for joint in [*joints, *leaders] if joint.moves}
     for name, values in ranges.items():
         for value in values:
             yield {**rest, name: value}

@@ -130,7 +130,7 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
     elif ".." in PurePosixPath(name).parts:
         problem = "leads out of the zip by '..'"
     elif not name.isprintable() or not name.strip("/. ") or len(name) > _LONGEST_NAME:
-        problem = "is no name of a file"
+        problem = "is not a file name"
     elif stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
         problem = "is a link or a device, not a file"
     elif info.flag_bits & 1:
@@ -238,7 +238,7 @@ def _encoded(name: str) -> Iterator[bytes]:
 
 
 def _as_stored(name: bytes) -> str:
-    """The file name of an entry without a stated encoding: its bytes in code page 437."""
+    """The file name of an entry without a stated encoding: code page 437, two bytes escaped."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 

@@ -191,9 +191,9 @@ def spellings(reference: str) -> list[str]:
 
 
 def _split_address(reference: str) -> tuple[str, str, str]:
-    """Scheme, package and path of an address; the package is empty for other schemes.
+    """Scheme, package and path of an address; only schemes of `_IN_PACKAGE` have a package.
 
-    A drive of Windows is no scheme. Several slashes count as one.
+    A Windows drive letter is not a scheme. Several slashes count as one.
     """
     scheme, mark, rest = reference.partition(":")
     if not mark or len(scheme) == 1:
@@ -208,7 +208,7 @@ def _split_address(reference: str) -> tuple[str, str, str]:
 def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Path]:
     """Possible files of a mesh: in its package, or relative to the URDF's folder or one above it.
 
-    There is none for other schemes than `package`, `model` and `file`.
+    Only paths, and addresses with the scheme `package`, `model` or `file`, have possible files.
     """
     scheme, package, path = _split_address(reference)
     own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
@@ -260,7 +260,7 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
     found = "FOLDER" if holder is None else f"{holder}, which contains a file of that path"
     return (
-        f"the package {package!r} is no folder beside or above {folder}, is not in "
+        f"the package {package!r} is not a folder beside or above {folder}, is not in "
         "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
         f"set --package {package}={found}"
     )

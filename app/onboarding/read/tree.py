@@ -225,7 +225,7 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     for role, link in (("parent", parent), ("child", child)):
         if link not in links:
             near = did_you_mean(link, links)
-            raise RobotFileError(f"{where}: its {role} is {link!r}, which is no link{near}")
+            raise RobotFileError(f"{where}: its {role} is {link!r}, which is not a link{near}")
     T = origin(element, where)
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = float(np.linalg.norm(axis))

@@ -234,7 +234,7 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
 def _named(
     tree: Tree, arm: Arm, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
 ) -> _Wheel:
-    """The wheel of a named joint or link; an error states why it is no wheel."""
+    """The wheel of a named joint or link; an error states why it is not a wheel."""
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is not None and joint.name in found:
         return found[joint.name]
@@ -243,7 +243,7 @@ def _named(
     elif joint.child not in arm.base_links:
         why = f"{name!r} is not on the base"
     elif not turns_round(joint):
-        why = f"{joint.name} is no wheel: it is {joint.kind}"
+        why = f"{joint.name} is not a wheel: it is {joint.kind}"
     else:
         why = reasons.get(joint.name, f"{joint.name} is a caster's wheel: its fork turns too")
     turning = ", ".join(j.name for j in tree.joints.values() if turns_round(j))
@@ -266,7 +266,7 @@ def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Jo
     T = tree.pose(joint.child, arm.base)
     axis = T.rotation @ joint.axis
     if np.linalg.norm(axis[:2]) < _LEVEL:
-        raise RobotFileError(f"{joint.name} is no wheel: its axis is not level")
+        raise RobotFileError(f"{joint.name} is not a wheel: its axis is not level")
     links = tree.below(joint.child, moving=False)
     touched = [s for link in links for s in geometry[link].shapes]
     if not touched:
@@ -291,7 +291,7 @@ def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
     r = float(np.linalg.norm(flat, axis=1).max())
     if max(widths) > (1 + _ROUND) * min(widths) or abs(2 * r / max(widths) - 1) > _ROUND:
         raise RobotFileError(
-            f"{joint.name} is no wheel: {joint.child} is not round about its axis "
+            f"{joint.name} is not a wheel: {joint.child} is not round about its axis "
             f"({min(widths):.3f} to {max(widths):.3f} m wide)"
         )
     return r, f"mesh of {joint.child}"

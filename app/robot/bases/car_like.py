@@ -42,9 +42,9 @@ def nearest_in_cone(
 ) -> tuple[float, float]:
     """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), in the norm √(v² + ρ² ω²).
 
-    If both edges of the cone are about equally near, the base does not reverse. If it is at rest
-    and both are exactly equally near, it moves backwards: this brings the arm ahead of the rear
-    axle, where the score is better.
+    If both edges of the cone are about equally near, a moving base keeps its direction. If it is at
+    rest and both are exactly equally near, it moves backwards: this brings the arm ahead of the
+    rear axle, where the score is better.
 
     Args:
         v: [m/s] desired speed.
@@ -102,7 +102,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def curvature_max(self) -> float:
-        """[1/m] κ_max."""
+        """[1/m] κ_max, the curvature of the tightest arc."""
         return math.tan(self.steering_limit_rad) / self.wheelbase_m
 
     @property

@@ -45,7 +45,7 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
 
 
 def singularity_measure(p: Array, r: float, b: float) -> Array:
-    """det(J_c J_cᵀ) at q_c = (x, y, 0): zero on the wheels' axis.
+    """det(J_c J_cᵀ) at q_c = (x, y, 0): zero on the wheel axis.
 
     Paper: Eq. (7), (8).
 

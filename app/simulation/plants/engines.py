@@ -1,4 +1,4 @@
-"""Comparison of pybullet and MuJoCo for one robot: pictures from rays, and contacts."""
+"""Comparison of pybullet and MuJoCo for one robot: depth images and contacts."""
 
 from itertools import product
 from typing import NamedTuple

@@ -167,7 +167,7 @@ class MujocoWheels(Physics):
         return pin.Quaternion(w, x, y, z).toRotationMatrix()
 
     def _calibrate(self, half_track: float) -> None:
-        """Set the wheel speeds for a half track [m]."""
+        """Set the matrix from (v, ω) to the wheel speeds, for a half track [m]."""
         self.half_track = half_track
         right, left = np.linalg.inv(mobile_jacobian(self.wheels.radius, half_track))
         self._rolling = np.array([right if is_right else left for is_right in self.wheels.right])

@@ -70,7 +70,7 @@ def _read_csv(path: Path) -> tuple[str, pa.Table]:
     rest = re.sub(r"\n[,;\t]+(?=\n|$)", "", rest)  # empty rows of a spreadsheet
     if not first.startswith(_COMMENT):
         changed = "; a spreadsheet has probably changed it: use the original file, or .parquet"
-        raise ValueError(f"the first line is no metadata comment{changed * ('# ' in first)}")
+        raise ValueError(f"the first line is not a metadata comment{changed * ('# ' in first)}")
     names, _, rows = rest.partition("\n")
     # Spreadsheets write other marks; the names of later columns can contain a mark.
     first_name = re.match(r'"?\w*"?([,;\t])', names)

@@ -81,7 +81,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     larger = ""
     if least is not None:
         pair, distance = spoken(least[0], chain) if chain else least[0], 1000 * least[1]
-        near = f"least distance {distance:.0f}"
+        near = f"smallest distance {distance:.0f}"
         if distance < 0:
             near = f"bodies overlapped by {-distance:.1f}"
         text += f"; {near} mm ({pair})"
@@ -280,8 +280,8 @@ FIGURES: dict[str, Figure] = {
         "`hand_force_max_n` until two bodies first come nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
-        "Smallest upper bound of a person's force that the arm resists, computed at 50 Hz; null if "
-        "no bound was computed.",
+        "Smallest value during the run of the largest force of a person that the arm can resist, "
+        "computed at 50 Hz; null if it was never computed.",
         lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     ),
     "hand_speed_max_mps": Figure(

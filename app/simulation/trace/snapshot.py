@@ -279,7 +279,7 @@ def _door() -> Quantity:
 
 
 def _force_bound() -> Quantity:
-    """The quantity of the smallest bound of a person's force on the arm, computed at 50 Hz."""
+    """The quantity `force_bound` of a snapshot, computed at 50 Hz."""
 
     def row(session: Session, step: Step) -> Sequence[float]:
         return (NAN if round(step.t / DT) % EVERY else _smallest_force_bound(session, step),)
@@ -288,12 +288,12 @@ def _force_bound() -> Quantity:
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] smallest upper bound of a person's force that the arm resists (`force_bound`).
+    """[N] largest force of a person that the arm can resist (`force_bound`).
 
-    Each pair in its buffer has a bound. The force on the end-effector has a further bound: up to
-    this bound, each joint can hold its speed against the force, so that no joint exceeds its speed
-    limit. The result is NaN if there is no bound, if no person holds the robot, and for
-    the fallback command, which does not respect limits.
+    It is the smallest of several bounds. Each pair in its buffer has a bound. The force on the
+    end-effector has a further bound: up to it, each joint can hold its speed against the force, so
+    that no joint exceeds its speed limit. The result is NaN if there is no bound, if no person
+    holds the robot, and for the fallback command, which does not respect limits.
     """
     if not (step.pulls and step.control.solved):
         return NAN
@@ -306,7 +306,7 @@ _VECTOR = types.Array(types.f8, 1, "A")
 
 @compiled(Signature(types.f8, (STEP.type, _VECTOR, types.f8, _VECTOR), None))
 def _least_bound(w: Any, force: Array, size: float, tau_max: Array) -> float:
-    """[N] the least `force_bound`; not-a-number without a bound.
+    """[N] smallest `force_bound`; NaN without a bound.
 
     Args:
         w: `STEP`.
@@ -445,8 +445,7 @@ class Snapshot:
     duration_us: Annotated[float, number("duration_us", "float", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] smallest upper bound of a person's force that the arm resists; NaN without a
-    bound."""
+    """[N] largest force of a person that the arm can resist; NaN if unknown."""
     run: int = 0
     """Number of the run since the start of the loop."""
     busy: str = ""

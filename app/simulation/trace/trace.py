@@ -327,7 +327,7 @@ class Stuck(NamedTuple):
     """[s] simulated time."""
     ee_error_m: float
     """[m] distance of the end-effector from its target."""
-    hand_m: tuple[float, ...]
+    ee_m: tuple[float, ...]
     """(3,) [m] position of the end-effector, in the world."""
     target_m: tuple[float, ...]
     """(3,) [m] target, in the world."""

@@ -66,14 +66,14 @@ def millimetres(distance: float) -> str:
 
 
 def outcome_text(least: float, *, touched: bool) -> str:
-    """A text with the outcome of a run, as in "no contact, least distance 105 mm".
+    """A text with the outcome of a run, such as "no contact, smallest distance 105 mm".
 
     `least` is the smallest distance [m]; a negative one is an overlap of the convex bodies.
     """
     if least < 0.0:
         overlap = f"bodies overlap by {millimetres(-least)}"
         return f"contact, {overlap}" if touched else overlap
-    return f"{outcome(least, touched=touched)}, least distance {millimetres(least)}"
+    return f"{outcome(least, touched=touched)}, smallest distance {millimetres(least)}"
 
 
 def number_text(value: Any, none: str = "–") -> str:

@@ -392,7 +392,7 @@ def failed(row: Row) -> bool:
     """Whether a case failed.
 
     The reasons are a contact of the arm with the base or itself, an overlap of their convex bodies,
-    a control step with the fallback command, a NaN, and an error. A contact with the floor is none.
+    a control step with the fallback command, a NaN, and an error, but not a contact with the floor.
     """
     broken = row["nan"] or row["error"] or row.get("solver_failures")
     return bool(broken) or met_base(row) or met_itself(row)

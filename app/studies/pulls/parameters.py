@@ -50,7 +50,7 @@ _BOUNDS = {
     "released": (0.0, 1.0, ""),
     "regrasped": (0.0, 1.0, ""),
 }
-"""Smallest valid value, largest valid value and unit of the quantities that are no parameters of
+"""Smallest valid value, largest valid value and unit of the quantities that are not parameters of
 the configuration."""
 
 
@@ -127,7 +127,7 @@ class StudyRange(Strict):
 
 
 class StudyParameters(Strict):
-    """The parameters that determine each case of a study; the number of cases is not one."""
+    """The parameters that determine each case of a study, without the number of cases."""
 
     seed: int = 0
     """Seed of the random quantities. The quantities of case k depend only on the seed, k, the robot

@@ -282,7 +282,7 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
 
 
 def _by_kind(axes: Axes, rows: Sequence[Row], column: str, low: float = -np.inf) -> None:
-    """Draw the cases of each kind as a row of points, spread vertically, and not below `low`."""
+    """Draw the cases of each kind as a row of points; values below `low` are drawn at `low`."""
     kinds = sorted({row["kind"] for row in rows}, reverse=True)
     for y, kind in enumerate(kinds):
         here = [row for row in rows if row["kind"] == kind]

@@ -243,9 +243,9 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Draw the base's outline in a style, the wheel axis from y [m] to y [m], and the arm's mount.
+    """Draw the base's outline in a style, the wheel axis, and the arm's mount.
 
-    The mount is a circle with the radius `mount` [m].
+    `axis` is y of the wheel axis's ends [m]; the mount is a circle with the radius `mount` [m].
     """
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower

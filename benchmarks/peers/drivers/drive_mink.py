@@ -13,17 +13,17 @@ _COMPILER = '<mujoco><compiler fusestatic="false" discardvisual="true"/></mujoco
 
 
 class NoSlip(mink.Task):
-    """The base has no velocity along the wheels' axis."""
+    """The base has no velocity along the wheel axis."""
 
     def __init__(self) -> None:
         super().__init__(cost=np.ones(1))
 
     def compute_error(self, configuration: mink.Configuration) -> Array:
-        """Nothing to correct."""
+        """Zero: the constraint is on velocities."""
         return np.zeros(1)
 
     def compute_jacobian(self, configuration: mink.Configuration) -> Array:
-        """(1, n) across the heading."""
+        """(1, n) Jacobian of the base's sideways velocity."""
         J = np.zeros((1, configuration.nv))
         yaw = configuration.q[2]
         J[0, :2] = -np.sin(yaw), np.cos(yaw)
@@ -38,11 +38,11 @@ class Mink:
         model = mujoco.MjModel.from_xml_string(text.replace("</robot>", _COMPILER + "</robot>"))
         self._model, self._dt = model, plan["dt_s"]
         self._configuration = mink.Configuration(model, q)
-        cost = plan["hand_cost"]
-        self._hand = mink.FrameTask(plan["hand"], "body", position_cost=cost, orientation_cost=cost)
+        cost = plan["ee_cost"]
+        self._ee = mink.FrameTask(plan["ee"], "body", position_cost=cost, orientation_cost=cost)
         costs = np.full(model.nv, plan["arm_cost"])
         costs[:3] = base_cost
-        self._tasks = [self._hand, mink.DampingTask(model, cost=costs)]
+        self._tasks = [self._ee, mink.DampingTask(model, cost=costs)]
         self._pairs = [tuple(self._geom(link) for link in pair) for pair in plan["pairs"]]
         v, w = plan["base_velocity"]
         names = [*plan["planar_joints"], *plan["arm_joints"]]
@@ -71,7 +71,7 @@ class Mink:
 
     def step(self, target: Array) -> Array:
         """See `Follower.step`."""
-        self._hand.set_target(mink.SE3.from_matrix(target))
+        self._ee.set_target(mink.SE3.from_matrix(target))
         velocity = mink.solve_ik(
             self._configuration,
             self._tasks,

@@ -43,7 +43,7 @@ class Watch:
             self._q.append(np.concatenate([end.base_pose, end.q_m]))
 
     def arrays(self) -> dict[str, Array]:
-        """As `loop` says."""
+        """The arrays of `RUN.npz`, which the module `loop` describes."""
         return {
             "q": np.array(self._q),
             "step_s": np.array(self._times),

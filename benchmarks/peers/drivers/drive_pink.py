@@ -11,24 +11,24 @@ from pink.tasks import DampingTask, FrameTask, Task
 
 
 class NoSlip(Task):
-    """The base has no velocity along the wheels' axis."""
+    """The base has no velocity along the wheel axis."""
 
     def __init__(self) -> None:
         super().__init__(cost=1.0)
 
     def compute_error(self, configuration: Configuration) -> Array:
-        """Nothing to correct."""
+        """Zero: the constraint is on velocities."""
         return np.zeros(1)
 
     def compute_jacobian(self, configuration: Configuration) -> Array:
-        """(1, n) across the heading."""
+        """(1, n) Jacobian of the base's sideways velocity."""
         J = np.zeros((1, configuration.model.nv))
         yaw = configuration.q[2]
         J[0, :2] = -np.sin(yaw), np.cos(yaw)
         return J
 
     def __repr__(self) -> str:
-        """Short."""
+        """A short name."""
         return "NoSlip()"
 
 
@@ -49,11 +49,11 @@ class Pink:
             collision_model=shapes,
             collision_data=pin.GeometryData(shapes),
         )
-        cost = plan["hand_cost"]
-        self._hand = FrameTask(plan["hand"], position_cost=cost, orientation_cost=cost)
+        cost = plan["ee_cost"]
+        self._ee = FrameTask(plan["ee"], position_cost=cost, orientation_cost=cost)
         costs = np.full(model.nv, plan["arm_cost"])
         costs[:3] = base_cost
-        self._tasks = [self._hand, DampingTask(cost=costs)]
+        self._tasks = [self._ee, DampingTask(cost=costs)]
         self._barriers = [
             SelfCollisionBarrier(
                 len(plan["pairs"]),
@@ -70,7 +70,7 @@ class Pink:
 
     def step(self, target: Array) -> Array:
         """See `Follower.step`."""
-        self._hand.set_target(pin.SE3(target))
+        self._ee.set_target(pin.SE3(target))
         velocity = solve_ik(
             self._configuration,
             self._tasks,

@@ -34,9 +34,9 @@ class Placo:
         solver.mask_fbase(True)
         solver.dt = plan["dt_s"]
         solver.enable_velocity_limits(True)
-        self._hand = solver.add_frame_task(plan["hand"], np.eye(4))
-        weight = plan["hand_cost"] ** 2
-        self._hand.configure("hand", "soft", weight, weight)
+        self._ee = solver.add_frame_task(plan["ee"], np.eye(4))
+        weight = plan["ee_cost"] ** 2
+        self._ee.configure("ee", "soft", weight, weight)
         damping = solver.add_regularization_task(plan["arm_cost"] ** 2)
         for name in plan["planar_joints"]:
             damping.set_joint_weight(name, base_cost**2)
@@ -60,7 +60,7 @@ class Placo:
         row = np.array([-np.sin(yaw), np.cos(yaw)])
         self._A[0, self._at[:2]], self._A[1, self._at[:2]] = row, -row
         self._no_slip.A, self._no_slip.b = self._A, self._A @ q
-        self._hand.T_world_frame = target
+        self._ee.T_world_frame = target
         self._solver.solve(True)
         self._robot.update_kinematics()
         return self._robot.state.q[self._at]

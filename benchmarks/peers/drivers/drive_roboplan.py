@@ -34,9 +34,9 @@ class Roboplan:
         self._q = np.concatenate([np.zeros(2), q[3:]])
         self._scene.setJointPositions(self._q)
         oink = self._oink = Oink(self._scene)
-        hand = CartesianConfiguration("", plan["hand"], np.asfortranarray(np.eye(4)))
-        weight = plan["hand_cost"] ** 2  # its cost is the square of the other libraries' costs
-        self._hand = FrameTask(oink, self._scene, hand, FrameTaskOptions(weight, weight))
+        ee = CartesianConfiguration("", plan["ee"], np.asfortranarray(np.eye(4)))
+        weight = plan["ee_cost"] ** 2  # its cost is the square of the other libraries' costs
+        self._ee = FrameTask(oink, self._scene, ee, FrameTaskOptions(weight, weight))
         weights = np.full(len(joints), plan["arm_cost"] ** 2)
         weights[:2] = base_cost**2
         self._damping = ConfigurationTask(oink, self._q, weights)
@@ -72,9 +72,9 @@ class Roboplan:
         c, s = math.cos(yaw), math.sin(yaw)
         T_base_world[:2, :2] = [[c, s], [-s, c]]
         T_base_world[:2, 3] = -(c * x + s * y), s * x - c * y
-        self._hand.setTargetFrameTransform(np.asfortranarray(T_base_world @ target))
+        self._ee.setTargetFrameTransform(np.asfortranarray(T_base_world @ target))
         self._damping.setTargetConfiguration(self._q)
-        tasks = [self._hand, self._damping]
+        tasks = [self._ee, self._damping]
         self._oink.solveIk(self._q, tasks, self._constraints, self._barriers, self._step)
         turn, ahead = self._step[:2]
         middle = yaw + turn / 2  # exact on a circle

@@ -29,7 +29,7 @@ class Follower(Protocol):
         ...
 
     def step(self, target: Array) -> Array:
-        """Compute a step towards the pose T_world_hand (4, 4), and return q (3 + n_m,)."""
+        """Compute a step towards the pose T_world_ee (4, 4), and return q (3 + n_m,)."""
         ...
 
 
