@@ -257,8 +257,8 @@ def _polynomials(ages: Array, count: int) -> Array:
 def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     """Estimate `w.lag`, the delay of the readings in periods.
 
-    Successive readings form a group, of which the mean counts: this reduces noise. Each possible
-    lag predicts the motion of the last groups, up to a polynomial of time, which stands for the
+    The mean of each group of successive readings counts: this reduces noise. Each possible lag
+    predicts the motion of the last groups, up to a polynomial of time, which stands for the
     motion by external forces (`_weigh_lags`).
     """
     ages = w.group_age
@@ -595,6 +595,29 @@ def _learn_v_error(gains: Any, w: Any, predicted: Array) -> None:
 
 
 @compiled()
+def _checked_positions(
+    robot: Any, w: Any, base_pose: Array, q_m: Array, drive: Array, first: bool
+) -> tuple[Array, bool]:
+    """The positions (n_m,) without jumps by full turns, and whether they are unusable."""
+    q, lost = q_m.copy(), not math.isfinite(q_m.sum() + drive.sum())
+    w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
+    if not lost:
+        q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
+        lost = _implausible(q, robot.q_limits)
+        w.faults[IMPLAUSIBLE] = 1.0 if lost else 0.0
+    return q, lost
+
+
+@compiled()
+def _store_reading(w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array) -> None:
+    """Store a reading, which a repetition equals."""
+    put(w.reading[0], q)
+    put(w.reading[1], qd)
+    put(w.pose_read, base_pose)
+    put(w.v_read, base_velocity)
+
+
+@compiled()
 def take_readings(
     robot: Any,
     gains: Any,
@@ -621,13 +644,8 @@ def take_readings(
         drive: (n_d,) state of the drive.
     """
     fill(w.faults, 0.0)
-    first, q, qd = math.isnan(w.q_posture[0]), q_m.copy(), qd_m.copy()
-    lost, velocity = not math.isfinite(q_m.sum() + drive.sum()), w.base_velocity.copy()
-    w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
-    if not lost:
-        q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
-        lost = _implausible(q, robot.q_limits)
-        w.faults[IMPLAUSIBLE] = 1.0 if lost else 0.0
+    first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
+    q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
     if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt):
         lost, w.faults[REPEATED] = True, 1.0
     w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
@@ -650,10 +668,7 @@ def take_readings(
         _take_base(robot, gains, w, base_pose.copy(), velocity, first)
         w.age[()] = 0.0
     if unseen:
-        put(w.reading[0], q)
-        put(w.reading[1], qd)
-        put(w.pose_read, base_pose)
-        put(w.v_read, base_velocity)
+        _store_reading(w, base_pose, base_velocity, q, qd)
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
     _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
