@@ -506,7 +506,7 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if size == 0.0 or w.samples[()] < FEWEST:
         return
     w.load[()] = -dot(torque, lift) / size / _GRAVITY
-    if w.samples[()] == FEWEST:  # the estimate has restarted
+    if w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > 0.0:  # a new estimate
         for k in range(len(w.torques)):
             put(w.torques[k], torque)
     w.torques_age[()] += gains.dt
