@@ -55,17 +55,19 @@ def locate(source: str) -> Path:
 
 
 def read_robot(
-    path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
+    path: Path,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> tuple[Element, list[str]]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    `packages` are folders of ROS packages by name, which have precedence over all other folders;
-    `arguments` are those of a xacro. The second result has a sentence on each removed shape.
+    The arguments are those of `read_source`. The second result has a sentence on each removed
+    shape.
 
     Raises:
         RobotFileError: As for `read_source`, or a required mesh does not exist.
     """
-    robot = read_source(path, packages, **arguments)
+    robot = read_source(path, packages, arguments)
     said = []
     for link in robot.findall("link"):
         for tag in ("visual", "collision"):
@@ -107,47 +109,72 @@ def _needless(
 
 
 def read_source(
-    path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
+    path: Path,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Element:
-    """Read the `<robot>` of a URDF or xacro; the arguments are those of `read_robot`.
+    """Read the `<robot>` of a URDF or xacro.
 
-    Attributes lose blanks at both ends, and elements lose the namespace of `<robot>`.
+    The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
+    elements lose the namespace of `<robot>`.
+
+    Args:
+        path: The file.
+        packages: Folders of ROS packages by name, which have precedence over all other folders.
+        arguments: Arguments of a xacro. None refuses a xacro, whose expressions are Python.
 
     Raises:
         RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
             macros cannot be expanded.
     """
     text = xml_text(path)
-    if path.suffix.lower() == ".xacro":
-        text = _expanded(path, text, packages or {}, arguments)
+    robot = _plain_xml(text)
+    if (left := _unexpanded(robot)) and arguments is None:
+        raise RobotFileError(
+            f"{path.name}: {left} is xacro, which can contain Python and is executed only in a "
+            "file that is named by its path; expand it: xacro FILE -o robot.urdf"
+        )
+    if left:
+        text = _expanded(path, text, packages or {}, arguments or {})
         refuse_entities(text, path)
+        robot = _plain_xml(text)
+        if left := _unexpanded(robot):
+            raise RobotFileError(f"{path}: {left} remains after expansion; use the prefix xacro:")
+    if robot.tag != "robot":
+        raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
+    _refuse_unprefixed(path, robot, "include", "macro")
+    return robot
+
+
+def _plain_xml(text: str) -> Element:
+    """The root, without blanks at the ends of attributes and without its own namespace."""
     robot = ElementTree.fromstring(text)
     own = robot.tag.rpartition("}")[0] + "}"
     for each in robot.iter():
         each.attrib = {key: value.strip() for key, value in each.items()}
         if len(own) > 1 and isinstance(each.tag, str):
             each.tag = each.tag.removeprefix(own)
-    if robot.tag != "robot":
-        raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
-    if left := _unexpanded(robot):
-        raise RobotFileError(
-            f"{path}: {left} is unexpanded xacro; rename the file to .xacro, or expand it: "
-            "xacro FILE -o robot.urdf"
-        )
     return robot
 
 
 def _unexpanded(robot: Element) -> str:
     """The first xacro macro or expression in a robot, or an empty string."""
-    for each in robot:
+    for each in robot.iter():
         namespace, _, tag = str(each.tag).rpartition("}")
         if namespace.endswith("xacro"):
             return f"<xacro:{tag}>"
-        if tag in ("link", "joint"):
-            values = (value for part in each.iter() for value in part.attrib.values())
-            if left := next((value for value in values if "${" in value or "$(" in value), ""):
-                return left
-    return ""
+    parts = (part for each in robot for part in each.iter() if each.tag in ("link", "joint"))
+    values = (value for part in parts for value in part.attrib.values())
+    return next((value for value in values if "${" in value or "$(" in value), "")
+
+
+def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
+    """Refuse elements of xacro without their prefix: present versions of xacro ignore these."""
+    for tag in (each.tag for each in robot if each.tag in tags):
+        raise RobotFileError(
+            f"{path}: <{tag}> is xacro without its prefix; write <xacro:{tag}>, and also "
+            "<xacro:NAME> for each call of a macro"
+        )
 
 
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
@@ -309,8 +336,14 @@ def _expanded(
         )
     try:
         return within_budget(_urdf_of, path, packages, arguments, size=LARGEST_TEXT)
+    except RobotFileError:
+        raise
     except Exception as error:  # xacro's errors have no common base class
-        why = " ".join(str(error).split())
+        own, cause = str(next(iter(error.args), "")), getattr(error, "exc", None)
+        file = str(getattr(cause, "filename", ""))
+        # The text of some errors already contains that of their cause, with the name of its file.
+        why = own if own.endswith(f": {file or cause}") else " ".join(str(error).split())
+        why += _near(path.parent, os.path.relpath(file, path.parent)) if file else ""
         if missing := re.search(r"Package not found: (\S+)", why):
             inner = re.search(rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)", text)
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
@@ -331,11 +364,17 @@ def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
     from xacrodoc import packages as library
 
     xacro.init_stacks(str(path))  # relative files of the xacro are in its folder
+    xacro.all_includes.clear()
     search = partial(_package_folders, folder=path.parent, named=packages)
     otherwise = library.get_path
     library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
     try:
         document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
         return document.to_urdf_string()
+    except xacro.XacroException:
+        for file in filter(isfile, (path, *xacro.all_includes)):
+            own = ElementTree.fromstring(xml_text(Path(file)))
+            _refuse_unprefixed(Path(file), own, "include", "macro", "property")
+        raise
     finally:
         library.get_path = otherwise
