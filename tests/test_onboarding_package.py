@@ -91,7 +91,7 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     "two": ({"a.urdf": TOY, "b.urdf": TOY}, "name one by --file: a.urdf, b.urdf"),
     "hidden": ({"toy/.urdf": TOY, "__MACOSX/toy/a.urdf": TOY}, "no .urdf in it"),
     "xacro": ({"a.urdf.xacro": XACRO}, "a xacro can contain Python"),
-    "xacro named .urdf": ({"a.urdf": EXPRESSION}, "is xacro, which can contain Python"),
+    "xacro named .urdf": ({"a.urdf": EXPRESSION}, "is unexpanded xacro, which can contain Python"),
     "laughs": ({"toy.urdf": TOY.replace("<robot", LAUGHS + "<robot")}, "the XML entity 'a'"),
     "file entity": (
         {

@@ -425,7 +425,6 @@ MACRO = '<macro name="a"><link name="z"/></macro>'
         (f"{MACRO}<xacro:a/>", "toy.urdf: <macro> is xacro without its prefix; write <xacro:macro"),
         (f"{MACRO}<a/>", "toy.urdf: <macro> is xacro without"),  # formerly, a robot without z
         ('<xacro:include filename="m.xacro"/><a/>', ": <macro> is xacro without"),
-        ('<xacro:include filename="m.xacro"/><xacro:a/>', "m.xacro: <macro> is xacro without"),
         ('<include filename="m.xacro"/>', "toy.urdf: <include> is xacro without"),
         ('<property name="r" value="1"/><xacro:if value="${r}"/>', "<property> is xacro without"),
         ('<xacro:include filename="n.xacro"/>', "/n.xacro (did you mean 'm.xacro'?); correct it"),

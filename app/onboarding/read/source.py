@@ -61,8 +61,7 @@ def read_robot(
 ) -> tuple[Element, list[str]]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    The arguments are those of `read_source`. The second result has a sentence on each removed
-    shape.
+    The arguments are those of `read_source`. The second result has a sentence on each lost shape.
 
     Raises:
         RobotFileError: As for `read_source`, or a required mesh does not exist.
@@ -116,12 +115,8 @@ def read_source(
     """Read the `<robot>` of a URDF or xacro.
 
     The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
-    elements lose the namespace of `<robot>`.
-
-    Args:
-        path: The file.
-        packages: Folders of ROS packages by name, which have precedence over all other folders.
-        arguments: Arguments of a xacro. None refuses a xacro, whose expressions are Python.
+    elements lose the namespace of `<robot>`. `packages` are folders of ROS packages by name, which
+    have precedence over all other folders; `arguments` are those of a xacro, and None refuses one.
 
     Raises:
         RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
@@ -129,17 +124,16 @@ def read_source(
     """
     text = xml_text(path)
     robot = _plain_xml(text)
-    if (left := _unexpanded(robot)) and arguments is None:
-        raise RobotFileError(
-            f"{path.name}: {left} is xacro, which can contain Python and is executed only in a "
-            "file that is named by its path; expand it: xacro FILE -o robot.urdf"
-        )
-    if left:
-        text = _expanded(path, text, packages or {}, arguments or {})
+    if (left := _unexpanded(robot)) and arguments is not None:
+        text = _expanded(path, text, packages or {}, arguments)
         refuse_entities(text, path)
         robot = _plain_xml(text)
-        if left := _unexpanded(robot):
-            raise RobotFileError(f"{path}: {left} remains after expansion; use the prefix xacro:")
+        left = _unexpanded(robot)
+    if left:
+        raise RobotFileError(
+            f"{path.name}: {left} is unexpanded xacro, which can contain Python and is executed "
+            "only in a file outside of a zip; expand it: xacro FILE -o robot.urdf"
+        )
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     _refuse_unprefixed(path, robot, "include", "macro")
@@ -336,9 +330,8 @@ def _expanded(
         )
     try:
         return within_budget(_urdf_of, path, packages, arguments, size=LARGEST_TEXT)
-    except RobotFileError:
-        raise
     except Exception as error:  # xacro's errors have no common base class
+        _refuse_unprefixed(path, _plain_xml(text), "include", "macro", "property")
         own, cause = str(next(iter(error.args), "")), getattr(error, "exc", None)
         file = str(getattr(cause, "filename", ""))
         # The text of some errors already contains that of their cause, with the name of its file.
@@ -364,17 +357,11 @@ def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
     from xacrodoc import packages as library
 
     xacro.init_stacks(str(path))  # relative files of the xacro are in its folder
-    xacro.all_includes.clear()
     search = partial(_package_folders, folder=path.parent, named=packages)
     otherwise = library.get_path
     library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
     try:
         document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
         return document.to_urdf_string()
-    except xacro.XacroException:
-        for file in filter(isfile, (path, *xacro.all_includes)):
-            own = ElementTree.fromstring(xml_text(Path(file)))
-            _refuse_unprefixed(Path(file), own, "include", "macro", "property")
-        raise
     finally:
         library.get_path = otherwise
