@@ -4,7 +4,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from itertools import pairwise, product
+from itertools import islice, pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -202,8 +202,8 @@ def find_place(
         return line is not None and line.nearest < INNER * d_b
 
     k = bisect_left(smaller, True, key=leads)
-    helps = f"with --buffer-distance {smaller[k]:g} it can" if k < len(smaller) else _NOT_SMALLER
-    return f"the arm can start on none of the possible lines: {guide.obstacles}; {helps}"
+    helps = f"--buffer-distance {smaller[k]:g} gives a line" if k < len(smaller) else _NOT_SMALLER
+    return f"{guide.obstacles}; {helps}"
 
 
 def chosen(
@@ -216,31 +216,16 @@ def chosen(
     """The first line that comes nearer than `INNER` d_b and has no fault.
 
     At most three lines are tested. If all of them have a fault, the result is the first of them
-    with `anyway`, otherwise the faults. Without any line, the result is an empty string.
+    with `anyway`, otherwise the faults. If no line comes near enough, it is an empty string.
     """
     tried: dict[Place, str] = {}
-    deepest: Place | None = None
-    for line in lines:
-        if line.nearest >= INNER * d_b:
-            deepest = line if deepest is None or line.nearest < deepest.nearest else deepest
-            continue
+    for line in islice((each for each in lines if each.nearest < INNER * d_b), _MAX_RUNS):
         if not (why := fault(line)):
             return line
         tried[line] = why
-        if len(tried) == _MAX_RUNS:
-            break
     if tried and anyway:
         return next(iter(tried))
-    if tried:
-        return "; ".join(
-            f"on the line from {point_text(line.start)}: {tried[line]}" for line in tried
-        )
-    if deepest is None:
-        return ""
-    return (
-        f"the arm comes no nearer to the base than {deepest.nearest:.3f} m on any line that "
-        f"starts outside of the buffers; this is the line at z = {deepest.start[2]:g} m"
-    )
+    return "; ".join(f"on the line from {point_text(line.start)}: {tried[line]}" for line in tried)
 
 
 def fault_of_run(
@@ -346,14 +331,22 @@ class _Guide:
         self._mobile = len(pairs.mobile)
         self._postures, self._places, self._flaws = _sampled(self._search)
         self._obstacles: Counter[str] = Counter()
+        self._nearest: Place | None = None
         self._short = np.inf  # [m] smallest distance from a posture to a start
 
     @property
     def obstacles(self) -> str:
-        """The reasons of failed starts, with their numbers; the most frequent ones are first."""
+        """Why no line leads near the base; of failed starts the most frequent reasons."""
+        if (near := self._nearest) is not None:
+            return (
+                f"no line that starts outside of the buffers leads the arm nearer than "
+                f"{INNER * self._d_b:.3f} m to the base; on the line from {point_text(near.start)} "
+                f"the distance is {near.nearest:.3f} m"
+            )
         by = {OUT_OF_REACH: f" by {self._short:.2f} m or more"} if self._short > _NEAR else {}
         rows = self._obstacles.most_common(_MAX_NAMED)
-        return ", ".join(f"{why}{by.get(why, '')} ({count} starts)" for why, count in rows)
+        starts = ", ".join(f"{why}{by.get(why, '')} ({count} starts)" for why, count in rows)
+        return f"the arm can start on none of the possible lines: {starts}"
 
     def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
         """Lines of a scenario; the most promising lines are first.
@@ -397,7 +390,10 @@ class _Guide:
             if low < _LOWEST:
                 self._obstacles[_FLOOR_ON_LINE] += 1
                 continue
-            yield Place(p, move, nearest, _LED.format(line.left, nearest))
+            place = Place(p, move, nearest, _LED.format(line.left, nearest))
+            if self._nearest is None or nearest < self._nearest.nearest:
+                self._nearest = place
+            yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
         """The line from a start at height z, which ends early if the arm touches the base.
