@@ -33,6 +33,8 @@ FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
 formats that pybullet does not read to STL."""
 Packages = Callable[[str], Iterable[Path]]
 """The possible folders of a ROS package, by its name; the first ones have precedence."""
+Folders = Mapping[str, Path]
+"""Folders of ROS packages by name; they have precedence over all other folders."""
 _IN_PACKAGE = ("package", "model")  # schemes of addresses in a package
 _ABOVE = 2  # [-] folders above the URDF's folder to which a path can be relative
 
@@ -55,9 +57,7 @@ def locate(source: str) -> Path:
 
 
 def read_robot(
-    path: Path,
-    packages: Mapping[str, Path] | None = None,
-    arguments: Mapping[str, str] | None = None,
+    path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, list[str]]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
@@ -77,9 +77,7 @@ def read_robot(
     return robot, said
 
 
-def _needless(
-    element: Element, link: Element, folder: Path, packages: Mapping[str, Path] | None
-) -> str:
+def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
     """Why a visual or collision element is removed; otherwise an empty string.
 
     A shape of size 0 is removed. A visual mesh that is missing or unreadable is removed if the link
@@ -108,15 +106,12 @@ def _needless(
 
 
 def read_source(
-    path: Path,
-    packages: Mapping[str, Path] | None = None,
-    arguments: Mapping[str, str] | None = None,
+    path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> Element:
     """Read the `<robot>` of a URDF or xacro.
 
     The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
-    elements lose the namespace of `<robot>`. `packages` are folders of ROS packages by name, which
-    have precedence over all other folders; `arguments` are those of a xacro, and None refuses one.
+    elements lose the namespace of `<robot>`. `arguments` are those of a xacro; None refuses one.
 
     Raises:
         RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
@@ -171,7 +166,7 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
         )
 
 
-def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
+def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF.
 
     It is `package://…` if the file belongs to an installed package, otherwise the file's path.
@@ -287,7 +282,7 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     )
 
 
-def _package_folders(package: str, *, folder: Path, named: Mapping[str, Path]) -> Iterator[Path]:
+def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[Path]:
     """The folder of a package in `named`; otherwise folders beside and above the URDF, in ROS's
     search paths, and of installed packages, in this order.
     """
@@ -320,9 +315,7 @@ def _stated_name(folder: Path) -> str:
     return found[1].decode() if found else ""
 
 
-def _expanded(
-    path: Path, text: str, packages: Mapping[str, Path], arguments: Mapping[str, str]
-) -> str:
+def _expanded(path: Path, text: str, packages: Folders, arguments: Mapping[str, str]) -> str:
     """The text of the URDF of a xacro file, whose own text is `text`."""
     if find_spec("xacrodoc") is None:
         raise RobotFileError(
@@ -347,7 +340,7 @@ def _expanded(
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 
-def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
+def _urdf_of(path: Path, packages: Folders, arguments: Mapping[str, str]) -> str:
     """Expand a xacro with the library, which finds packages as `mesh_address` does.
 
     Macros can produce unlimited text or never end, so this runs within a budget.
