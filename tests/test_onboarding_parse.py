@@ -402,13 +402,16 @@ def test_an_existing_folder_is_not_changed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", ["xacro", "XACRO", "urdf", "xml"])
-def test_a_xacro_is_expanded(tmp_path: Path, ending: str) -> None:
-    """The content decides; formerly, a xacro had to have the ending `.xacro`."""
+@pytest.mark.parametrize("namespace", ["http://www.ros.org/wiki/xacro", "http://a.b/#interface"])
+def test_a_xacro_is_expanded(tmp_path: Path, ending: str, namespace: str) -> None:
+    """The content decides; formerly, a xacro had to have the ending `.xacro`.
+
+    As in xacro itself, the namespace does not matter; that of KUKA's youBot is Gazebo's.
+    """
     pytest.importorskip("xacrodoc")
     text = TOY.replace(
         '<robot name="toy">',
-        '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-        '<xacro:property name="r" value="0.1"/>',
+        f'<robot name="toy" xmlns:xacro="{namespace}"><xacro:property name="r" value="0.1"/>',
     )
     text = text.replace('radius="0.1"', 'radius="${r}"')
     path = write(tmp_path, text, f"toy.{ending}")

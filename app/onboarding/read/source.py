@@ -119,11 +119,11 @@ def read_source(
     """
     text = xml_text(path)
     robot = _plain_xml(text)
-    if (left := _unexpanded(robot)) and arguments is not None:
+    if (left := _unexpanded(text, robot)) and arguments is not None:
         text = _expanded(path, text, packages or {}, arguments)
         refuse_entities(text, path)
         robot = _plain_xml(text)
-        left = _unexpanded(robot)
+        left = _unexpanded(text, robot)
     if left:
         raise RobotFileError(
             f"{path.name}: {left} is unexpanded xacro, which can contain Python and is executed "
@@ -146,12 +146,11 @@ def _plain_xml(text: str) -> Element:
     return robot
 
 
-def _unexpanded(robot: Element) -> str:
-    """The first xacro macro or expression in a robot, or an empty string."""
-    for each in robot.iter():
-        namespace, _, tag = str(each.tag).rpartition("}")
-        if namespace.endswith("xacro"):
-            return f"<xacro:{tag}>"
+def _unexpanded(text: str, robot: Element) -> str:
+    """The first element or expression of xacro in a robot with a text, or an empty string."""
+    code = re.sub("<!--.*?-->", "", text, flags=re.DOTALL)
+    if found := re.search(r"<xacro:[^\s/>]+", code):  # any namespace is possible, as in xacro
+        return f"{found[0]}>"
     parts = (part for each in robot for part in each.iter() if each.tag in ("link", "joint"))
     values = (value for part in parts for value in part.attrib.values())
     return next((value for value in values if "${" in value or "$(" in value), "")
