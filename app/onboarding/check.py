@@ -50,7 +50,6 @@ _TOUCHED = {
     "arm_contacts": "the arm and itself",
     "floor_contacts": "the arm and the floor",
 }
-_STILL = f"; the base moves away by less than {GIVES_WAY:g} m"
 _HELD = (
     ", because the arm cannot hold its end-effector in place (`hand held`) and avoids the base by "
     "itself; with a smaller ee_hold.weight the base moves more"
@@ -411,8 +410,8 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     shown = without is not None and without < config.border.d_b / 2
     if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
-    if shown and moved < GIVES_WAY:
+    if shown and moved < (least := GIVES_WAY * config.border.d_b):
         held = bool(holding_warning(carried_ee(model)))
-        text += _STILL + (_HELD if held else "")
+        text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
         return Row(name, "warned" if held else "failed", text, numbers)
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

@@ -117,7 +117,7 @@ _Start = tuple[Array, Array]
 
 INNER = 0.4
 """[-] share of d_b below which the arm's distance to a base at rest has to fall on a line."""
-GIVES_WAY = 0.05  # [m] required displacement of the base in a run on a line
+GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, relative to d_b
 CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
@@ -237,7 +237,7 @@ def fault_of_run(
 ) -> str:
     """The measured fault of a run on a line, or an empty string.
 
-    The base has to move by `GIVES_WAY`, and the arm to stay `CLEARANCE` away from the base and
+    The base has to move by `GIVES_WAY` d_b, and the arm to stay `CLEARANCE` away from the base and
     `_LOWEST` from the floor. `on_progress` is called with the finished share of the run.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
@@ -252,16 +252,18 @@ def fault_of_run(
                     search.place(step.truth.q_m)
                     if search.above_floor() < _LOWEST:
                         return f"the arm comes nearer than {_LOWEST:g} m to the floor"
-                least = min(range(len(mobile)), key=step.distances.__getitem__)
-                nearest = min(nearest, step.distances[least])
-                if nearest < CLEARANCE:  # the rest of the run cannot change that
-                    return f"{mobile[least].name} comes nearer than {CLEARANCE:g} m"
+                d, pair = min(zip(step.distances, mobile, strict=False))
+                nearest = min(nearest, d)
+                if d < CLEARANCE:  # the rest of the run cannot change that
+                    return f"{pair.name} comes nearer than {CLEARANCE:g} m"
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
     except UnreachableError as error:
         return str(error)
-    if moved >= GIVES_WAY:
+    if moved >= (least := GIVES_WAY * search.d_b):
         return ""
-    return f"the base moves by {moved:.3f} m of {GIVES_WAY:g} m, with the arm {nearest:.3f} m away"
+    return (
+        f"the base moves by {moved:.3f} m instead of {least:.3f} m; the arm is {nearest:.3f} m away"
+    )
 
 
 def line_from(
