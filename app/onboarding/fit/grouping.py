@@ -27,13 +27,7 @@ from app.onboarding.fit.collision_sampling import (
     nested_links,
     sample_meetings,
 )
-from app.onboarding.fit.units import (
-    Unit,
-    hull_distances,
-    meshes_meet,
-    shape_distances,
-    units_of_links,
-)
+from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -353,26 +347,24 @@ def _left_out(
     for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]:
         a, b = (units[unit] for unit in [*near, *beside][k])
         touching = gaps[:, k] <= np.clip(gaps[:, k].max() / 2, 0.0, MARGIN)
-        free = _free_range(model, a, b, q_m[touching])
+        free = _free_range(model, range(max(a.joint - 2, 0), b.joint - 1), q_m[touching])
         said.append(f"{a.name} and {b.name} ({shares[k]:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 
 
-def _free_range(model: RobotModel, a: Unit, b: Unit, q_m: Array) -> str:
-    """The largest range of one joint between two units without a pose of q_m (N, n_m), as text.
+def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
+    """The largest range of one of some joints without a pose of q_m (N, n_m), as text.
 
     It is empty if no range has at least a quarter of the joint's range, or of a turn.
     """
     found = [(_LEAST_FREE, "")]
-    for joint in range(max(a.joint - 2, 0), b.joint - 1):
+    for joint in joints:
         low, high = model.q_lower[joint], model.q_upper[joint]
         values = np.sort([low, *q_m[:, joint], high])
         k = int(np.diff(values).argmax())
         first, last = np.ceil(100 * values[k]) / 100, np.floor(100 * values[k + 1]) / 100
-        name, share = (
-            model.description.arm.joints[joint],
-            (last - first) / min(high - low, 2 * np.pi),
-        )
+        name = model.description.arm.joints[joint]
+        share = (last - first) / min(high - low, 2 * np.pi)
         found.append((share, f"; none with {name} from {first:g} to {last:g}"))
     return max(found)[1]
 

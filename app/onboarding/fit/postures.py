@@ -340,11 +340,9 @@ class _Guide:
     def obstacles(self) -> str:
         """Why no line leads near the base; of failed starts the most frequent reasons."""
         if (near := self._nearest) is not None:
-            return (
-                f"no line that starts outside of the buffers leads the arm nearer than "
-                f"{INNER * self._d_b:.3f} m to the base; on the line from {point_text(near.start)} "
-                f"the distance is {near.nearest:.3f} m"
-            )
+            line = f"on the line from {point_text(near.start)} it is {near.nearest:.3f} m"
+            least = INNER * self._d_b
+            return f"on no line the arm's distance to the base is below {least:.3f} m; {line}"
         by = {OUT_OF_REACH: f" by {self._short:.2f} m or more"} if self._short > _NEAR else {}
         rows = self._obstacles.most_common(_MAX_NAMED)
         starts = ", ".join(f"{why}{by.get(why, '')} ({count} starts)" for why, count in rows)

@@ -151,6 +151,8 @@ def _unexpanded(text: str, robot: Element) -> str:
     code = re.sub("<!--.*?-->", "", text, flags=re.DOTALL)
     if found := re.search(r"<xacro:[^\s/>]+", code):  # any namespace is possible, as in xacro
         return f"{found[0]}>"
+    if other := next((tag for e in robot.iter() if "/xacro}" in (tag := str(e.tag))), ""):
+        return f"<{other.partition('}')[2]}> of xacro without the prefix xacro:"
     parts = (part for each in robot for part in each.iter() if each.tag in ("link", "joint"))
     values = (value for part in parts for value in part.attrib.values())
     return next((value for value in values if "${" in value or "$(" in value), "")
