@@ -281,7 +281,7 @@ def test_a_missing_line_names_the_obstacles_and_the_largest_buffer_distance(
 
     said = found(0.3)
     assert "lm-lEE would be inside its buffer (" in said
-    least = float(said.partition("; --buffer-distance ")[2].removesuffix(" gives a line"))
+    least = float(said.partition("; --buffer-distance ")[2].removesuffix(" can give a line"))
     assert isinstance(found(least), Place)
     assert isinstance(found(round(least + 0.01, 2)), str)
 

@@ -329,7 +329,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
             "paths: this description works only on this machine"
         )
     if not np.isfinite(robot.ready.clearance):
-        yield "no pair of bodies can meet: there is nothing to avoid"
+        yield "no monitored pair of bodies can meet, so the arm avoids nothing"
 
 
 class Carried(NamedTuple):

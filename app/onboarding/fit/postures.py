@@ -202,7 +202,9 @@ def find_place(
         return line is not None and line.nearest < INNER * d_b
 
     k = bisect_left(smaller, True, key=leads)
-    helps = f"--buffer-distance {smaller[k]:g} gives a line" if k < len(smaller) else _NOT_SMALLER
+    helps = (
+        f"--buffer-distance {smaller[k]:g} can give a line" if k < len(smaller) else _NOT_SMALLER
+    )
     return f"{guide.obstacles}; {helps}"
 
 
