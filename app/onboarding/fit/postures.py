@@ -346,8 +346,8 @@ class _Guide:
             least = INNER * self._d_b
             return f"on no line the arm's distance to the base is below {least:.3f} m; {line}"
         by = {OUT_OF_REACH: f" by {self._short:.2f} m or more"} if self._short > _NEAR else {}
-        rows = self._obstacles.most_common(_MAX_NAMED)
-        starts = ", ".join(f"{why}{by.get(why, '')} ({count} starts)" for why, count in rows)
+        rows, of = self._obstacles.most_common(_MAX_NAMED), sum(self._obstacles.values())
+        starts = ", ".join(f"{why}{by.get(why, '')} ({n} of {of} starts)" for why, n in rows)
         return f"the arm can start on none of the possible lines: {starts}"
 
     def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
