@@ -371,6 +371,7 @@ def _scaled(factor: float, *, stated: bool) -> Change:
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12345\n"
 _NS = 'xmlns="http://www.ros.org/urdf" '
+_XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" '
 CHANGES: dict[str, dict[str, Change]] = {
     "names": {
         name: _renamed(name)
@@ -464,9 +465,10 @@ CHANGES: dict[str, dict[str, Change]] = {
     },
     "namespaces": {
         "default": _text(lambda text: text.replace("<robot ", f"<robot {_NS}", 1)),
-        "xacro": _text(
-            lambda text: text.replace(
-                "<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1
+        "xacro": _text(lambda text: text.replace("<robot ", _XACRO, 1)),
+        "expression": _text(
+            lambda text: text.replace("<robot ", _XACRO, 1).replace(
+                "</robot>", '<xacro:if value="${1 > 2}"><link name="never"/></xacro:if></robot>'
             )
         ),
         "gazebo": _text(
@@ -480,6 +482,9 @@ CHANGES: dict[str, dict[str, Change]] = {
         "doctype": _text(lambda text: text.replace("<robot ", "<!DOCTYPE robot><robot ", 1)),
         "entity": _text(
             lambda text: text.replace("<robot ", '<!DOCTYPE r [<!ENTITY a "b">]><robot ', 1)
+        ),
+        "macro without prefix": _text(
+            lambda text: text.replace("</robot>", '<macro name="a"/><a/></robot>')
         ),
         "macro": _text(
             lambda text: text.replace(

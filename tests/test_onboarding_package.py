@@ -22,6 +22,7 @@ LAUGHS = (
     '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">'
     '<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]>'
 )
+EXPRESSION = TOY.replace('radius="0.1"', """radius="${[].append('executed')}\"""")
 XACRO = '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">${open("/tmp/x", "w")}</robot>'
 
 
@@ -90,6 +91,7 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     "two": ({"a.urdf": TOY, "b.urdf": TOY}, "name one by --file: a.urdf, b.urdf"),
     "hidden": ({"toy/.urdf": TOY, "__MACOSX/toy/a.urdf": TOY}, "no .urdf in it"),
     "xacro": ({"a.urdf.xacro": XACRO}, "a xacro can contain Python"),
+    "xacro named .urdf": ({"a.urdf": EXPRESSION}, "is unexpanded xacro, which can contain Python"),
     "laughs": ({"toy.urdf": TOY.replace("<robot", LAUGHS + "<robot")}, "the XML entity 'a'"),
     "file entity": (
         {

@@ -15,7 +15,7 @@ from app.border.mobile import MobileBody
 from app.config import Config
 from app.onboarding import SIDES
 from app.onboarding.fit import postures
-from app.onboarding.fit.postures import Place, chosen, find_place, gives_way
+from app.onboarding.fit.postures import Place, chosen, fault_of_run, find_place
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import Box
@@ -56,18 +56,17 @@ def places(nearest: list[float], apart: float = 0.2) -> list[Place]:
 @pytest.mark.parametrize(
     ("nearest", "expected"),
     [
-        ([], "cannot start outside of its buffers of"),
-        ([0.3, INNER], "comes no nearer to the base than"),  # none into the inner part
+        ([], None),
+        ([0.3, INNER], None),  # none into the inner part
         ([0.3, 0.9 * INNER, -0.02], 1),
         ([-0.02, 0.0], 0),
     ],
 )
 def test_the_first_line_into_the_inner_part_of_the_buffer_is_chosen(
-    nearest: list[float], expected: int | str
+    nearest: list[float], expected: int | None
 ) -> None:
     lines = places(nearest)
-    found = chosen(lines, D_B)
-    assert (expected in found) if isinstance(found, str) else (found is lines[expected])
+    assert chosen(lines, D_B) == ("" if expected is None else lines[expected])
 
 
 def test_the_search_stops_after_the_chosen_line() -> None:
@@ -82,16 +81,20 @@ def test_the_search_stops_after_the_chosen_line() -> None:
 
 def test_the_first_line_with_a_yielding_base_is_chosen() -> None:
     lines = places([0.3, -0.01, -0.03, -0.02])
-    assert chosen(lines, D_B, shows=lambda line: line is lines[3]) == lines[3]
-    assert "the base moves away by less than" in chosen(lines, D_B, shows=lambda _: False)
-    assert chosen(lines, D_B, shows=lambda _: False, anyway=True) == lines[1]
+    assert chosen(lines, D_B, lambda line: "" if line is lines[3] else "no") == lines[3]
+    assert chosen(lines, D_B, lambda _: "no", anyway=True) == lines[1]
+    said = chosen(lines, D_B, lambda line: f"fault {lines.index(line)}")
+    assert said == (  # each line with its own measured fault
+        "on the line from (0, 0, 0.2) m: fault 1; on the line from (0, 0, 0.4) m: fault 2; "
+        "on the line from (0, 0, 0.6) m: fault 3"
+    )
 
 
 def test_only_a_few_lines_are_simulated() -> None:
     tried: list[Place] = []
     for nearest in (-0.01, 0.5 * INNER):
         tried.clear()
-        chosen(places([nearest] * 20), D_B, shows=lambda line: bool(tried.append(line)))
+        chosen(places([nearest] * 20), D_B, lambda line: tried.append(line) or "no")
         assert 1 < len(tried) < 6
 
 
@@ -117,7 +120,7 @@ def tried_lines(
     model = with_buffer(d_b)
     for name, lines in tried.items():
         find_place(
-            model, pairs_of(model), name, shows=lambda line, lines=lines: bool(lines.append(line))
+            model, pairs_of(model), name, fault=lambda line, lines=lines: lines.append(line) or "no"
         )
     return tried
 
@@ -193,7 +196,7 @@ def test_a_line_that_ends_farther_inside_replaces_a_shallow_one(
     pairs = pairs_of(model)
     found = find_place(model, pairs, "guiding-lateral")
     np.testing.assert_allclose(found.move, (0.0, -0.325, 0.0), atol=1e-9)
-    assert "cannot start outside of its buffers" in find_place(model, pairs, "guiding-front")
+    assert "can start on none of the possible" in find_place(model, pairs, "guiding-front")
 
 
 _figures: dict[tuple[Place, float], dict[str, Any]] = {}
@@ -227,8 +230,14 @@ def test_a_base_gives_way_if_it_moves_and_the_clearance_suffices(
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
     place = Place((0.3, 0.72, 0.3), (0.0, move, 0.0), 0.0, "")
     run = figures_of_run(border_data, place, d_b)
-    good = run["base_displacement_m"] >= 0.05 and run["min_clearance_m"] >= least
-    assert gives_way(with_buffer(d_b), border_data, "guiding-lateral", place) == good
+    good = run["base_displacement_m"] >= d_b / 3 and run["min_clearance_m"] >= least
+    fault = fault_of_run(with_buffer(d_b), border_data, "guiding-lateral", place)
+    assert bool(fault) != good
+    if run["min_clearance_m"] < least:
+        assert fault == f"lm-lEE comes nearer than {least:g} m"
+    elif not good:
+        moved = f"the base moves by {run['base_displacement_m']:.3f} m instead of {d_b / 3:.3f} m"
+        assert moved in fault
     assert good == (move < -0.02 and least == 0.03 and d_b == D_B)
 
 
@@ -247,7 +256,42 @@ def test_a_base_that_returns_before_the_end_has_not_given_way(
 
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
     monkeypatch.setattr(postures, "steps_of", back)  # without this patch, the base gives way
-    assert not gives_way(with_buffer(D_B), border_data, "guiding-lateral", place)
+    assert fault_of_run(with_buffer(D_B), border_data, "guiding-lateral", place)
+
+
+def test_a_run_through_the_floor_names_the_floor(
+    border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(postures, "LINES", FAST_LINES)
+    monkeypatch.setattr(postures, "_LOWEST", 0.3)
+    place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
+    fault = fault_of_run(with_buffer(D_B), border_data, "guiding-lateral", place)
+    assert fault == "the arm comes nearer than 0.3 m to the floor"
+
+
+def test_a_missing_line_names_the_obstacles_and_the_largest_buffer_distance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Formerly "it is too short for this --buffer-distance", without a value."""
+    monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
+    name = "guiding-lateral"
+
+    def found(d_b: float) -> Place | str:
+        return find_place(with_buffer(d_b), pairs_of(with_buffer(d_b)), name)
+
+    said = found(0.3)
+    assert "lm-lEE would be inside its buffer (" in said
+    least = float(said.partition("; --buffer-distance ")[2].removesuffix(" can give a line"))
+    assert isinstance(found(least), Place)
+    assert isinstance(found(round(least + 0.01, 2)), str)
+
+
+def test_a_missing_line_names_the_missing_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(postures, "_FARTHEST", 2.0)
+    monkeypatch.setattr(postures, "_OUTSIDE", 1.8)
+    found = find_place(husky_panda(), pairs_of(husky_panda()), "guiding-lateral")
+    assert "none of the possible lines: out of the arm's reach by 1.4" in found
+    assert "no smaller --buffer-distance helps" in found
 
 
 def test_a_line_just_above_the_base_is_tried_if_no_other_height_works(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 
+import numpy as np
 import pytest
 
 from app.errors import AssetError
-from app.onboarding.check import base_row, dynamics_row, limits_row
+from app.onboarding.check import arm_row, base_row, dynamics_row, limits_row
+from app.onboarding.fit import grouping
 from app.robot import assets
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.description import load_robot
@@ -71,3 +74,25 @@ def test_no_mesh_is_copied_and_all_mesh_paths_are_package_uris(name: str) -> Non
     files = [part.split('"')[0] for part in text.split('filename="')[1:]]
     assert files
     assert all(file.startswith("package://") for file in files)
+
+
+def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The wrist of a UR folds back into the forearm; formerly the check named no limit."""
+    monkeypatch.setattr(grouping, "UNSEEN_POSES", 2000)
+    description = load_robot("husky_ur5")
+    row = arm_row(RobotModel(description))
+    assert row.numbers["left_out_poses"] > 50
+    arm = description.arm
+    lower, upper = np.full((2, 6), [[-np.pi], [np.pi]])
+    named = re.findall(r"none with (\w+) from (-?[\d.]+) to (-?[\d.]+)", row.text)
+    assert named
+    for joint, low, high in named:
+        assert joint.startswith("wrist")
+        k = arm.joints.index(joint)
+        lower[k], upper[k] = max(lower[k], float(low)), min(upper[k], float(high))
+    assert (upper - lower > np.pi / 2).all()
+    limits = {"position_lower": tuple(lower), "position_upper": tuple(upper)}
+    limited = description.model_copy(update={"arm": arm.model_copy(update=limits)})
+    assert arm_row(RobotModel(limited)).numbers["left_out_poses"] < 5

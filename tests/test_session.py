@@ -246,7 +246,9 @@ def test_a_robot_without_pairs_to_avoid_is_refused_with_its_name(
     robot: RobotModel, border_data: BorderData
 ):
     data = replace(border_data, pairs=replace(border_data.pairs, mobile=()))
-    with pytest.raises(DescriptionError, match=r"husky_panda: no part of the arm can meet"):
+    with pytest.raises(
+        DescriptionError, match=r"husky_panda: no monitored part of the arm can meet"
+    ):
         Session(robot, data, Config())
 
 

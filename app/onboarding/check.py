@@ -50,7 +50,6 @@ _TOUCHED = {
     "arm_contacts": "the arm and itself",
     "floor_contacts": "the arm and the floor",
 }
-_STILL = f"; the base moves away by less than {GIVES_WAY:g} m"
 _HELD = (
     ", because the arm cannot hold its end-effector in place and avoids the base by "
     "itself; with a smaller ee_hold.weight the base moves more"
@@ -292,7 +291,7 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
     """Warn if a person can push the arm against the base with any controller."""
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
-        return Row("push", "passed", "no part of the arm can meet the base", {})
+        return Row("push", "passed", "no monitored part of the arm can meet the base", {})
     text = f"in all poses near the base, the joint torques resist a push of {borne.min():.0f} N"
     warning, numbers = push_warning(borne), {"least_push_borne_n": float(borne.min())}
     return Row("push", "warned" if warning else "passed", warning or text, numbers)
@@ -304,7 +303,7 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
-        return Row("pairs", "warned", "no part of the arm can meet the base", {})
+        return Row("pairs", "warned", "no monitored part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
     poses = sample_joints(model, _NEAR_POSES, np.random.default_rng(1))
     seen = PairDistances(model, pairs.all).sampled(poses)
@@ -345,7 +344,7 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     the row reports these pairs and heights.
     """
     if not data.clouds:
-        text = "no part of the arm can meet the base, so there is no border"
+        text = "no monitored part of the arm can meet the base, so there is no border"
         return Row("border", "warned", text, {})
     border, top = model.description.config.border, float(MobileBody(model).upper[2])
     empty, ends, numbers = [], [], {}
@@ -411,8 +410,8 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     shown = without is not None and without < config.border.d_b / 2
     if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
-    if shown and moved < GIVES_WAY:
+    if shown and moved < (least := GIVES_WAY * config.border.d_b):
         held = bool(holding_warning(carried_ee(model)))
-        text += _STILL + (_HELD if held else "")
+        text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
         return Row(name, "warned" if held else "failed", text, numbers)
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

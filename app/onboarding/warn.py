@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from app.border.mobile import MobileBody
-from app.config import AdmittanceConfig, PersonConfig
+from app.config import AdmittanceConfig, PersonConfig, parameter
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
+from app.onboarding.fit.stops import STOPPED
 from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
@@ -40,6 +41,7 @@ _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
 _LIMIT = "limit the joints between them by position_lower and position_upper of robot.toml"
+_LEAST_D_B = parameter("border.d_b").low  # [m]
 _OFTEN = 0.25  # [-] share of poses above which there is a warning
 
 
@@ -85,9 +87,11 @@ def _places(robot: NewRobot) -> Iterator[str]:
 def _poses(robot: NewRobot) -> Iterator[str]:
     d_b, ready, near = robot.request.buffer, robot.ready, robot.verdict.near
     if ready.clearance < 0:
+        most = np.floor(100 * (d_b + ready.clearance)) / 100
+        smaller = f" or a --buffer-distance of at most {most:g}" if most >= _LEAST_D_B else ""
         yield (
             f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
-            "pose; set another pose by --ready, or use a smaller --buffer-distance"
+            f"pose; set another pose by --ready{smaller}"
         )
     for name in robot.verdict.always:
         yield (
@@ -173,10 +177,10 @@ def _joints(robot: NewRobot) -> Iterator[str]:
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
     for joint, (low, high, lower, upper) in zip(robot.parsed.arm.joints, ranges, strict=True):
         if (low, high) != (lower, upper):
+            *_, why = limits.source["position_lower"].partition(f"{joint.name}{STOPPED}")
             yield (
-                f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}: "
-                "beyond these limits a link would meet the base; the source of position_lower "
-                "names the link; a smaller --buffer-distance may make this limit unnecessary"
+                f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
+                f"before {why.partition('; ')[0]}"
             )
     for field, text in limits.source.items():
         if "assumed for" in text and field != "position_upper":
@@ -325,7 +329,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
             "paths: this description works only on this machine"
         )
     if not np.isfinite(robot.ready.clearance):
-        yield "no pair of bodies can meet: there is nothing to avoid"
+        yield "no monitored pair of bodies can meet, so the arm avoids nothing"
 
 
 class Carried(NamedTuple):

@@ -69,7 +69,7 @@ def whole_robot(request: Request) -> Whole:
     arguments = named("--xacro", request.xacro, "VALUE")
     trees, said = [], []
     for file in filter(None, (request.urdf, request.arm_urdf)):
-        robot, left_out = read_robot(locate(file), packages, **arguments)
+        robot, left_out = read_robot(locate(file), packages, arguments)
         trees.append(make_tree(robot))
         said += left_out
     tree, *arms = trees

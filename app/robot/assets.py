@@ -384,7 +384,9 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     try:
         parser.Parse(content, True)
     except (expat.ExpatError, LookupError, ValueError) as error:  # the last two: a wrong encoding
-        raise RobotFileError(f"{path}: not well-formed: {error}") from None
+        declare = '; declare it in <robot>, such as xmlns:xacro="http://www.ros.org/wiki/xacro"'
+        helps = declare if "unbound prefix" in str(error) else ""
+        raise RobotFileError(f"{path}: not well-formed: {error}{helps}") from None
 
 
 def _mesh(reference: str, folder: Path) -> Path:

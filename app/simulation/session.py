@@ -115,15 +115,16 @@ class Session:
 
         Raises:
             UnknownNameError: The controller or plant does not exist.
-            DescriptionError: No part of the arm can meet the base.
+            DescriptionError: No monitored part of the arm can meet the base.
             ConfigError: The plant does not suit the base or the door, or needs a library that is
                 not installed; or the stated control period is too long for a gain.
             AssetError: A file of the robot is missing.
         """
         if not data.pairs.mobile:
             raise DescriptionError(
-                f"{model.description.name}: no part of the arm can meet the base, so there is no "
-                "collision to avoid; check in the robot's report that the bodies enclose the links"
+                f"{model.description.name}: no monitored part of the arm can meet the base, so "
+                "there is no collision to avoid; check the pairs under `unwatched` in robot.toml, "
+                "and in the robot's report that the bodies enclose the links"
             )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door

@@ -22,6 +22,7 @@ from app.onboarding.fit.collision_sampling import (
     ALWAYS,
     BUILT_IN,
     ENOUGH,
+    MARGIN,
     Meetings,
     nested_links,
     sample_meetings,
@@ -38,6 +39,7 @@ _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
 MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their bodies may miss
 TEST_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
+_LEAST_FREE = 0.25  # [-] smallest share of a joint's range, or of a turn, that a limit may leave
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
 _TEST_SEED = 2**31  # [-] seed of these poses, which the fit does not use
 _MISSED = 0.1 * MAX_UNDETECTED  # [-] largest share of colliding poses that a grouping may miss
@@ -341,12 +343,30 @@ def _left_out(
         real[own, k] = meshes_meet(model, units[u], units[v], geometry, q_m[looked[own]])
     scale = len(rows) / max(1, len(looked))
     shares = real.sum(axis=0) * scale / len(q_m)
-    names = [
-        f"{units[u].name} and {units[v].name} ({shares[k]:.1%})"
-        for k, (u, v) in enumerate([*near, *beside])
-    ]
-    said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]
+    said = []
+    for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]:
+        a, b = (units[unit] for unit in [*near, *beside][k])
+        touching = gaps[:, k] <= np.clip(gaps[:, k].max() / 2, 0.0, MARGIN)
+        free = _free_range(model, range(max(a.joint - 2, 0), b.joint - 1), q_m[touching])
+        said.append(f"{a.name} and {b.name} ({shares[k]:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
+
+
+def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
+    """The largest range of one of some joints without a pose of q_m (N, n_m), as text.
+
+    It is empty if no range has at least a quarter of the joint's range, or of a turn.
+    """
+    found = [(_LEAST_FREE, "")]
+    for joint in joints:
+        low, high = model.q_lower[joint], model.q_upper[joint]
+        values = np.sort([low, *q_m[:, joint], high])
+        k = int(np.diff(values).argmax())
+        first, last = np.ceil(100 * values[k]) / 100, np.floor(100 * values[k + 1]) / 100
+        name = model.description.arm.joints[joint]
+        share = (last - first) / min(high - low, 2 * np.pi)
+        found.append((share, f"; none with {name} from {first:g} to {last:g}"))
+    return max(found)[1]
 
 
 def _body_distances(

@@ -1,8 +1,10 @@
 """Postures of a new robot: the ready pose, and the lines for guiding."""
 
+from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from itertools import pairwise, product
+from itertools import islice, pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +12,7 @@ from typing_extensions import Self
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
+from app.config import parameter
 from app.control.transition import uncompensated_base_jacobian
 from app.errors import UnreachableError
 from app.jobs.progress import OnProgress, part_of
@@ -19,7 +22,7 @@ from app.simulation.case import RunSpec
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
-from app.simulation.scenarios.start import StartSolver, find_start
+from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver, find_start, point_text
 from app.strict import Array
 
 RULE = (
@@ -79,7 +82,6 @@ def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
 class _Judge:
     def __init__(self, model: RobotModel, pairs: LinkPairs) -> None:
         self.search = PostureSearch(model, pairs, model.description.config.border.d_b)
-        self._names = [pair.name for pair in pairs.all]
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
@@ -88,7 +90,7 @@ class _Judge:
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
         clearance = distances[i] - self.search.d_b if distances else np.inf
-        return Ready(q_m, float(clearance), self._names[i] if distances else "")
+        return Ready(q_m, float(clearance), self.search.names[i] if distances else "")
 
     def manipulability(self, q_m: Array) -> float:
         """√det(J Jᵀ) of the end-effector in a pose; if n_m < 6, J has only the position's rows."""
@@ -115,7 +117,7 @@ _Start = tuple[Array, Array]
 
 INNER = 0.4
 """[-] share of d_b below which the arm's distance to a base at rest has to fall on a line."""
-GIVES_WAY = 0.05  # [m] required displacement of the base in a run on a line
+GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, relative to d_b
 CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
@@ -133,6 +135,12 @@ _NEAR = 0.15  # [m] largest distance of a position from the end-effector in a kn
 _THERE = 1e-3  # [m] tolerance of the position
 _TRIES = 6  # [-] number of known postures that are tried
 _FEW = 2  # [-] number of tries of a quick search
+_MAX_NAMED = 3  # [-] largest number of named reasons of failed starts
+_FLOOR_ON_LINE = f"the arm would be nearer than {_LOWEST:g} m to the floor on the line"
+_NOT_SMALLER = (
+    "with these joint limits no smaller --buffer-distance helps, but possibly a mount nearer to "
+    "this side (--mount-xyz of an --arm-urdf)"
+)
 _SINGULAR = 1e-9  # [m/(N s)] mobility that regularises a singular posture
 
 
@@ -159,7 +167,7 @@ def find_place(
     pairs: LinkPairs,
     name: str,
     *,
-    shows: Callable[[Place], bool] = lambda _: True,
+    fault: Callable[[Place], str] = lambda _: "",
     anyway: bool = False,
     on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
@@ -178,83 +186,66 @@ def find_place(
         model: The robot.
         pairs: The monitored pairs; at least one of them has l_m.
         name: The scenario, `guiding-front` or `guiding-lateral`.
-        shows: Condition for a line, such as `gives_way`.
-        anyway: Whether to return the first tested line if no line satisfies `shows`.
+        fault: The fault of a line, or an empty string, such as `fault_of_run`.
+        anyway: Whether to return the first tested line if all lines have a fault.
         on_progress: Called with the finished share of starts and postures.
     """
     d_b = model.description.config.border.d_b
-    guide, mount = _Guide(model, pairs, d_b), model.p_base()
-    body = guide.body
-    tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
-    heights = [round(h, 3) for h in _heights(tops)]
-    last = [round(top + _JUST_OVER, 3) for top in tops]
-    outs = np.arange(_FARTHEST, d_b + _OUTSIDE, -_NEARER).round(3).tolist()
-    starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
-    tried = [*product(starts, heights), *product(starts, last)]
-    return chosen(guide.lines(tried, on_progress), d_b, shows, anyway=anyway)
+    guide = _Guide(model, pairs, d_b)
+    if found := chosen(guide.lines(name, on_progress), d_b, fault, anyway=anyway):
+        return found
+    hundredths = range(round(100 * parameter("border.d_b").low), round(100 * d_b))
+    smaller = [k / 100 for k in reversed(hundredths)]
+
+    def leads(d_b: float) -> bool:
+        line = next(_Guide(model, pairs, d_b).lines(name), None)
+        return line is not None and line.nearest < INNER * d_b
+
+    k = bisect_left(smaller, True, key=leads)
+    helps = (
+        f"--buffer-distance {smaller[k]:g} can give a line" if k < len(smaller) else _NOT_SMALLER
+    )
+    return f"{guide.obstacles}; {helps}"
 
 
 def chosen(
     lines: Iterable[Place],
     d_b: float,
-    shows: Callable[[Place], bool] = lambda _: True,
+    fault: Callable[[Place], str] = lambda _: "",
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that satisfies `shows` and leads the arm nearer to the base than `INNER` d_b.
+    """The first line that comes nearer than `INNER` d_b and has no fault.
 
-    At most three lines are tested. If none of them satisfies `shows`, the result is the first of
-    them with `anyway`, otherwise the reason why there is no line.
+    At most three lines are tested. If all of them have a fault, the result is the first of them
+    with `anyway`, otherwise the faults. If no line comes near enough, it is an empty string.
     """
-    shallow: list[Place] = []
-    tried: list[Place] = []
-    for line in lines:
-        if line.nearest >= INNER * d_b:
-            shallow.append(line)
-            continue
-        if shows(line):
+    tried: dict[Place, str] = {}
+    for line in islice((each for each in lines if each.nearest < INNER * d_b), _MAX_RUNS):
+        if not (why := fault(line)):
             return line
-        tried.append(line)
-        if len(tried) == _MAX_RUNS:
-            break
+        tried[line] = why
     if tried and anyway:
-        return tried[0]
-    if tried:
-        return (
-            f"on the tested lines the base moves away by less than {GIVES_WAY:g} m, or the arm "
-            f"comes nearer than {CLEARANCE:g} m to the base or {_LOWEST:g} m to the floor: other "
-            "parts of the arm meet the base first, or the arm cannot hold its end-effector"
-        )
-    if shallow:
-        deepest = min(shallow, key=lambda line: line.nearest)
-        return (
-            f"the arm comes no nearer to the base than {deepest.nearest:.3f} m on any line that "
-            f"starts outside of the buffers; this is the line at z = {deepest.start[2]:g} m"
-        )
-    return (
-        f"there the arm cannot start outside of its buffers of {d_b:g} m and above the floor: it "
-        "is too short for this --buffer-distance, or its mount is too far from that side "
-        "(--mount-xyz of an --arm-urdf)"
-    )
+        return next(iter(tried))
+    return "; ".join(f"on the line from {point_text(line.start)}: {tried[line]}" for line in tried)
 
 
-def gives_way(
+def fault_of_run(
     model: RobotModel,
     data: BorderData,
     name: str,
     place: Place,
     on_progress: OnProgress = lambda _: None,
-) -> bool:
-    """Whether in a run on a line the base moves away while the arm stays clear of base and floor.
+) -> str:
+    """The measured fault of a run on a line, or an empty string.
 
-    The base has to move by `GIVES_WAY`, and the arm to stay `CLEARANCE` away from the base and
-    `_LOWEST` from the floor. This fails if another part of the arm than the end-effector meets the
-    base first, if the arm cannot hold its end-effector while the base moves, or if the run cannot
-    start. `on_progress` is called with the finished share of the run.
+    The base has to move by `GIVES_WAY` d_b, and the arm to stay `CLEARANCE` away from the base and
+    `_LOWEST` from the floor. `on_progress` is called with the finished share of the run.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
     moved, search = 0.0, PostureSearch(model, data.pairs, model.description.config.border.d_b)
+    mobile, nearest = data.pairs.mobile, np.inf
     try:
         with closing(steps_of(run, model, data)) as steps:
             for k, (_, step) in enumerate(steps):
@@ -262,13 +253,19 @@ def gives_way(
                     on_progress(step.t / line.duration)
                     search.place(step.truth.q_m)
                     if search.above_floor() < _LOWEST:
-                        return False
-                if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
-                    return False  # the rest of the run cannot change that
+                        return f"the arm comes nearer than {_LOWEST:g} m to the floor"
+                d, pair = min(zip(step.distances, mobile, strict=False))
+                nearest = min(nearest, d)
+                if d < CLEARANCE:  # the rest of the run cannot change that
+                    return f"{pair.name} comes nearer than {CLEARANCE:g} m"
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
-    except UnreachableError:
-        return False
-    return moved >= GIVES_WAY
+    except UnreachableError as error:
+        return str(error)
+    if moved >= (least := GIVES_WAY * search.d_b):
+        return ""
+    return (
+        f"the base moves by {moved:.3f} m instead of {least:.3f} m; the arm is {nearest:.3f} m away"
+    )
 
 
 def line_from(
@@ -276,7 +273,7 @@ def line_from(
     job: tuple[str, RobotModel, BorderData, bool],
     on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
-    """Execute `find_place` with the condition `gives_way`, in a worker process.
+    """Execute `find_place` with `fault_of_run`, in a worker process.
 
     `job` has the name of the scenario, the robot, its border data, and the argument `anyway`. In
     the reported progress, the search for lines and each possible run have equal shares.
@@ -286,11 +283,11 @@ def line_from(
     parts = (part_of(on_progress, begin, end) for begin, end in pairwise(ends.tolist()))
     search = next(parts)
 
-    def shows(place: Place) -> bool:
-        return gives_way(model, data, name, place, next(parts))
+    def fault(place: Place) -> str:
+        return fault_of_run(model, data, name, place, next(parts))
 
     pairs = data.pairs
-    return find_place(model, pairs, name, shows=shows, anyway=anyway, on_progress=search)
+    return find_place(model, pairs, name, fault=fault, anyway=anyway, on_progress=search)
 
 
 class _Candidate(NamedTuple):
@@ -336,18 +333,38 @@ class _Guide:
         self._search = PostureSearch(model, pairs, d_b)
         self._solver = StartSolver(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
-        self._free, self._places = _free_postures(self._search)
+        self._postures, self._places, self._flaws = _sampled(self._search)
+        self._obstacles: Counter[str] = Counter()
+        self._nearest: Place | None = None
+        self._short = np.inf  # [m] smallest distance from a posture to a start
 
-    def lines(
-        self, tried: Sequence[tuple[_Start, float]], on_progress: OnProgress
-    ) -> Iterator[Place]:
-        """Lines from starts at heights [m]; the most promising lines are first.
+    @property
+    def obstacles(self) -> str:
+        """Why no line leads near the base; of failed starts the most frequent reasons."""
+        if (near := self._nearest) is not None:
+            line = f"on the line from {point_text(near.start)} it is {near.nearest:.3f} m"
+            least = INNER * self._d_b
+            return f"on no line the arm's distance to the base is below {least:.3f} m; {line}"
+        by = {OUT_OF_REACH: f" by {self._short:.2f} m or more"} if self._short > _NEAR else {}
+        rows, of = self._obstacles.most_common(_MAX_NAMED), sum(self._obstacles.values())
+        starts = ", ".join(f"{why}{by.get(why, '')} ({n} of {of} starts)" for why, n in rows)
+        return f"the arm can start on none of the possible lines: {starts}"
+
+    def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
+        """Lines of a scenario; the most promising lines are first.
 
         A quick first step moves the arm to each start from a known posture. A second, slow step
         searches for the posture with which a run starts; it runs only when the caller requests the
         next line. No two lines have nearly the same end. If the arm comes nearer than `INNER` d_b
         on no line, only the best line is yielded.
         """
+        mount, body = self._model.p_base(), self.body
+        tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
+        heights = [round(h, 3) for h in _heights(tops)]
+        last = [round(top + _JUST_OVER, 3) for top in tops]
+        outs = np.arange(_FARTHEST, self._d_b + _OUTSIDE, -_NEARER).round(3).tolist()
+        starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
+        tried = [*product(starts, heights), *product(starts, last)]
         found: list[_Candidate] = []
         most = len(tried) + _MAX_STARTS
         for k, (start, z) in enumerate(tried):
@@ -367,13 +384,18 @@ class _Guide:
             try:
                 self._solver.solve(p, tries=_FEW)
                 q_m = find_start(self._model, self._pairs, self._d_b, p, seed=0, move=None)
-            except UnreachableError:
+            except UnreachableError as error:
+                self._obstacles.update([*error.flaws][:1])
                 continue
             asked.append(line)
             _, nearest, _, low = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)
             if low < _LOWEST:
+                self._obstacles[_FLOOR_ON_LINE] += 1
                 continue
-            yield Place(p, move, nearest, _LED.format(line.left, nearest))
+            place = Place(p, move, nearest, _LED.format(line.left, nearest))
+            if self._nearest is None or nearest < self._nearest.nearest:
+                self._nearest = place
+            yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
         """The line from a start at height z, which ends early if the arm touches the base.
@@ -393,6 +415,7 @@ class _Guide:
                 continue
             q_m, nearest, carried, low = self._led(q_m, np.array(p), inwards, led, length)
             if low < _LOWEST:
+                self._obstacles[_FLOOR_ON_LINE] += 1
                 return None
             led, least, shares = length, min(least, nearest), [*shares, *carried]
             if least <= 0.0:
@@ -443,32 +466,30 @@ class _Guide:
     def _free_at(self, p: Array) -> Array | None:
         """(n_m,) a free posture near a known one, with the end-effector at p (3,) [m]; or None."""
         away = np.linalg.norm(self._places - p, axis=1)
-        if away.min(initial=np.inf) > _NEAR:
-            return None
-        for k in np.argsort(away)[:_TRIES]:
-            q_m = self._free[k]
+        self._short = min(self._short, float(away.min()))
+        flaw = OUT_OF_REACH if away.min() > _NEAR else str(self._flaws[away.argmin()])
+        away[self._flaws != ""] = np.inf
+        for k in np.argsort(away)[: _TRIES if away.min() <= _NEAR else 0]:
+            q_m = self._postures[k]
             for share in _SHARES:
                 q_m = self._pulled(q_m, self._places[k] + share * (p - self._places[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
-            if off < _THERE and _is_free(self._search):
+            flaw = self._search.flaw() if off < _THERE else OUT_OF_REACH
+            if not flaw:
                 return q_m
+        self._obstacles[flaw] += 1
         return None
 
 
-def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
-    """Random free postures (N, n_m), and the positions (N, 3) [m] of their end-effectors."""
-    postures, places = [np.zeros((0, search.model.n_m))], [np.zeros((0, 3))]
-    for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
+def _sampled(search: PostureSearch) -> tuple[Array, Array, Array]:
+    """Random postures (N, n_m), positions (N, 3) [m] of their end-effectors, and flaws (N,)."""
+    postures = list(search.guesses(np.random.default_rng(0), _SAMPLES))
+    places, flaws = [], []
+    for q_m in postures:
         search.place(q_m)
-        if _is_free(search):
-            postures.append(q_m[None])
-            places.append(search.state.T_world_ee.translation[None].copy())
-    return np.vstack(postures), np.vstack(places)
-
-
-def _is_free(search: PostureSearch) -> bool:
-    """Whether the present posture is above the floor and outside of every buffer."""
-    return search.above_floor() > 0.0 and min(search.distances()) > search.d_b
+        flaws.append(search.flaw())
+        places.append(search.state.T_world_ee.translation.copy())
+    return np.array(postures), np.array(places), np.array(flaws)
 
 
 _LED = (

@@ -18,6 +18,8 @@ from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
 
+STOPPED = " is limited before "
+"""Words between the name of a joint and the reason of its limits, in the source of the limits."""
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSES = 60  # [-] sampled poses of the other joints at each of these positions
 _ARM = 2  # pinocchio's first joint of the arm
@@ -69,14 +71,18 @@ def with_stops(
         if stopping:
             *_, joint, low, high = max(stopping)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
-            stops[arm.joints[joint].name] = f"{b.name} reaches {a.name}"
+            wanted = _watched_from(meetings, (u, v))
+            seen = (
+                f", which a pair sees with --buffer-distance {wanted:g} or less" if wanted else ""
+            )
+            stops[arm.joints[joint].name] = f"{b.name} reaches {a.name}{seen}"
         elif ready is not None:
             raise RobotFileError(
                 f"--ready: {b.name} can meet {a.name} near this pose; choose another pose"
             )
     if not stops:
         return limits
-    why = "; ".join(f"{name} is limited before {text}" for name, text in stops.items())
+    why = "; ".join(f"{name}{STOPPED}{text}" for name, text in stops.items())
     source = limits.source | {
         field: f"{limits.source[field]}; {why}" for field in ("position_lower", "position_upper")
     }
@@ -86,20 +92,28 @@ def with_stops(
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
     """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
-    Two links can be monitored if they are outside of the buffer in enough poses. The result is the
-    largest such distance: `d_b`, or less in steps of 0.01 m, within the bounds of `border.d_b`. The
-    second result is the reason of a smaller distance, or an empty text.
+    The result is the largest such distance: `d_b`, or less in steps of 0.01 m, within the bounds of
+    `border.d_b`. The second result is the reason of a smaller distance, or an empty text.
     """
     least, why = d_b, ""
-    free = (meetings.random.distances > 0.0).all(axis=1)
     for u, v in sorted(meetings.close & meetings.apart):
-        if _meet(meetings, (u, v), np.array(limits.lower), np.array(limits.upper)):
-            gaps = meetings.random.distances[free, meetings.pairs.index((u, v))]
-            wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
-            if parameter("border.d_b").low <= wanted < least:
-                a, b = (meetings.units[k].name for k in (u, v))
-                least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most poses"
+        wanted = _watched_from(meetings, (u, v))
+        met = _meet(meetings, (u, v), np.array(limits.lower), np.array(limits.upper))
+        if met and 0.0 < wanted < least:
+            a, b = (meetings.units[k].name for k in (u, v))
+            least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most poses"
     return least, why
+
+
+def _watched_from(meetings: Meetings, pair: tuple[int, int]) -> float:
+    """The largest d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
+
+    The units then have to be outside of the buffer in enough of the free poses.
+    """
+    free = (meetings.random.distances > 0.0).all(axis=1)
+    gaps = meetings.random.distances[free, meetings.pairs.index(pair)]
+    wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
+    return wanted if wanted >= parameter("border.d_b").low else 0.0
 
 
 def _meet(meetings: Meetings, pair: tuple[int, int], lower: Array, upper: Array) -> bool:

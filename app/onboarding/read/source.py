@@ -33,6 +33,8 @@ FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
 formats that pybullet does not read to STL."""
 Packages = Callable[[str], Iterable[Path]]
 """The possible folders of a ROS package, by its name; the first ones have precedence."""
+Folders = Mapping[str, Path]
+"""Folders of ROS packages by name; they have precedence over all other folders."""
 _IN_PACKAGE = ("package", "model")  # schemes of addresses in a package
 _ABOVE = 2  # [-] folders above the URDF's folder to which a path can be relative
 
@@ -55,17 +57,16 @@ def locate(source: str) -> Path:
 
 
 def read_robot(
-    path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
+    path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, list[str]]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    `packages` are folders of ROS packages by name, which have precedence over all other folders;
-    `arguments` are those of a xacro. The second result has a sentence on each removed shape.
+    The arguments are those of `read_source`. The second result has a sentence on each lost shape.
 
     Raises:
         RobotFileError: As for `read_source`, or a required mesh does not exist.
     """
-    robot = read_source(path, packages, **arguments)
+    robot = read_source(path, packages, arguments)
     said = []
     for link in robot.findall("link"):
         for tag in ("visual", "collision"):
@@ -76,9 +77,7 @@ def read_robot(
     return robot, said
 
 
-def _needless(
-    element: Element, link: Element, folder: Path, packages: Mapping[str, Path] | None
-) -> str:
+def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
     """Why a visual or collision element is removed; otherwise an empty string.
 
     A shape of size 0 is removed. A visual mesh that is missing or unreadable is removed if the link
@@ -107,50 +106,68 @@ def _needless(
 
 
 def read_source(
-    path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
+    path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> Element:
-    """Read the `<robot>` of a URDF or xacro; the arguments are those of `read_robot`.
+    """Read the `<robot>` of a URDF or xacro.
 
-    Attributes lose blanks at both ends, and elements lose the namespace of `<robot>`.
+    The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
+    elements lose the namespace of `<robot>`. `arguments` are those of a xacro; None refuses one.
 
     Raises:
         RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
             macros cannot be expanded.
     """
     text = xml_text(path)
-    if path.suffix.lower() == ".xacro":
+    robot = _plain_xml(text)
+    if (left := _unexpanded(text, robot)) and arguments is not None:
         text = _expanded(path, text, packages or {}, arguments)
         refuse_entities(text, path)
+        robot = _plain_xml(text)
+        left = _unexpanded(text, robot)
+    if left:
+        raise RobotFileError(
+            f"{path.name}: {left} is unexpanded xacro, which can contain Python and is executed "
+            "only in a file outside of a zip; expand it: xacro FILE -o robot.urdf"
+        )
+    if robot.tag != "robot":
+        raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
+    _refuse_unprefixed(path, robot, "include", "macro")
+    return robot
+
+
+def _plain_xml(text: str) -> Element:
+    """The root, without blanks at the ends of attributes and without its own namespace."""
     robot = ElementTree.fromstring(text)
     own = robot.tag.rpartition("}")[0] + "}"
     for each in robot.iter():
         each.attrib = {key: value.strip() for key, value in each.items()}
         if len(own) > 1 and isinstance(each.tag, str):
             each.tag = each.tag.removeprefix(own)
-    if robot.tag != "robot":
-        raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
-    if left := _unexpanded(robot):
-        raise RobotFileError(
-            f"{path}: {left} is unexpanded xacro; rename the file to .xacro, or expand it: "
-            "xacro FILE -o robot.urdf"
-        )
     return robot
 
 
-def _unexpanded(robot: Element) -> str:
-    """The first xacro macro or expression in a robot, or an empty string."""
-    for each in robot:
-        namespace, _, tag = str(each.tag).rpartition("}")
-        if namespace.endswith("xacro"):
-            return f"<xacro:{tag}>"
-        if tag in ("link", "joint"):
-            values = (value for part in each.iter() for value in part.attrib.values())
-            if left := next((value for value in values if "${" in value or "$(" in value), ""):
-                return left
-    return ""
+def _unexpanded(text: str, robot: Element) -> str:
+    """The first element or expression of xacro in a robot with a text, or an empty string."""
+    code = re.sub("<!--.*?-->", "", text, flags=re.DOTALL)
+    if found := re.search(r"<xacro:[^\s/>]+", code):  # any namespace is possible, as in xacro
+        return f"{found[0]}>"
+    if other := next((tag for e in robot.iter() if "/xacro}" in (tag := str(e.tag))), ""):
+        return f"<{other.partition('}')[2]}> of xacro without the prefix xacro:"
+    parts = (part for each in robot for part in each.iter() if each.tag in ("link", "joint"))
+    values = (value for part in parts for value in part.attrib.values())
+    return next((value for value in values if "${" in value or "$(" in value), "")
 
 
-def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
+def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
+    """Refuse elements of xacro without their prefix: present versions of xacro ignore these."""
+    for tag in (each.tag for each in robot if each.tag in tags):
+        raise RobotFileError(
+            f"{path}: <{tag}> is xacro without its prefix; write <xacro:{tag}>, and also "
+            "<xacro:NAME> for each call of a macro"
+        )
+
+
+def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF.
 
     It is `package://…` if the file belongs to an installed package, otherwise the file's path.
@@ -266,7 +283,7 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     )
 
 
-def _package_folders(package: str, *, folder: Path, named: Mapping[str, Path]) -> Iterator[Path]:
+def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[Path]:
     """The folder of a package in `named`; otherwise folders beside and above the URDF, in ROS's
     search paths, and of installed packages, in this order.
     """
@@ -299,9 +316,7 @@ def _stated_name(folder: Path) -> str:
     return found[1].decode() if found else ""
 
 
-def _expanded(
-    path: Path, text: str, packages: Mapping[str, Path], arguments: Mapping[str, str]
-) -> str:
+def _expanded(path: Path, text: str, packages: Folders, arguments: Mapping[str, str]) -> str:
     """The text of the URDF of a xacro file, whose own text is `text`."""
     if find_spec("xacrodoc") is None:
         raise RobotFileError(
@@ -310,7 +325,12 @@ def _expanded(
     try:
         return within_budget(_urdf_of, path, packages, arguments, size=LARGEST_TEXT)
     except Exception as error:  # xacro's errors have no common base class
-        why = " ".join(str(error).split())
+        _refuse_unprefixed(path, _plain_xml(text), "include", "macro", "property")
+        own, cause = str(next(iter(error.args), "")), getattr(error, "exc", None)
+        file = str(getattr(cause, "filename", ""))
+        # The text of some errors already contains that of their cause, with the name of its file.
+        why = own if own.endswith(f": {file or cause}") else " ".join(str(error).split())
+        why += _near(path.parent, os.path.relpath(file, path.parent)) if file else ""
         if missing := re.search(r"Package not found: (\S+)", why):
             inner = re.search(rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)", text)
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
@@ -321,7 +341,7 @@ def _expanded(
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 
-def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
+def _urdf_of(path: Path, packages: Folders, arguments: Mapping[str, str]) -> str:
     """Expand a xacro with the library, which finds packages as `mesh_address` does.
 
     Macros can produce unlimited text or never end, so this runs within a budget.

@@ -55,6 +55,8 @@ class PostureSearch:
         self.span = model.q_upper - model.q_lower
         self.middle = (model.q_upper + model.q_lower) / 2
         """(n_m,) [rad or m] length and middle of each joint's range."""
+        self.names = [pair.name for pair in pairs.all]
+        """Names of the pairs, in the order of `distances`."""
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor = FloorDistance(self.state)
         self._base_pose = np.zeros(3)
@@ -166,6 +168,18 @@ class PostureSearch:
     def above_floor(self) -> float:
         """[m] smallest signed distance between the arm and the floor."""
         return self._floor.smallest()
+
+    def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
+        """Why the present posture is not free, or an empty string.
+
+        The arm must be higher than `floor` [m], and each pair `margin` [m] outside of its buffer.
+        """
+        if self.above_floor() <= floor:
+            return "the arm would touch the floor"
+        distances = self.distances()
+        if min(distances, default=np.inf) > self.d_b + margin:
+            return ""
+        return f"{self.names[int(np.argmin(distances))]} would be inside its buffer"
 
     def joint_room(self, q_m: Array) -> float:
         """[-] smallest distance of a joint to a limit, relative to its range."""

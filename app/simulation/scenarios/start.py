@@ -90,11 +90,12 @@ class StartSolver:
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
             raise UnreachableError(
-                f"start {_text(p_ee)}: the end-effector must be above the floor, which is z = 0"
+                f"start {point_text(p_ee)}: the end-effector must be above the floor, z = 0"
             )
         if (beyond := self._search.beyond(target)) > 0.0:
             raise UnreachableError(
-                f"start {_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m or more", {OUT_OF_REACH: 1}
+                f"start {point_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m or more",
+                {OUT_OF_REACH: 1},
             )
         rng = np.random.default_rng(seed)
         flaws: Counter[str] = Counter()
@@ -115,7 +116,7 @@ class StartSolver:
             return best.q_m
         reasons = "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
         raise UnreachableError(
-            f"start {_text(p_ee)}: no configuration of the arm reaches it: {reasons}", flaws
+            f"start {point_text(p_ee)}: no configuration of the arm reaches it: {reasons}", flaws
         )
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
@@ -141,7 +142,9 @@ class StartSolver:
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
         found = self._try(Target(np.array(p_ee, dtype=float), direction), [q_m])
         if found.q_m is None:
-            raise UnreachableError(f"start {_text(p_ee)}: {next(iter(found.flaws))}", found.flaws)
+            raise UnreachableError(
+                f"start {point_text(p_ee)}: {next(iter(found.flaws))}", found.flaws
+            )
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
@@ -180,13 +183,9 @@ class StartSolver:
         points = search.state.T_world_ee.rotation[:, 2]
         if target.z is not None and np.linalg.norm(points - target.z) > _DIRECTION_TOLERANCE:
             return "out of reach with the end-effector pointing away from the mount"
-        if search.above_floor() < _FLOOR_MARGIN:
-            return "the arm would touch the floor"
-        clearance = np.inf
-        for closest in search.monitor.find_closest_points():
-            if closest.d < search.d_b + _BUFFER_MARGIN:
-                return f"{closest.pair.name} would be inside its buffer"
-            clearance = min(clearance, closest.d - search.d_b)
+        if flaw := search.flaw(_FLOOR_MARGIN, _BUFFER_MARGIN):
+            return flaw
+        clearance = min(search.distances(), default=np.inf) - search.d_b
         return self._room(q, along) + min(clearance, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
@@ -379,5 +378,6 @@ def _frozen(q_m: Array) -> Array:
     return q_m
 
 
-def _text(point: tuple[float, float, float]) -> str:
+def point_text(point: tuple[float, float, float]) -> str:
+    """The coordinates of a point for a message."""
     return "(" + ", ".join(f"{x:g}" for x in point) + ") m"
