@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from app.errors import AssetError
 from app.onboarding.check import arm_row, base_row, dynamics_row, limits_row
-from app.onboarding.fit import grouping
+from app.onboarding.fit import grouping, stops
 from app.robot import assets
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.description import load_robot
@@ -79,11 +80,17 @@ def test_no_mesh_is_copied_and_all_mesh_paths_are_package_uris(name: str) -> Non
 def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The wrist of a UR folds back into the forearm; formerly the check named no limit."""
+    """The wrist of a UR folds back into the forearm; formerly the check named no limit.
+
+    For a UR10e the named buffer distance is 0.06 m, and a pair then sees all these contacts. For a
+    UR5 it is below the range of d_b.
+    """
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 2000)
+    monkeypatch.setattr(stops, "parameter", lambda _: SimpleNamespace(low=0.01))
     description = load_robot("husky_ur5")
     row = arm_row(RobotModel(description))
     assert row.numbers["left_out_poses"] > 50
+    assert "; a pair can see them with --buffer-distance 0.0" in row.text
     arm = description.arm
     lower, upper = np.full((2, 6), [[-np.pi], [np.pi]])
     named = re.findall(r"none with (\w+) from (-?[\d.]+) to (-?[\d.]+)", row.text)

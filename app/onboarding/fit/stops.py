@@ -71,7 +71,7 @@ def with_stops(
         if stopping:
             *_, joint, low, high = max(stopping)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
-            wanted = _watched_from(meetings, (u, v))
+            wanted = watched_from(meetings, (u, v))
             seen = (
                 f", which a pair sees with --buffer-distance {wanted:g} or less" if wanted else ""
             )
@@ -97,7 +97,7 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
     """
     least, why = d_b, ""
     for u, v in sorted(meetings.close & meetings.apart):
-        wanted = _watched_from(meetings, (u, v))
+        wanted = watched_from(meetings, (u, v))
         met = _meet(meetings, (u, v), np.array(limits.lower), np.array(limits.upper))
         if met and 0.0 < wanted < least:
             a, b = (meetings.units[k].name for k in (u, v))
@@ -105,7 +105,7 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
     return least, why
 
 
-def _watched_from(meetings: Meetings, pair: tuple[int, int]) -> float:
+def watched_from(meetings: Meetings, pair: tuple[int, int]) -> float:
     """The largest d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
 
     The units then have to be outside of the buffer in enough of the free poses.
