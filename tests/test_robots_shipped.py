@@ -82,7 +82,7 @@ def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
 ) -> None:
     """The wrist of a UR folds back into the forearm; formerly the check named no limit.
 
-    For a UR10e the named buffer distance is 0.06 m, and a pair then sees all these contacts. For a
+    For a UR10e the named buffer distance is 0.06 m, and a pair then detects all these contacts. For a
     UR5 it is below the range of d_b.
     """
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 2000)
@@ -90,7 +90,7 @@ def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
     description = load_robot("husky_ur5")
     row = arm_row(RobotModel(description))
     assert row.numbers["left_out_poses"] > 50
-    assert "; a pair can see them with --buffer-distance 0.0" in row.text
+    assert "; a pair can detect them with --buffer-distance 0.0" in row.text
     arm = description.arm
     lower, upper = np.full((2, 6), [[-np.pi], [np.pi]])
     named = re.findall(r"none with (\w+) from (-?[\d.]+) to (-?[\d.]+)", row.text)

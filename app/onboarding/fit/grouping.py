@@ -350,7 +350,7 @@ def _left_out(
         touching = gaps[:, k] <= np.clip(gaps[:, k].max() / 2, 0.0, MARGIN)
         free = _free_range(model, range(max(a.joint - 2, 0), b.joint - 1), q_m[touching])
         if k < len(near) and (d_b := watched_from(met, near[k])):
-            free += f"; a pair can see them with --buffer-distance {d_b:g}"
+            free += f"; a pair can detect them with --buffer-distance {d_b:g}"
         said.append(f"{a.name} and {b.name} ({shares[k]:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 

@@ -73,7 +73,9 @@ def with_stops(
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
             wanted = watched_from(meetings, (u, v))
             seen = (
-                f", which a pair sees with --buffer-distance {wanted:g} or less" if wanted else ""
+                f", which a pair detects with --buffer-distance {wanted:g} or less"
+                if wanted
+                else ""
             )
             stops[arm.joints[joint].name] = f"{b.name} reaches {a.name}{seen}"
         elif ready is not None:
