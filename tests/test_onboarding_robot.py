@@ -681,7 +681,10 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     assert narrowed == [k]
     assert -2.2 < limits.lower[k] < -1.4
     assert 1.4 < limits.upper[k] < 2.2
-    why = "lift is limited before upper reaches base, which a pair detects with --buffer-distance 0.13"
+    why = (
+        "lift is limited before upper reaches base, which a pair detects with "
+        "--buffer-distance 0.13"
+    )
     assert why in limits.source["position_upper"]
     monkeypatch.setattr(stops, "MARGIN", 1.0)  # as for a UR's upper arm, 12 mm beside its foot
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)

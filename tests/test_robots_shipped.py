@@ -82,8 +82,8 @@ def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
 ) -> None:
     """The wrist of a UR folds back into the forearm; formerly the check named no limit.
 
-    For a UR10e the named buffer distance is 0.06 m, and a pair then detects all these contacts. For a
-    UR5 it is below the range of d_b.
+    For a UR10e the named buffer distance is 0.06 m, and a pair then detects all these contacts. For
+    a UR5 it is below the range of d_b.
     """
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 2000)
     monkeypatch.setattr(stops, "parameter", lambda _: SimpleNamespace(low=0.01))
