@@ -207,7 +207,7 @@ def test_give_back_frees_reference_cycles(frozen: bool) -> None:
     try:
         ref = weakref.ref(Node())
         with gc_frozen() if frozen else nullcontext():
-            give_back()
+            give_back(frozen=frozen)
             assert (gc.get_freeze_count() > 0) == frozen
         assert ref() is None
     finally:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
@@ -35,15 +35,16 @@ FILM_RATE = 25.0  # [1/s] frame rate of a film
 _PATIENCE = 10.0  # [s] timeout for the end of a thread
 
 
-def give_back() -> None:
+def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector and return the freed memory to the system.
 
     Python searches old objects for reference cycles only rarely, but a few such objects can use
-    much memory, for example a model or a border. If the collector excludes objects (`gc_frozen`),
-    it excludes all remaining objects afterwards.
+    much memory, for example a model or a border. With `frozen`, the search includes the objects
+    that the collector excludes (`gc_frozen`); afterwards it excludes all remaining objects.
     """
-    frozen = gc.get_freeze_count() > 0
-    gc.unfreeze()
+    frozen &= gc.get_freeze_count() > 0
+    if frozen:
+        gc.unfreeze()
     gc.collect()
     if frozen:
         gc.freeze()
@@ -69,6 +70,9 @@ class Job:
 
     All methods are thread-safe.
     """
+
+    replaces_robot: ClassVar[bool] = False
+    """Whether a job leaves objects of a former robot behind."""
 
     def __init__(self) -> None:
         self.progress: Progress | None = None
@@ -150,7 +154,7 @@ class Job:
             problem = f"{title}: {plain(error)}"
         finally:
             self.problem = problem
-            give_back()
+            give_back(frozen=self.replaces_robot)
             self.progress = None
 
 

@@ -104,6 +104,8 @@ class RobotSwitch(Job):
     Any thread may call `begin` and `cancel`; the drawing thread calls `take` and `shown`.
     """
 
+    replaces_robot = True
+
     def __init__(self, start_loop: StartLoop | None) -> None:
         """Create an idle switch; if `start_loop` is None, the robot cannot be switched."""
         super().__init__()
