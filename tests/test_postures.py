@@ -196,7 +196,7 @@ def test_a_line_that_ends_farther_inside_replaces_a_shallow_one(
     pairs = pairs_of(model)
     found = find_place(model, pairs, "guiding-lateral")
     np.testing.assert_allclose(found.move, (0.0, -0.325, 0.0), atol=1e-9)
-    assert "can start on none of the possible" in find_place(model, pairs, "guiding-front")
+    assert "can use none of the possible" in find_place(model, pairs, "guiding-front")
 
 
 _figures: dict[tuple[Place, float], dict[str, Any]] = {}
@@ -291,7 +291,7 @@ def test_a_missing_line_names_the_missing_reach(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(postures, "_OUTSIDE", 1.8)
     found = find_place(husky_panda(), pairs_of(husky_panda()), "guiding-lateral")
     assert "none of the possible lines: out of the arm's reach by 1.4" in found
-    assert "no smaller --buffer-distance helps" in found
+    assert "a smaller --buffer-distance probably does not help" in found
 
 
 def test_a_line_just_above_the_base_is_tried_if_no_other_height_works(

@@ -111,7 +111,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     verdict, meetings, found = robot.verdict, robot.meetings, robot.detection
     if found.undetected:
         yield (
-            f"no pair detects {found.share:.1%} of the random poses in which links collide; "
+            f"no pair detects the collision in {found.share:.1%} of the colliding random poses; "
             f"mostly {found.worst}; bodies that are neighbours or close by design are not a "
             f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
@@ -177,7 +177,7 @@ def _joints(robot: NewRobot) -> Iterator[str]:
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
     for joint, (low, high, lower, upper) in zip(robot.parsed.arm.joints, ranges, strict=True):
         if (low, high) != (lower, upper):
-            *_, why = limits.source["position_lower"].partition(f"{joint.name}{STOPPED}")
+            *_, why = limits.source["position_lower"].partition(f"; {joint.name}{STOPPED}")
             yield (
                 f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
                 f"before {why.partition('; ')[0]}"

@@ -122,9 +122,9 @@ class Session:
         """
         if not data.pairs.mobile:
             raise DescriptionError(
-                f"{model.description.name}: no monitored part of the arm can meet the base, so "
-                "there is no collision to avoid; check the pairs under `unwatched` in robot.toml, "
-                "and in the robot's report that the bodies enclose the links"
+                f"{model.description.name}: no monitored part of the arm can meet the base, so no "
+                "controller can avoid a collision; check the pairs under `unwatched` in "
+                "robot.toml, and in the robot's report that the bodies enclose the links"
             )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door

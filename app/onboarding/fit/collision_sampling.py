@@ -85,6 +85,12 @@ class Meetings:
         return self.close.intersection(compress(self.pairs, often))
 
     @property
+    def grazing(self) -> frozenset[tuple[int, int]]:
+        """Close pairs of the arm that touch, but overlap by at most 3 mm; d_b does not matter."""
+        distances = np.vstack([self.random.distances, self.rare.distances])
+        return _grazing(self.units, self.pairs, distances)
+
+    @property
     def collides(self) -> Array:
         """(N, pairs) whether the hulls overlap in a random pose; always False for close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
@@ -258,15 +264,18 @@ def _rare_poses(
     return np.vstack(found)
 
 
-def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
-    """Pairs that are within d_b [m] in more than `ALWAYS` of the free poses.
+def free_poses(distances: Array) -> Array:
+    """(N,) whether no hulls with the distances (N, pairs) [m] touch.
 
-    With very few free poses, all poses count.
+    With very few such poses, all poses count.
     """
     free = np.asarray((distances > 0.0).all(axis=1))
-    if np.count_nonzero(free) < _FEWEST:
-        free = np.ones(len(distances), dtype=bool)
-    near = (distances[free] < d_b).mean(axis=0)
+    return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
+
+
+def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
+    """Pairs that are within d_b [m] in more than `ALWAYS` of the free poses; see `free_poses`."""
+    near = (distances[free_poses(distances)] < d_b).mean(axis=0)
     return frozenset(pair for pair, share in zip(pairs, near, strict=True) if share > ALWAYS)
 
 

@@ -40,6 +40,7 @@ _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
 MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their bodies may miss
 TEST_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
+_FEWEST_CONTACTS = 30  # [-] smallest number of poses for naming a range without a contact
 _LEAST_FREE = 0.25  # [-] smallest share of a joint's range, or of a turn, that a limit may leave
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
 _TEST_SEED = 2**31  # [-] seed of these poses, which the fit does not use
@@ -348,8 +349,8 @@ def _left_out(
     for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]:
         a, b = (units[unit] for unit in [*near, *beside][k])
         touching = gaps[:, k] <= np.clip(gaps[:, k].max() / 2, 0.0, MARGIN)
-        free = _free_range(model, range(max(a.joint - 2, 0), b.joint - 1), q_m[touching])
-        if k < len(near) and (d_b := watched_from(met, near[k])):
+        free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
+        if k < len(near) and near[k] not in met.grazing and (d_b := watched_from(met, near[k])):
             free += f"; a pair can detect them with --buffer-distance {d_b:g}"
         said.append(f"{a.name} and {b.name} ({shares[k]:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
@@ -358,10 +359,11 @@ def _left_out(
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
     """The largest range of one of some joints without a pose of q_m (N, n_m), as text.
 
-    It is empty if no range has at least a quarter of the joint's range, or of a turn.
+    It is empty if no range has at least a quarter of the joint's range, or of a turn, and with
+    fewer than `_FEWEST_CONTACTS` poses, between which such a range is a coincidence.
     """
     found = [(_LEAST_FREE, "")]
-    for joint in joints:
+    for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
         low, high = model.q_lower[joint], model.q_upper[joint]
         values = np.sort([low, *q_m[:, joint], high])
         k = int(np.diff(values).argmax())

@@ -138,8 +138,8 @@ _FEW = 2  # [-] number of tries of a quick search
 _MAX_NAMED = 3  # [-] largest number of named reasons of failed starts
 _FLOOR_ON_LINE = f"the arm would be nearer than {_LOWEST:g} m to the floor on the line"
 _NOT_SMALLER = (
-    "with these joint limits no smaller --buffer-distance helps, but possibly a mount nearer to "
-    "this side (--mount-xyz of an --arm-urdf)"
+    "with these joint limits a smaller --buffer-distance probably does not help; a mount nearer to "
+    "this side may help (--mount-xyz of an --arm-urdf)"
 )
 _SINGULAR = 1e-9  # [m/(N s)] mobility that regularises a singular posture
 
@@ -198,8 +198,7 @@ def find_place(
     smaller = [k / 100 for k in reversed(hundredths)]
 
     def leads(d_b: float) -> bool:
-        line = next(_Guide(model, pairs, d_b).lines(name), None)
-        return line is not None and line.nearest < INNER * d_b
+        return bool(chosen(_Guide(model, pairs, d_b).lines(name), d_b))
 
     k = bisect_left(smaller, True, key=leads)
     helps = (
@@ -264,7 +263,8 @@ def fault_of_run(
     if moved >= (least := GIVES_WAY * search.d_b):
         return ""
     return (
-        f"the base moves by {moved:.3f} m instead of {least:.3f} m; the arm is {nearest:.3f} m away"
+        f"the base moves by {moved:.3f} m instead of {least:.3f} m; its smallest distance to the "
+        f"arm is {nearest:.3f} m"
     )
 
 
@@ -345,10 +345,10 @@ class _Guide:
             line = f"on the line from {point_text(near.start)} it is {near.nearest:.3f} m"
             least = INNER * self._d_b
             return f"on no line the arm's distance to the base is below {least:.3f} m; {line}"
-        by = {OUT_OF_REACH: f" by {self._short:.2f} m or more"} if self._short > _NEAR else {}
+        by = {OUT_OF_REACH: f" by about {self._short:.2f} m"} if self._short > _NEAR else {}
         rows, of = self._obstacles.most_common(_MAX_NAMED), sum(self._obstacles.values())
         starts = ", ".join(f"{why}{by.get(why, '')} ({n} of {of} starts)" for why, n in rows)
-        return f"the arm can start on none of the possible lines: {starts}"
+        return f"the arm can use none of the possible lines: {starts}"
 
     def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
         """Lines of a scenario; the most promising lines are first.
@@ -385,7 +385,7 @@ class _Guide:
                 self._solver.solve(p, tries=_FEW)
                 q_m = find_start(self._model, self._pairs, self._d_b, p, seed=0, move=None)
             except UnreachableError as error:
-                self._obstacles.update([*error.flaws][:1])
+                self._obstacles.update(why for why, _ in Counter(error.flaws).most_common(1))
                 continue
             asked.append(line)
             _, nearest, _, low = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)

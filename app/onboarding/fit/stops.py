@@ -10,7 +10,7 @@ import numpy as np
 
 from app.config import parameter
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import ALWAYS, MARGIN, Meetings
+from app.onboarding.fit.collision_sampling import ALWAYS, MARGIN, Meetings, free_poses
 from app.onboarding.fit.units import hull_distances
 from app.onboarding.numbers import Limits
 from app.onboarding.read.tree import Arm
@@ -94,7 +94,7 @@ def with_stops(
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
     """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
-    The result is the largest such distance: `d_b`, or less in steps of 0.01 m, within the bounds of
+    The result is `d_b`, or less in steps of 0.01 m, within the bounds of
     `border.d_b`. The second result is the reason of a smaller distance, or an empty text.
     """
     least, why = d_b, ""
@@ -108,12 +108,13 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
 
 
 def watched_from(meetings: Meetings, pair: tuple[int, int]) -> float:
-    """The largest d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
+    """A d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
 
-    The units then have to be outside of the buffer in enough of the free poses.
+    The units are then outside of the buffer in the share `ALWAYS` of the free poses. A pair needs
+    less, but its bodies are larger than the links.
     """
-    free = (meetings.random.distances > 0.0).all(axis=1)
-    gaps = meetings.random.distances[free, meetings.pairs.index(pair)]
+    distances = meetings.random.distances
+    gaps = distances[free_poses(distances), meetings.pairs.index(pair)]
     wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
     return wanted if wanted >= parameter("border.d_b").low else 0.0
 

@@ -119,16 +119,17 @@ def read_source(
     """
     text = xml_text(path)
     robot = _plain_xml(text)
-    if (left := _unexpanded(text, robot)) and arguments is not None:
+    if left := _unexpanded(text, robot):
+        if arguments is None:
+            raise RobotFileError(
+                f"{path.name}: {left} is unexpanded xacro, which can contain Python and is not "
+                "executed here; expand it: xacro FILE -o robot.urdf"
+            )
         text = _expanded(path, text, packages or {}, arguments)
         refuse_entities(text, path)
         robot = _plain_xml(text)
-        left = _unexpanded(text, robot)
-    if left:
-        raise RobotFileError(
-            f"{path.name}: {left} is unexpanded xacro, which can contain Python and is executed "
-            "only in a file outside of a zip; expand it: xacro FILE -o robot.urdf"
-        )
+        if left := _unexpanded(text, robot):
+            raise RobotFileError(f"{path}: xacro does not expand {left}; correct it in the file")
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     _refuse_unprefixed(path, robot, "include", "macro")
@@ -327,9 +328,9 @@ def _expanded(path: Path, text: str, packages: Folders, arguments: Mapping[str, 
     except Exception as error:  # xacro's errors have no common base class
         _refuse_unprefixed(path, _plain_xml(text), "include", "macro", "property")
         own, cause = str(next(iter(error.args), "")), getattr(error, "exc", None)
-        file = str(getattr(cause, "filename", ""))
+        file = str(cause.filename or "") if isinstance(cause, OSError) else ""
         # The text of some errors already contains that of their cause, with the name of its file.
-        why = own if own.endswith(f": {file or cause}") else " ".join(str(error).split())
+        why = " ".join((own if own.endswith(f": {file or cause}") else str(error)).split())
         why += _near(path.parent, os.path.relpath(file, path.parent)) if file else ""
         if missing := re.search(r"Package not found: (\S+)", why):
             inner = re.search(rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)", text)
