@@ -290,7 +290,7 @@ def test_a_missing_line_names_the_missing_reach(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(postures, "_FARTHEST", 2.0)
     monkeypatch.setattr(postures, "_OUTSIDE", 1.8)
     found = find_place(husky_panda(), pairs_of(husky_panda()), "guiding-lateral")
-    assert "none of the possible lines: out of the arm's reach by 1.4" in found
+    assert "none of the possible lines: out of the arm's reach by about 1.4" in found
     assert "a smaller --buffer-distance probably does not help" in found
 
 
