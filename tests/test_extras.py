@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from app.errors import EXTRAS, MissingExtraError, extras_named
-from tests.test_import_direction import FILES, PROJECT, imported, package_of, layer_of
+from tests.test_import_direction import FILES, PROJECT, imported, layer_of, package_of
 
 BASE = {
     "coal",
@@ -60,7 +60,10 @@ def test_every_imported_library_belongs_to_the_package_or_an_extra() -> None:
 def test_method_imports_no_extra_at_the_top_of_a_module() -> None:
     lazily = {"map.py", "chain.py"}  # modules of `dbb reach`
     for path in FILES:
-        if layer_of(path) in {"robot", "border", "avoidance", "control"} and path.name not in lazily:
+        if (
+            layer_of(path) in {"robot", "border", "avoidance", "control"}
+            and path.name not in lazily
+        ):
             tree = ast.parse(path.read_text(encoding="utf-8"))
             top = ast.Module(list(tree.body), [])
             for node in ast.walk(tree):

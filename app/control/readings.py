@@ -66,7 +66,7 @@ _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and 
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] shortest duration of a group of readings
-_FEWEST_GROUPS, _CUBIC = 4, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
+_FEWEST_GROUPS, _CUBIC = 5, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
 _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predicted motion
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
@@ -309,39 +309,58 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
 
 
 @compiled()
-def _weigh_lags(w: Any, gains: Any) -> None:
-    """Update the evidence with a new group, and change the lag if the evidence is sufficient.
+def _compare_lags(w: Any, ways: Array, n: int) -> tuple[Array, Array]:
+    """Compare the possible lags by the newest n groups.
 
-    The positions without the predicted motion of a lag are fitted by a polynomial. The gain of a
-    lag is the logarithm of a likelihood ratio, with an unknown noise of each joint: it is large if
-    the residuals are much smaller than those of the present lag, and than those without a
-    prediction. The evidence is the sum of the gains above a threshold (a CUSUM test). The gain of
-    one group is limited, so no single event can decide.
+    Returns:
+        (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
+        and of no prediction, with an unknown noise of each joint; and (lags + 1,) [rad²] sums of
+        the squared residuals, the last one without a prediction.
     """
-    ages, lags, n = w.group_age, len(w.evidence), 0
-    known = min(int(w.known[()]), HISTORY) - lags - 1
-    while n < len(ages) and ages[n] < known:
-        n += 1
-    if n < _FEWEST_GROUPS:
-        return
-    basis = _polynomials(ages[:n], 4 if n >= _CUBIC else 3)
-    ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
-    ratios, totals, present = np.ones(lags), np.zeros(lags + 1), int(w.lag[()])
+    lags, present = len(w.evidence), int(w.lag[()])
+    basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
+    ratios, totals = np.ones(lags), np.zeros(lags + 1)
     for i in range(len(ways)):
         error = min(w.noise_var[0, i], _MOST_NOISE**2) / w.group_size[()] + _EXACT**2
-        residuals = _residuals(w.group[:n, i], ways[i], ages, basis, lags)
+        residuals = _residuals(w.group[:n, i], ways[i], w.group_age, basis, lags)
         for lag in range(lags + 1):
             residuals[lag] = max(residuals[lag], 0.0) + (n - len(basis)) * error
             totals[lag] += residuals[lag]
         least = min(residuals[present], residuals[lags])
         for lag in range(lags):
             ratios[lag] *= least / residuals[lag]
+    return 0.5 * np.log(ratios), totals
+
+
+@compiled()
+def _weigh_lags(w: Any, gains: Any) -> None:
+    """Update the evidence with a new group, and change the lag if the evidence is sufficient.
+
+    The evidence for a lag is the sum of its gains above a threshold (a CUSUM test). The gain is the
+    logarithm of a likelihood ratio, if its residuals are also clearly smaller in total. The gain of
+    one group is limited, so no single event can decide. The newest two thirds of the groups have to
+    agree, unless the evidence lasts longer than all groups: a sudden change of a person's force
+    looks like a delay while it is among the oldest groups.
+    """
+    ages, lags, n, present = w.group_age, len(w.evidence), 0, int(w.lag[()])
+    oldest = min(int(w.known[()]), HISTORY) - lags - 1
+    while n < len(ages) and ages[n] < oldest:
+        n += 1
+    if n < _FEWEST_GROUPS:
+        return
+    ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
+    gain, totals = _compare_lags(w, ways, n)
     total = min(totals[present], totals[lags]) / _CLEARLY
     for lag in range(lags):
-        gain = min(0.5 * math.log(ratios[lag]), _LARGEST_GAIN) if totals[lag] < total else 0.0
-        w.evidence[lag] = max(w.evidence[lag] + gain - _DOUBT, 0.0)
+        more = min(gain[lag], _LARGEST_GAIN) if totals[lag] < total else 0.0
+        w.evidence[lag] = max(w.evidence[lag] + more - _DOUBT, 0.0)
     best = int(np.argmax(w.evidence))
-    if best <= _MOST_LAG and w.evidence[best] > _CONVINCING:
+    known = np.argmin(totals[:lags]) <= _MOST_LAG  # the residuals of longer lags are larger
+    if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
+        return
+    _, totals = _compare_lags(w, ways, max(2 * n // 3, _FEWEST_GROUPS))
+    lasts = w.evidence[best] > len(ages) * (_LARGEST_GAIN - _DOUBT)
+    if lasts or totals[best] < min(totals[present], totals[lags]) / _CLEARLY:
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)
