@@ -682,7 +682,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     assert -2.2 < limits.lower[k] < -1.4
     assert 1.4 < limits.upper[k] < 2.2
     why = (
-        "lift is limited before upper reaches base, which a pair detects with "
+        "lift is limited before upper reaches base, which a pair can detect with "
         "--buffer-distance 0.13"
     )
     assert why in limits.source["position_upper"]

@@ -27,7 +27,7 @@ from app.onboarding.fit.collision_sampling import (
     nested_links,
     sample_meetings,
 )
-from app.onboarding.fit.stops import watched_from
+from app.onboarding.fit.stops import detectable
 from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
@@ -350,8 +350,8 @@ def _left_out(
         a, b = (units[unit] for unit in [*near, *beside][k])
         touching = gaps[:, k] <= np.clip(gaps[:, k].max() / 2, 0.0, MARGIN)
         free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
-        if k < len(near) and near[k] not in met.grazing and (d_b := watched_from(met, near[k])):
-            free += f"; a pair can detect them with --buffer-distance {d_b:g}"
+        if k < len(near) and near[k] not in met.grazing:
+            free = detectable(met, near[k]) + free
         said.append(f"{a.name} and {b.name} ({shares[k]:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 

@@ -71,13 +71,8 @@ def with_stops(
         if stopping:
             *_, joint, low, high = max(stopping)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
-            wanted = watched_from(meetings, (u, v))
-            seen = (
-                f", which a pair detects with --buffer-distance {wanted:g} or less"
-                if wanted
-                else ""
-            )
-            stops[arm.joints[joint].name] = f"{b.name} reaches {a.name}{seen}"
+            name, detects = arm.joints[joint].name, detectable(meetings, (u, v))
+            stops[name] = f"{b.name} reaches {a.name}{detects}"
         elif ready is not None:
             raise RobotFileError(
                 f"--ready: {b.name} can meet {a.name} near this pose; choose another pose"
@@ -117,6 +112,12 @@ def watched_from(meetings: Meetings, pair: tuple[int, int]) -> float:
     gaps = distances[free_poses(distances), meetings.pairs.index(pair)]
     wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
     return wanted if wanted >= parameter("border.d_b").low else 0.0
+
+
+def detectable(meetings: Meetings, pair: tuple[int, int]) -> str:
+    """The text that names the d_b with which a pair can detect a contact, or an empty text."""
+    wanted = watched_from(meetings, pair)
+    return f", which a pair can detect with --buffer-distance {wanted:g} or less" if wanted else ""
 
 
 def _meet(meetings: Meetings, pair: tuple[int, int], lower: Array, upper: Array) -> bool:
