@@ -8,8 +8,8 @@ are estimated from the readings themselves:
 
 - **The lag**: a delay that begins during a motion is the age at which the predicted state equals
   the reading. Any delay is the number of periods until accelerations by the torques and by the base
-  appear in the measured positions. All readings of the last 100 periods count, so that noise hides
-  the delay as little as possible.
+  appear in the measured positions. The readings of the last 50 to 100 periods count, so that noise
+  hides the delay as little as possible.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
@@ -65,7 +65,7 @@ _RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that c
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
-_GROUP = 5.0  # [periods] shortest duration of a group of readings
+_GROUP = 5.0  # [periods] duration of a group of readings
 _FEWEST_GROUPS, _CUBIC = 5, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
 _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predicted motion
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
@@ -351,8 +351,12 @@ def _weigh_lags(w: Any, gains: Any) -> None:
     ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
     gain, totals = _compare_lags(w, ways, n)
     total = min(totals[present], totals[lags]) / _CLEARLY
+    excess = 0.0
     for lag in range(lags):
-        more = min(gain[lag], _LARGEST_GAIN) if totals[lag] < total else 0.0
+        if totals[lag] < total:
+            excess = max(excess, gain[lag] - _LARGEST_GAIN)
+    for lag in range(lags):
+        more = gain[lag] - excess if totals[lag] < total else 0.0
         w.evidence[lag] = max(w.evidence[lag] + more - _DOUBT, 0.0)
     best = int(np.argmax(w.evidence))
     known = np.argmin(totals[:lags]) <= _MOST_LAG  # the residuals of longer lags are larger
@@ -437,14 +441,21 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
 
 @compiled()
+def _forget_groups(w: Any) -> None:
+    """Forget all groups of readings, because their ages are unknown."""
+    fill(w.evidence, 0.0)
+    for k in range(len(w.group_age)):
+        w.group_age[k] = HISTORY * (k + 1.0)
+
+
+@compiled()
 def _begin(gains: Any, w: Any, q: Array, qd: Array) -> None:
     """Initialise the memory with the first valid reading."""
     put(w.q_posture, q)
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 0.0
     _measure_from(w, q, qd)
-    for k in range(len(w.group_age)):
-        w.group_age[k] = HISTORY * (k + 1.0)  # no earlier readings exist
+    _forget_groups(w)
 
 
 @compiled()
@@ -682,7 +693,10 @@ def take_readings(
     if lost:
         w.age[()] += 1.0
     else:
-        w.age[()] += _rested(w, q, qd, gains.dt, first)
+        rested = _rested(w, q, qd, gains.dt, first)
+        if rested > 0.0:
+            _forget_groups(w)
+        w.age[()] += rested
         _take_new(robot, gains, w, q, qd, first)
         _take_base(robot, gains, w, base_pose.copy(), velocity, first)
         w.age[()] = 0.0
@@ -716,6 +730,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     jumped = estimate_arm(*memory, known, read, robot.qd_max, w.v_error, gains)
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
+        _forget_groups(w)
         put(w.q_posture, q)
         _measure_from(w, q, read[1])
     put_rows(w.x_est, w.x_read)
