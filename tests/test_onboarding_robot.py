@@ -704,7 +704,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
         with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
     assert stops.watching_buffer(limits, meetings, 0.15) == (0.15, "")
-    monkeypatch.setattr(stops, "_LEAST", 1.0)  # no limit may reduce a joint's range
+    monkeypatch.setattr(stops, "LEAST", 1.0)  # no limit may reduce a joint's range
     assert with_stops(parsed.limits, bare, parsed.arm, meetings) is parsed.limits
     smaller, why = stops.watching_buffer(parsed.limits, meetings, 0.15)
     assert "upper is nearer than 0.15 m to base" in why

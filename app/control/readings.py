@@ -309,13 +309,13 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
 
 
 @compiled()
-def _compare_lags(w: Any, ways: Array, n: int) -> tuple[Array, Array]:
+def _compare_lags(w: Any, ways: Array, n: int) -> tuple[Array, Array, float]:
     """Compare the possible lags by the newest n groups.
 
     Returns:
         (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
-        and of no prediction, with an unknown noise of each joint; and (lags + 1,) [rad²] sums of
-        the squared residuals, the last one without a prediction.
+        and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sums of the
+        squared residuals; and the sum [rad²] below which a lag is clearly better than these two.
     """
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
@@ -329,7 +329,8 @@ def _compare_lags(w: Any, ways: Array, n: int) -> tuple[Array, Array]:
         least = min(residuals[present], residuals[lags])
         for lag in range(lags):
             ratios[lag] *= least / residuals[lag]
-    return 0.5 * np.log(ratios), totals
+    clear = min(totals[present], totals[lags]) / _CLEARLY
+    return 0.5 * np.log(ratios), totals[:lags], clear
 
 
 @compiled()
@@ -342,29 +343,28 @@ def _weigh_lags(w: Any, gains: Any) -> None:
     agree, unless the evidence lasts longer than all groups: a sudden change of a person's force
     looks like a delay while it is among the oldest groups.
     """
-    ages, lags, n, present = w.group_age, len(w.evidence), 0, int(w.lag[()])
+    ages, lags, n = w.group_age, len(w.evidence), 0
     oldest = min(int(w.known[()]), HISTORY) - lags - 1
     while n < len(ages) and ages[n] < oldest:
         n += 1
     if n < _FEWEST_GROUPS:
         return
     ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
-    gain, totals = _compare_lags(w, ways, n)
-    total = min(totals[present], totals[lags]) / _CLEARLY
+    gain, totals, clear = _compare_lags(w, ways, n)
     excess = 0.0
     for lag in range(lags):
-        if totals[lag] < total:
+        if totals[lag] < clear:
             excess = max(excess, gain[lag] - _LARGEST_GAIN)
     for lag in range(lags):
-        more = gain[lag] - excess if totals[lag] < total else 0.0
+        more = gain[lag] - excess if totals[lag] < clear else 0.0
         w.evidence[lag] = max(w.evidence[lag] + more - _DOUBT, 0.0)
     best = int(np.argmax(w.evidence))
-    known = np.argmin(totals[:lags]) <= _MOST_LAG  # the residuals of longer lags are larger
+    known = np.argmin(totals) <= _MOST_LAG  # the residuals of longer lags are larger
     if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
         return
-    _, totals = _compare_lags(w, ways, max(2 * n // 3, _FEWEST_GROUPS))
+    _, totals, clear = _compare_lags(w, ways, max(2 * n // 3, _FEWEST_GROUPS))
     lasts = w.evidence[best] > len(ages) * (_LARGEST_GAIN - _DOUBT)
-    if lasts or totals[best] < min(totals[present], totals[lags]) / _CLEARLY:
+    if lasts or totals[best] < clear:
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)

@@ -22,12 +22,11 @@ from app.onboarding.fit.collision_sampling import (
     ALWAYS,
     BUILT_IN,
     ENOUGH,
-    MARGIN,
     Meetings,
     nested_links,
     sample_meetings,
 )
-from app.onboarding.fit.stops import detectable
+from app.onboarding.fit.stops import LEAST, contact_margin, detectable
 from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
@@ -41,7 +40,6 @@ MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their b
 TEST_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
 _FEWEST_CONTACTS = 30  # [-] smallest number of poses for naming a range without a contact
-_LEAST_FREE = 0.25  # [-] smallest share of a joint's range, or of a turn, that a limit may leave
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
 _TEST_SEED = 2**31  # [-] seed of these poses, which the fit does not use
 _MISSED = 0.1 * MAX_UNDETECTED  # [-] largest share of colliding poses that a grouping may miss
@@ -348,7 +346,7 @@ def _left_out(
     said = []
     for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]:
         a, b = (units[unit] for unit in [*near, *beside][k])
-        touching = gaps[:, k] <= np.clip(gaps[:, k].max() / 2, 0.0, MARGIN)
+        touching = gaps[:, k] <= contact_margin(gaps[:, k])
         free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
         if k < len(near) and near[k] not in met.grazing:
             free = detectable(met, near[k]) + free
@@ -362,7 +360,7 @@ def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
     It is empty if no range has at least a quarter of the joint's range, or of a turn, and with
     fewer than `_FEWEST_CONTACTS` poses, between which such a range is a coincidence.
     """
-    found = [(_LEAST_FREE, "")]
+    found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
         low, high = model.q_lower[joint], model.q_upper[joint]
         values = np.sort([low, *q_m[:, joint], high])

@@ -23,7 +23,7 @@ STOPPED = " is limited before "
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSES = 60  # [-] sampled poses of the other joints at each of these positions
 _ARM = 2  # pinocchio's first joint of the arm
-_LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
+LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
 _ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
 
 
@@ -58,13 +58,11 @@ def with_stops(
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
-            # Adjacent links are always within `MARGIN`; for these, the threshold is half of their
-            # largest distance.
-            clear = nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)
+            clear = nearest > contact_margin(nearest)
             for first, after in np.flatnonzero(np.diff(np.pad(clear, 1))).reshape(-1, 2):
                 low, high = values[first], values[after - 1]
                 span = min((upper - lower)[joint], 2 * np.pi)
-                enough = high - low >= _LEAST * span
+                enough = high - low >= LEAST * span
                 if enough and (ready is None or low <= ready[joint] <= high):
                     share = round((high - low) / (upper - lower)[joint] / _ALIKE)
                     stopping.append((share, -abs(low + high), joint, low, high))
@@ -86,15 +84,23 @@ def with_stops(
     return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), source=source)
 
 
+def contact_margin(distances: Array) -> float:
+    """[m] distance up to which two links with some distances (N,) count as in contact.
+
+    Adjacent links are always within `MARGIN`; for these it is half of their largest distance.
+    """
+    return float(np.clip(distances.max() / 2, 0.0, MARGIN))
+
+
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
     """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
-    The result is `d_b`, or less in steps of 0.01 m, within the bounds of
-    `border.d_b`. The second result is the reason of a smaller distance, or an empty text.
+    The result is `d_b`, or less in steps of 0.01 m, within the bounds of `border.d_b`. The second
+    result is the reason of a smaller distance, or an empty text.
     """
     least, why = d_b, ""
     for u, v in sorted(meetings.close & meetings.apart):
-        wanted = watched_from(meetings, (u, v))
+        wanted = _monitored_from(meetings, (u, v))
         met = _meet(meetings, (u, v), np.array(limits.lower), np.array(limits.upper))
         if met and 0.0 < wanted < least:
             a, b = (meetings.units[k].name for k in (u, v))
@@ -102,7 +108,7 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
     return least, why
 
 
-def watched_from(meetings: Meetings, pair: tuple[int, int]) -> float:
+def _monitored_from(meetings: Meetings, pair: tuple[int, int]) -> float:
     """A d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
 
     The units are then outside of the buffer in the share `ALWAYS` of the free poses. A pair needs
@@ -116,7 +122,7 @@ def watched_from(meetings: Meetings, pair: tuple[int, int]) -> float:
 
 def detectable(meetings: Meetings, pair: tuple[int, int]) -> str:
     """The text that names the d_b with which a pair can detect a contact, or an empty text."""
-    wanted = watched_from(meetings, pair)
+    wanted = _monitored_from(meetings, pair)
     return f", which a pair can detect with --buffer-distance {wanted:g} or less" if wanted else ""
 
 

@@ -59,15 +59,11 @@ class Trace:
         Args:
             meta: The data of the run.
             table: (N, C) a row for each recorded step, in order of time.
-            snapshots: Snapshots, each of which belongs to one of the rows.
+            snapshots: Snapshots; each belongs to one of the rows.
             names: The quantities in the table, in order.
         """
-        self.meta, self.table, self.snapshots, self._quantities = (
-            meta,
-            table,
-            tuple(snapshots),
-            names,
-        )
+        self.meta, self.table = meta, table
+        self.snapshots, self._quantities = tuple(snapshots), names
         self.columns: list[Column] = []
         """The columns of the table, in order; all have a number at each control step."""
         self._slices: dict[str, slice | int] = {}
