@@ -94,6 +94,7 @@ faults | | 11 | 1 | | readings |
     1 for each fault of this step's readings, in the order of `readings.FAULTS`
 age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in periods
+stated_lag | | | 1 | | readings | memory: the part of it that `estimate.delay` states
 ratio | | | 1 | | readings |
     memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
 agreed | | | s | | readings | memory: duration of intervals with equal ratios other than 1

@@ -351,20 +351,19 @@ def _weigh_lags(w: Any, gains: Any) -> None:
         return
     ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
     gain, totals, clear = _compare_lags(w, ways, n)
-    excess = 0.0
+    excess, lasting = 0.0, len(ages) * (_LARGEST_GAIN - _DOUBT)
     for lag in range(lags):
         if totals[lag] < clear:
             excess = max(excess, gain[lag] - _LARGEST_GAIN)
     for lag in range(lags):
         more = gain[lag] - excess if totals[lag] < clear else 0.0
-        w.evidence[lag] = max(w.evidence[lag] + more - _DOUBT, 0.0)
+        w.evidence[lag] = min(max(w.evidence[lag] + more - _DOUBT, 0.0), 2.0 * lasting)
     best = int(np.argmax(w.evidence))
     known = np.argmin(totals) <= _MOST_LAG  # the residuals of longer lags are larger
     if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
         return
     _, totals, clear = _compare_lags(w, ways, max(2 * n // 3, _FEWEST_GROUPS))
-    lasts = w.evidence[best] > len(ages) * (_LARGEST_GAIN - _DOUBT)
-    if lasts or totals[best] < clear:
+    if w.evidence[best] > lasting or totals[best] < clear:
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)
@@ -395,8 +394,8 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     ratio. `w.ratio` becomes 1 if a ratio near 1 is among them, and otherwise the mean of the
     smallest and the largest one. If this mean is outside of 0.1 to 10, no plausible period explains
     the readings: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1. At least three successive
-    ratios that differ from 1, and agree for 0.05 s, set the fault `period`. A measured period is
-    corrected by more precise measurements.
+    ratios that differ from 1, and agree for 0.05 s, set the fault `period`. From then on, each
+    ratio that differs from 1 corrects the period; it needs a larger displacement.
     """
     if steps > HISTORY or (steps == 1 and w.known[()] == 0.0):  # a gap of unknown duration
         _measure_from(w, q, qd)
@@ -449,10 +448,17 @@ def _forget_groups(w: Any) -> None:
 
 
 @compiled()
-def _begin(gains: Any, w: Any, q: Array, qd: Array) -> None:
+def _use_stated_lag(gains: Any, w: Any) -> None:
+    """Change `w.lag` with the delay that is stated in periods: it or the period can change."""
+    stated = min(round(gains.delay / gains.dt), _MOST_LAG)
+    w.lag[()] = min(max(w.lag[()] + stated - w.stated_lag[()], 0.0), _MOST_LAG)
+    w.stated_lag[()] = stated
+
+
+@compiled()
+def _begin(w: Any, q: Array, qd: Array) -> None:
     """Initialise the memory with the first valid reading."""
     put(w.q_posture, q)
-    w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 0.0
     _measure_from(w, q, qd)
     _forget_groups(w)
@@ -536,7 +542,8 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if size == 0.0 or w.samples[()] < FEWEST:
         return
     w.load[()] = -dot(torque, lift) / size / _GRAVITY
-    if w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > 0.0:  # a new estimate
+    restarted = w.corrected[()] != 0.0 or w.lag[()] > w.stated_lag[()]
+    if restarted and w.samples[()] == FEWEST:
         for k in range(len(w.torques)):
             put(w.torques[k], torque)
     w.torques_age[()] += gains.dt
@@ -674,6 +681,7 @@ def take_readings(
         drive: (n_d,) state of the drive.
     """
     fill(w.faults, 0.0)
+    _use_stated_lag(gains, w)
     first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
     if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt):
@@ -702,7 +710,7 @@ def take_readings(
         w.age[()] = 0.0
     if unseen:
         _store_reading(w, base_pose, base_velocity, q, qd)
-    w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
+    w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else 0.0
     _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
     put(w.qd_m, w.x_est[1])
@@ -715,7 +723,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     """Update the estimate with new readings q and qd (n_m,); unusable velocities have no effect."""
     age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
     if first:
-        _begin(gains, w, q, qd)
+        _begin(w, q, qd)
     else:
         _find_lag(w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
