@@ -111,6 +111,8 @@ DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 the command itself."""
 
 _MARGIN = 2.0  # [-] margin of all limits of speeds, in recent errors of predicted speeds
+_MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's top speed: a larger one would let
+# the constraints throw the arm away from an obstacle that it hardly approaches
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
 """Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room`, `set_up_arm`, `hqp`."""
@@ -475,8 +477,9 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
     n_m, qd_limits = len(w.q_m), robot.qd_limits
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
-    v_error = _MARGIN * w.v_error if for_arm else qdd_ext
+    v_error = qdd_ext
     if for_arm:
+        v_error = np.minimum(_MARGIN * w.v_error, _MOST_MARGIN * robot.qd_max)
         qdd_ext, u_min, u_max = w.x_est[2], w.u_min, w.u_max
         qd_limits = qd_limits + np.stack((v_error, -v_error))
     bounds = joint_bounds(

@@ -221,11 +221,12 @@ class DrawnBorders:
 
         The arrow of the base's acceleration is above the base's `top` [m].
         """
-        if not self.pointer or lens is None:
+        pointer = self.pointer  # the thread that receives messages can change it
+        if not pointer or lens is None:
             return
-        key = (self.pointer, *lens.eye, *snapshot.base_pose, snapshot.config)
+        key = (pointer, *lens.eye, *snapshot.base_pose, snapshot.config)
         if key != self._probed[0]:
-            self._probed = key, self._find(snapshot, lens)
+            self._probed = key, self._find(snapshot, lens, pointer)
         if (probe := self._probed[1]) is None:
             return
         canvas.point(f"{ROOT}/probe/p", probe.p, (255, 255, 255), 0.012)
@@ -252,8 +253,8 @@ class DrawnBorders:
         if self._slice[1]:
             canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
 
-    def _find(self, snapshot: Snapshot, lens: Lens) -> _Probe | None:
-        """Return the probe at the foremost drawn point under the pointer, or None."""
+    def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
+        """Return the probe at the foremost drawn point under the `pointer` [px], or None."""
         nearest, found = np.inf, None
         for pair, (_, cloud, _) in self._drawn.items():
             if cloud is None:
@@ -261,7 +262,7 @@ class DrawnBorders:
             points = in_world(snapshot.base_pose, cloud.points)
             u, v, depth = lens.axes @ (points - lens.eye).T
             scale = lens.focal / np.maximum(depth, 1e-3)
-            off = np.hypot(scale * u - self.pointer[0], scale * v - self.pointer[1])
+            off = np.hypot(scale * u - pointer[0], scale * v - pointer[1])
             depth[(depth <= 0.0) | (off > _NEAR)] = np.inf
             if depth.min() < nearest:
                 nearest, found = depth.min(), (pair, cloud.points[depth.argmin()])
