@@ -78,9 +78,11 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
         pull: Array = PULL,
         reference: Callable[[float, pin.SE3], Reference] | None = None,
         driven: Callable[[Array], Array] = lambda v: v,
+        created: Callable[[ControlLoop], None] = lambda loop: None,
         **options: Any,
     ) -> Run:
         loop = ControlLoop(robot, border_data, dt=stated, **options)
+        created(loop)
         plant, seen = Kinematic(robot, dt=real), RobotState(robot)
         plant.reset(np.zeros(3), starts[start] if isinstance(start, tuple) else start)
         seen.update_kinematics(plant.measure())
@@ -843,3 +845,25 @@ def test_a_fault_is_logged_once(robot: RobotModel, border_data: BorderData, capl
         loop.step(m)
     assert [r.levelname for r in caplog.records] == ["WARNING"]
     assert "velocity" in caplog.text
+
+
+def test_wrong_predictions_do_not_throw_the_arm(run) -> None:
+    """However wrong the predictions of the speeds were, the arm moves away slowly."""
+    loops: list[ControlLoop] = []
+
+    def distrust(k: int, m: Measurement) -> Measurement:
+        loops[0].controller.last.v_error[:] = 10.0
+        return m
+
+    found = run(distrust, time=0.5, created=loops.append)
+    assert found.share < 1.05
+
+
+def test_stated_age_of_the_readings_can_change(robot: RobotModel, border_data: BorderData) -> None:
+    at = at_rest(robot, np.array(robot.description.arm.ready_position))
+    loop = ControlLoop(robot, border_data)
+    for delay in (0.0, 0.004, 0.002):
+        loop.configure(Config.model_validate({"estimate": {"delay": delay}}))
+        step = loop.step(at).step
+        assert step.lag == round(delay / 0.001)
+        assert not loop.reported

@@ -542,8 +542,7 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if size == 0.0 or w.samples[()] < FEWEST:
         return
     w.load[()] = -dot(torque, lift) / size / _GRAVITY
-    restarted = w.corrected[()] != 0.0 or w.lag[()] > w.stated_lag[()]
-    if restarted and w.samples[()] == FEWEST:
+    if w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]:  # a new estimate
         for k in range(len(w.torques)):
             put(w.torques[k], torque)
     w.torques_age[()] += gains.dt
