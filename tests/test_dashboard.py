@@ -40,7 +40,7 @@ from app.dashboard.panels.run import (
     scores_html,
     status_rows,
 )
-from app.dashboard.panels.why import header_html, why_html
+from app.dashboard.panels.why import header_html, sentence, why_html
 from app.dashboard.plans import plot_plans
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
 from app.dashboard.scene.canvas import (
@@ -964,9 +964,18 @@ def test_sentence_rows_and_bars_show_the_same_verdict(loop, d, controller, state
     )
 
 
-@pytest.mark.parametrize("field", ["in_contact", "arm_in_contact", "floor_contact"])
-def test_reported_contact_gives_the_verdict_contact(loop, field):
-    assert judge(replace(loop.latest(), **{field: True})).state == "contact"
+@pytest.mark.parametrize(
+    ("field", "named"),
+    [
+        ("in_contact", "arm and base"),
+        ("arm_in_contact", "links of the arm"),
+        ("floor_contact", "arm and floor"),
+    ],
+)
+def test_reported_contact_gives_the_verdict_and_the_sentence(loop, field, named):
+    snapshot = replace(loop.latest(), **{field: True})
+    assert judge(snapshot).state == "contact"
+    assert sentence(snapshot).startswith(f"Contact of {named}. ")
 
 
 def test_abnormal_readings_are_coloured(loop):

@@ -53,8 +53,8 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     states: list[State] = ["clear", *pairs]
     if why is not None and not why.solved:
         states.append("resisting")  # the fallback command damps the arm and brakes the base
-    contacts = touching(snapshot, spoken)
-    return Verdict("contact" if contacts else max(states, key=list(COLOURS).index), pairs, contacts)
+    touches = touching(snapshot, spoken)
+    return Verdict("contact" if touches else max(states, key=list(COLOURS).index), pairs, touches)
 
 
 def base_gives_way(snapshot: Snapshot) -> bool:
@@ -90,15 +90,20 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
     return "giving way" if moves else "near"
 
 
-def touching(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> str:
-    """Return the reported contacts and the deepest overlap in words; empty without both."""
+def contacts(snapshot: Snapshot) -> list[str]:
+    """Return the reported contacts in words."""
     touches = {
         "arm and base": snapshot.in_contact,
         "links of the arm": snapshot.arm_in_contact,
         "arm and floor": snapshot.floor_contact,
         "door and base": snapshot.door is not None and snapshot.door.contact,
     }
-    texts = [text for text, touch in touches.items() if touch]
+    return [text for text, touch in touches.items() if touch]
+
+
+def touching(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> str:
+    """Return the reported contacts and the deepest overlap in words; empty without both."""
+    texts = contacts(snapshot)
     name, _, d, *_ = snapshot.nearest
     if d < 0.0:
         texts.append(f"{(spoken or {}).get(name, name)} overlap by {millimetres(-d)}")

@@ -9,7 +9,14 @@ from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, s
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
-from app.dashboard.verdict import COLOURS, State, Verdict, base_cannot_help, is_slow
+from app.dashboard.verdict import (
+    COLOURS,
+    State,
+    Verdict,
+    base_cannot_help,
+    contacts,
+    is_slow,
+)
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
@@ -121,8 +128,7 @@ def sentence(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
-    touch = "Contact within the arm. " if snapshot.arm_in_contact else ""
-    return ("Contact of arm and base. " if snapshot.in_contact else touch) + _answer(snapshot, why)
+    return "".join(f"Contact of {each}. " for each in contacts(snapshot)) + _answer(snapshot, why)
 
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
