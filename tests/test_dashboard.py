@@ -973,7 +973,8 @@ def test_sentence_rows_and_bars_show_the_same_verdict(loop, d, controller, state
     ],
 )
 def test_reported_contact_gives_the_verdict_and_the_sentence(loop, field, named):
-    snapshot = replace(loop.latest(), **{field: True})
+    explained = SimpleNamespace(solved=False, near=())
+    snapshot = replace(loop.latest(), explanation=explained, **{field: True})
     assert judge(snapshot).state == "contact"
     assert sentence(snapshot).startswith(f"Contact of {named}. ")
 

@@ -77,12 +77,13 @@ class Timeline:
             ConfigError: The speed is not within `REPLAY`.
         """
         check_range("replay speed", speed, *REPLAY, "× real time")
-        if self.plays:
-            self._replay = None
-            return
-        if self.live:
-            self.step(-AGAIN)
-        self._replay = monotonic(), self.shown().t, speed
+        with self._lock:
+            if self.plays:
+                self._replay = None
+                return
+            if self.live:
+                self.step(-AGAIN)
+            self._replay = monotonic(), self.shown().t, speed
 
     def go_to(self, t: float) -> None:
         """Show the stored snapshot that is nearest to time `t` [s]."""
@@ -90,7 +91,8 @@ class Timeline:
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a published snapshot, and stop a replay."""
-        self._shown, self._replay = snapshot, None
+        with self._lock:
+            self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
         """Go forward by a time [s], or back if it is negative, within the stored snapshots."""
@@ -98,7 +100,8 @@ class Timeline:
 
     def go_live(self) -> None:
         """Show the newest snapshot from now on."""
-        self._shown = self._replay = None
+        with self._lock:
+            self._shown = self._replay = None
 
     def mark_begin(self) -> None:
         """Mark the shown instant as the start of the interval; a later end remains."""

@@ -94,7 +94,8 @@ class EditPanel(Panel):
 
     def _set(self, key: str, shape: Shape) -> None:
         body, i = self._keys[key]
-        self.changes.shapes[body.name, i] = shape
+        shapes = {**self.changes.shapes, (body.name, i): shape}  # another thread reads the old one
+        self.changes = self.changes._replace(shapes=shapes)
 
     def _switch_pairs(self) -> None:
         off = (pair for pair, box in self._watched.items() if not box.value)

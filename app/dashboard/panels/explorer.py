@@ -114,6 +114,7 @@ class ExplorerPanel(Panel):
         self._end()
 
     def _end(self) -> None:
+        self._viewer.grip.release()  # otherwise the rest of a drag would pull the robot
         self.posture = self._target = self._viewer.grip.reach = None
         self._show(on=False)
 

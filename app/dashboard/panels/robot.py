@@ -261,17 +261,17 @@ def report_html(page: str) -> str:
 
 def outcome_html(build: RobotBuild) -> str:
     """Describe the result of the last job, and the next step; empty before the first upload."""
-    if build.problem:
-        return problem(in_words(build.problem))
-    if build.built:
+    failed, built, package = build.problem, build.built, build.package  # a job can change them
+    if failed:
+        return problem(in_words(failed))
+    if built:
         return (
-            f"<b>{escape(build.built)}</b> is ready: choose it in the list above, then “Use this "
-            "robot”."
+            f"<b>{escape(built)}</b> is ready: choose it in the list above, then “Use this robot”."
         )
-    if build.package is not None:
-        count = len(build.package.urdfs)
+    if package is not None:
+        count = len(package.urdfs)
         content = "a URDF" if count == 1 else f"{count} URDFs"
-        name = escape(build.package.archive.name)
+        name = escape(package.archive.name)
         return f"<b>{name}</b> contains {content}. Choose the base link and the tip link."
     return ""
 

@@ -231,7 +231,8 @@ class Camera:
             self._seen_at, self._begun = base, False
         elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
             self.use(self._preset, snapshot)
-        led = self.preset and PRESETS[self.preset].of in ("robot", "pair")
+        preset = self.preset  # the thread that receives messages can change it
+        led = preset and PRESETS[preset].of in ("robot", "pair")
         if on and led and not all(shown):
             self.use(self._preset, snapshot)
 

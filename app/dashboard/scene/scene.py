@@ -194,10 +194,11 @@ class Scene:
             The verdict on the snapshot, in whose colours the lines are drawn.
         """
         view = self._view
-        if (self._dark, self._light) != (view.dark, view.light):
-            for robot in (self.robot, *self._ghosts) if self._light != view.light else ():
-                robot.dress(light=view.light)
-            self._dark, self._light = view.dark, view.light
+        dark, light = view.dark, view.light  # the viewer can change them meanwhile
+        if (self._dark, self._light) != (dark, light):
+            for robot in (self.robot, *self._ghosts) if self._light != light else ():
+                robot.dress(light=light)
+            self._dark, self._light = dark, light
             self._light_up()
         self.robot.show(meshes=view.meshes, bodies=view.bodies)
         self.robot.update(snapshot.base_pose, snapshot.q_m, snapshot.wheel_angles)

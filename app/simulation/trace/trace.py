@@ -287,13 +287,17 @@ class History:
         return self._latest
 
     def add(self, snapshot: Snapshot) -> None:
-        """Append a snapshot; it replaces the newest snapshot if both have the same time."""
+        """Append a snapshot; it replaces the newest snapshot if both have the same time.
+
+        Other threads read the history meanwhile, so it is never empty after the first snapshot.
+        """
         newest = self._latest
         if newest is not None and not snapshot.follows(newest):
-            self._stored.clear()
+            self._stored = deque([snapshot], self._stored.maxlen)
         elif newest is not None and snapshot.t == newest.t:
-            self._stored.pop()
-        self._stored.append(snapshot)
+            self._stored[-1] = snapshot
+        else:
+            self._stored.append(snapshot)
         self._latest = snapshot
 
     def after(self, t: float) -> list[Snapshot]:
