@@ -27,8 +27,7 @@ def test_probe_shows_the_foremost_border_point_and_the_base_response(robot, bord
         drawn.update(View.first(["lm-lEE"], []), snapshot.config.border)
         eye, target = np.array([3.0, 0.0, 0.25]), np.array([0.0, 0.0, 0.25])
         lens = lens_of(eye, target, 800.0, ANY_WINDOW)
-        drawn.pointer = (0.0, 0.0)
-        probe = drawn._find(snapshot, lens)
+        probe = drawn._find(snapshot, lens, (0.0, 0.0))
         assert probe is not None
         assert probe.p[0] > 0.5, "the point must be on the front, not on the rear"
         assert abs(probe.p[1:] - (0.0, 0.25)).max() < 0.05
@@ -36,8 +35,7 @@ def test_probe_shows_the_foremost_border_point_and_the_base_response(robot, bord
         field = borders.fields["lm-lEE"]
         assert f"score S {field.score(probe.p):.3g} " in probe.text
         assert f"reachability {field.reachability(probe.p):.0f}" in probe.text
-        drawn.pointer = (390.0, 390.0)
-        assert drawn._find(snapshot, lens) is None
+        assert drawn._find(snapshot, lens, (390.0, 390.0)) is None
     finally:
         server.stop()
 

@@ -634,7 +634,11 @@ def _learn_v_error(gains: Any, w: Any, predicted: Array) -> None:
 def _checked_positions(
     robot: Any, w: Any, base_pose: Array, q_m: Array, drive: Array, first: bool
 ) -> tuple[Array, bool]:
-    """The positions (n_m,) without jumps by full turns, and whether they are unusable."""
+    """The positions (n_m,) without jumps by full turns, and whether they are unusable.
+
+    The faults of the last step are cleared.
+    """
+    fill(w.faults, 0.0)
     q, lost = q_m.copy(), not math.isfinite(q_m.sum() + drive.sum())
     w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
     if not lost:
@@ -679,7 +683,6 @@ def take_readings(
         qd_m: (n_m,) [rad/s or m/s] velocities; NaN if the driver does not measure them.
         drive: (n_d,) state of the drive.
     """
-    fill(w.faults, 0.0)
     _use_stated_lag(gains, w)
     first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
