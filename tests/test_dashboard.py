@@ -976,7 +976,7 @@ def test_reported_contact_gives_the_verdict_and_the_sentence(loop, field, named)
     explained = SimpleNamespace(solved=False, near=())
     snapshot = replace(loop.latest(), explanation=explained, **{field: True})
     assert judge(snapshot).state == "contact"
-    assert sentence(snapshot).startswith(f"Contact of {named}. ")
+    assert sentence(snapshot).startswith(f"Contact: {named}. ")
 
 
 def test_abnormal_readings_are_coloured(loop):

@@ -192,19 +192,20 @@ def test_every_state_has_one_short_sentence(blank, controller):
             solved=solved,
             bounds=(Bound("base", "speed", upper=True),),
         )
-        for contact in ((False, False), (True, False), (False, True)):
+        for contact in product((False, True), repeat=3):
             text = sentence_for(
                 blank,
                 why,
                 base_velocity=MOTIONS[moves],
                 in_contact=contact[0],
                 arm_in_contact=contact[1],
+                floor_contact=contact[2],
                 ee_error=0.123,
             )
             assert len(text) <= LONGEST, text
             assert re.fullmatch(r"[A-Z].*\.", text), text
             assert not re.search(r"None|nan|\(\)|  |lm|lEE|l1", text), text
-            assert any(contact) == text.startswith("Contact ")
+            assert any(contact) == text.startswith("Contact: ")
 
 
 def test_sentence_states_distance_buffer_side_and_motion_of_the_base(blank):

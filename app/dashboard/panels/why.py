@@ -128,7 +128,9 @@ def sentence(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
-    return "".join(f"Contact of {each}. " for each in contacts(snapshot)) + _answer(snapshot, why)
+    first, *more = contacts(snapshot) or [""]
+    also = f", {len(more)} more" if more else ""
+    return (f"Contact: {first}{also}. " if first else "") + _answer(snapshot, why)
 
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
@@ -249,7 +251,8 @@ def _task_effect(why: Explanation, *, limited: bool = False) -> str:
 
 
 def _off_target(snapshot: Snapshot) -> str:
-    if snapshot.ee_error < 0.01:
+    """Return the end-effector's error in words; empty if it is small, or a contact matters more."""
+    if snapshot.ee_error < 0.01 or contacts(snapshot):
         return ""
     return f"; the end-effector is {words.length(snapshot.ee_error)} from its target"
 
