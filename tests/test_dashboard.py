@@ -168,6 +168,23 @@ def test_released_grip_does_not_pull():
     assert sink.commands == [Release(7)]
 
 
+def test_no_pull_follows_a_release_by_another_thread():
+    class SlowSink(Recorder):
+        def send(self, command):
+            if isinstance(command, Pull):
+                releasing.start()
+                releasing.join(0.2)  # without a lock, the release comes first
+            super().send(command)
+
+    sink, client = SlowSink(), Recorder()
+    grip = Grip(sink, Notifier(sink), 7)
+    releasing = threading.Thread(target=grip.release)
+    grip.take()
+    grip.pull(np.array([0.5, 0.0, 0.8]), client)
+    releasing.join()
+    assert [type(command) for command in sink.commands] == [Pull, Release]
+
+
 def test_taking_another_point_releases_the_first():
     grip, sink, client = held()
     grip.take(*LINK)

@@ -20,6 +20,7 @@ from app.simulation.loop.commands import (
     Restart,
     Speed,
     StepOnce,
+    Watch,
 )
 from app.simulation.scenarios import SCENARIOS
 
@@ -88,3 +89,9 @@ def test_each_persons_pull_waits_separately_up_to_a_limit():
     assert after(*two, Release(0)) == [two[1], Release(0)]
     with pytest.raises(LoopError, match="64 commands already wait"):
         after(*(Pull((0.3, 0.0, 0.5), who=who) for who in range(MAX_WAITING + 1)))
+
+
+def test_other_commands_than_pulls_always_wait():
+    full = [Pull((0.3, 0.0, 0.5), who=who) for who in range(MAX_WAITING)]
+    others = [Watch(False), Pause(True), Reset(), Release(MAX_WAITING), Choose("dbb")]
+    assert after(*full, *others) == [*full, *others]

@@ -300,7 +300,25 @@ def test_the_first_border_takes_the_view_if_the_shown_pairs_are_missing(
     assert view.of_robot(["c", "d"], []).borders == {"c": after, "d": HIDDEN}
 
 
-def test_a_page_that_cannot_be_built_does_not_block_the_change(
+def test_a_page_that_cannot_be_replaced_does_not_affect_other_pages(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("a defect")
+
+    with served_dashboard(start_loop=Loops()) as (server, _), viewer(server), viewer(server):
+        wait_for(lambda: len(server.pages) == 2, what="two pages")
+        failing, other = server.pages.values()
+        monkeypatch.setattr(failing, "with_robot", fails)
+        choose(server, OTHER)
+        wait_for(lambda: other.closed and failing.closed, what="the other viewer's new page")
+        wait_for(lambda: [page.closed for page in server.pages.values()] == [False], what="it")
+        pictures = server.pictures
+        wait_for(lambda: server.pictures > pictures, what="pictures")
+        assert title(server) == "The other robot"
+
+
+def test_shared_data_that_cannot_be_built_does_not_block_the_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     loop = ScriptedLoop(husky_panda())

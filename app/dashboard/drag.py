@@ -1,6 +1,7 @@
 """Pulls by a viewer: of the end-effector with a gizmo or keys, or of any link of the arm."""
 
 from collections.abc import Callable
+from threading import RLock
 from time import monotonic
 
 import numpy as np
@@ -21,7 +22,10 @@ SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
 class Grip:
-    """The pull of one viewer, who holds at most one point; forces of several viewers add up."""
+    """The pull of one viewer, who holds at most one point; forces of several viewers add up.
+
+    All methods are thread-safe: after a release, no pull of an earlier event follows.
+    """
 
     def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
         """Start without a pull; `who` is the viewer's number in commands to `sink`."""
@@ -33,11 +37,13 @@ class Grip:
         self._target, self._by_keys = np.zeros(3), False  # [m] target of a pull by keys
         self.reach: Callable[[Array], None] | None = None
         """If set, it gets targets (3,) [m] of the end-effector, and nothing is pulled."""
+        self._lock = RLock()
 
     @property
     def holds_end_effector(self) -> bool:
         """Whether this viewer pulls the end-effector."""
-        return self._held is not None and self._held[0] is None
+        held = self._held
+        return held is not None and held[0] is None
 
     @property
     def holds_anything(self) -> bool:
@@ -49,54 +55,61 @@ class Grip:
 
         `link` is the name of the joint that moves the link, and `point` (3,) [m] is in its frame.
         """
-        self.release()
-        self._held, self._warned, self._moved = (link, point), False, monotonic()
-        self._by_keys = False
+        with self._lock:
+            self.release()
+            self._held, self._warned, self._moved = (link, point), False, monotonic()
+            self._by_keys = False
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
         """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0."""
-        if self._held is None:
-            return
-        self._moved = monotonic()
-        if self.reach is not None:
-            if self.holds_end_effector:
-                self.reach(target)
-            return
         x, y, z = (float(value) for value in target)
-        if z < 0.0 and not self._warned:
-            self._warned = True  # warn once per drag
-            self._notifier.warn(client, "The floor is at z = 0; the target stays above it.")
-        self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._who))
+        with self._lock:
+            if self._held is None:
+                return
+            self._moved = monotonic()
+            if self.reach is not None:
+                if self.holds_end_effector:
+                    self.reach(target)
+                return
+            if z < 0.0 and not self._warned:
+                self._warned = True  # warn once per drag
+                self._notifier.warn(client, "The floor is at z = 0; the target stays above it.")
+            self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._who))
 
     def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
         """Move the end-effector's target by `NUDGE` times `ahead` (3,), in the base's frame."""
-        if not self.holds_end_effector:
-            self.take()
-            self._target, self._by_keys = np.array(snapshot.p_ee), True
-        step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ (NUDGE * ahead)
-        reach = self._target + step - snapshot.p_ee
-        scale = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
-        self._target = snapshot.p_ee + scale * reach
-        self.pull(self._target, client)
+        with self._lock:
+            if not self.holds_end_effector:
+                self.take()
+                self._target, self._by_keys = np.array(snapshot.p_ee), True
+            step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ (NUDGE * ahead)
+            reach = self._target + step - snapshot.p_ee
+            scale = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
+            self._target = snapshot.p_ee + scale * reach
+            self.pull(self._target, client)
 
     def release_keys(self) -> None:
         """Release a pull by keys; another pull continues."""
-        if self._by_keys:
-            self.release()
+        with self._lock:
+            if self._by_keys:
+                self.release()
 
     def release(self) -> None:
         """Release the held point."""
-        if self._held is not None:
-            self._held = None
-            self._sink.send(Release(self._who))
+        with self._lock:
+            if self._held is not None:
+                self._held = None
+                self._sink.send(Release(self._who))
 
     def release_if_still(self, seconds: float, client: viser.ClientHandle) -> None:
         """Release the held point if its last pull is older than `seconds`, and warn the viewer."""
-        if self._held is not None and monotonic() - self._moved > seconds:
+        with self._lock:
+            if self._held is None or monotonic() - self._moved <= seconds:
+                return
             self.release()
-            self._notifier.warn(
-                client, "Your pull has ended, because your browser did not respond. Pull again."
-            )
+        self._notifier.warn(
+            client, "Your pull has ended, because your browser did not respond. Pull again."
+        )
 
 
 class DragHandles:

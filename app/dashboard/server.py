@@ -166,20 +166,28 @@ class DashboardServer:
         client = self._newcomer() if due else None
         if client is not None:
             begin = time.thread_time()
-            self._open_page(client)
+            self._build_page(client)
             self._newcomer_due = _rested(begin)
         for number in self.pages.keys() - self.viser.get_clients().keys():
             self.pages.pop(number).end()
 
-    def _open_page(self, client: viser.ClientHandle) -> None:
+    def _build_page(self, client: viser.ClientHandle) -> None:
+        """Build a viewer's page; it replaces the viewer's page of another robot, if any."""
+        number = client.client_id
+        before = self.pages.get(number)
         try:
-            with client.atomic():
-                page = Page(client, self.shared, self._notifier)
+            if before is None:
+                with client.atomic():
+                    page = Page(client, self.shared, self._notifier)
+            else:
+                page = before.with_robot(self.shared)
         except Exception as error:  # ends only this viewer's page
             logger.exception("a page could not be built")
             show_failure(client.gui, _PAGE_ENDED, error)
+            if before is not None:
+                self.pages.pop(number).end()
             return
-        self.pages[client.client_id] = page
+        self.pages[number] = page
         if self._failure is not None:
             page.fail(*self._failure)
 
@@ -199,8 +207,8 @@ class DashboardServer:
     def _show(self, robot: RunningRobot) -> None:
         self.shared = self.shared.followed_by(robot)
         self._failure = None
-        for number, page in list(self.pages.items()):
-            self.pages[number] = page.with_robot(self.shared)
+        for page in list(self.pages.values()):
+            self._build_page(page.viewer.client)
 
     def _fail(self, title: str, error: BaseException) -> None:
         """Show the failure permanently, to later viewers too."""

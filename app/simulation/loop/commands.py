@@ -25,8 +25,7 @@ SAMES = ("path", "force")
 """The common input of compared robots: the path of the pulls, or their force."""
 MAX_GHOSTS = 2  # largest number of compared robots in addition to the main robot
 MAX_WAITING = 64
-"""Largest number of waiting commands. It exceeds the number of kinds of commands by far, and
-commands of the same kind replace one another."""
+"""Largest number of waiting commands with which another person's pull can wait too."""
 
 
 class Command:
@@ -175,7 +174,8 @@ class Compare(Command):
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
-    The length of the queue is bounded. A new command replaces a waiting command with the same key.
+    The length of the queue is bounded: a new command replaces a waiting command of the same kind,
+    or of the same person, and only so many persons can pull. Other commands are never refused.
     An `Adjustment` takes the place of the replaced command in the queue, so that a run whose start
     waits behind it uses the newest value. Other commands, such as a pull, go to the end of the
     queue. A `Restart` is dropped if a command that starts a run already waits.
@@ -196,13 +196,13 @@ class Mailbox:
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
-            LoopError: Too many different commands wait.
+            LoopError: Too many people pull.
         """
-        if isinstance(command, Pull) and command.link is not None:
+        pulls, key = isinstance(command, Pull), _key(command)
+        if pulls and command.link is not None:
             check_name("link", str(command.link), links)  # a page can send any name
-        key = _key(command)
         with self._lock:
-            if len(self._waiting) >= MAX_WAITING and key not in self._waiting:
+            if pulls and len(self._waiting) >= MAX_WAITING and key not in self._waiting:
                 raise LoopError(f"{MAX_WAITING} commands already wait; send fewer at once")
             if isinstance(command, Restart) and key in self._waiting:
                 return  # the waiting command starts a run anyway

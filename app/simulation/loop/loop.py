@@ -75,7 +75,7 @@ class LoopHandle:
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
-            LoopError: Too many commands wait.
+            LoopError: It is a pull, and too many people pull.
         """
         self._mailbox.put(command, self.links)
 
