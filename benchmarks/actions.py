@@ -35,6 +35,8 @@ from app.robot.model import RobotModel
 from tests.browser import DashboardTab, wait_for
 
 AGREES = 0.001  # [m] largest distance between the drawn end-effector and the gizmo
+COVERED = "out/covered.png"  # picture of a page on which another robot could not be chosen
+APART = "out/apart_{}_{}.png"  # pictures of the pages of a pause in which they do not agree
 PATIENCE = 60.0  # [s] time to wait until they agree
 _SIZES = (1280, 720), (820, 1180)  # [px] sizes of the two pages
 _KEYS = (
@@ -216,16 +218,30 @@ class _Run:
         tab.page.mouse.wheel(0, self._random.choice((-300, -60, 60, 300)))
 
     def _change(self, robot: str) -> None:
-        """Choose another robot in the first page, and wait until both pages show it."""
+        """Choose another robot in the first page, and wait until both pages show it.
+
+        If the random actions have covered the button, reload the page, which the results report.
+        """
+        try:
+            self._choose(robot)
+        except Exception as error:
+            self._failed.append(f"change to {robot}: {error}; the page was reloaded")
+            print(self._failed[-1], file=sys.stderr, flush=True)
+            self._tabs[0].page.screenshot(path=COVERED)
+            self._tabs[0].page.reload()
+            self._tabs[0].wait_for_scene()
+            self._choose(robot)
+        self._use(robot)
+        for each in self._tabs:
+            each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._ee[0], 900.0)
+            each.wait_for_scene()
+
+    def _choose(self, robot: str) -> None:
         first = self._tabs[0]
         self._calm(first)
         first.open_tab("Robot")
         first.choose("Robot", robot)
         first.click("Use this robot")
-        self._use(robot)
-        for each in self._tabs:
-            each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._ee[0], 900.0)
-            each.wait_for_scene()
 
     def _use(self, name: str) -> None:
         """Store the position of a robot's end-effector in the frame of the arm's last joint."""
@@ -253,11 +269,15 @@ class _Run:
         for tab in self._tabs:
             tab.wait_for_scene()
         paused = self._press("Pause")
-        offs = [self._settled(tab) for tab in self._tabs]
+        places = [self._settled(tab) for tab in self._tabs]
+        offs = [float(np.linalg.norm(drawn - gizmo)) for drawn, gizmo in places]
         self._off = max(self._off, *offs)
         if max(offs) >= AGREES:
-            self._apart.append(f"{count} actions, pages {offs}: {', '.join(self._last)}")
+            at = "; ".join(f"end-effector {drawn}, gizmo {gizmo}" for drawn, gizmo in places)
+            self._apart.append(f"{count} actions: {at}, after {', '.join(self._last)}")
             print(self._apart[-1], file=sys.stderr, flush=True)
+            for k, tab in enumerate(self._tabs):
+                tab.page.screenshot(path=APART.format(count, k))
         self._memory.append((self._robot, self._server.megabytes))
         text = f"{count} actions, {self._robot}: {1000 * max(offs):.2f} mm"
         print(f"{text}, {self._memory[-1][1]:.0f} MB", file=sys.stderr, flush=True)
@@ -274,8 +294,8 @@ class _Run:
             page.wait_for_timeout(2000)
         return absent
 
-    def _settled(self, tab: DashboardTab) -> float:
-        """[m] distance between the drawn end-effector and the gizmo when they agree or time is up.
+    def _settled(self, tab: DashboardTab) -> tuple[np.ndarray, np.ndarray]:
+        """(3,) [m] of the drawn end-effector and of the gizmo when they agree or time is up.
 
         If the connection of a page was closed, the page reconnects; until then it has no scene.
         """
@@ -283,9 +303,9 @@ class _Run:
         node, point = self._ee
         while True:
             drawn = np.array(tab.page.evaluate(_AT, [node, point.tolist()]))
-            off = float(np.linalg.norm(drawn - tab.position(GIZMO)))
-            if off < AGREES or time.monotonic() > deadline:
-                return off
+            gizmo = tab.position(GIZMO)
+            if np.linalg.norm(drawn - gizmo) < AGREES or time.monotonic() > deadline:
+                return drawn, gizmo
             tab.page.wait_for_timeout(200)
 
 

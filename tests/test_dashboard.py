@@ -909,6 +909,48 @@ def test_every_log_quantity_can_be_added_to_and_removed_from_a_plot(dashboard, l
     assert dashboard.error is None
 
 
+def test_a_curve_that_is_added_while_a_page_is_drawn_appears_with_the_next_values(dashboard):
+    with RawClient(dashboard.address) as client:
+        page = page_of(dashboard)
+        client.set_widget(page.channel._box, '["1", "seen", "plots"]')
+        plots, title = page._plots, next(iter(page._plots._plots))
+        make = plots._make
+
+        def make_late(plans):
+            make(plans)
+            if plots._plans[title] == plans[title]:
+                plots._into.value = title
+                plots._change(add=True)
+
+        plots._make = make_late
+        wait_for(lambda: plots._plots[title][0] == plots._plans[title])
+        wait_for(lambda: len(plots._plots[title][1].data[0]) > 1)
+        plan, plot = plots._plots[title]
+        assert len(plot.data) == len(plot.series) == len(plan.curves) + 2
+    assert dashboard.error is None
+
+
+def test_posing_that_ends_during_a_drag_does_not_begin_again(dashboard, monkeypatch):
+    with RawClient(dashboard.address):
+        panel, explorer = page_of(dashboard).explorer_panel, dashboard.shared.explorer
+        reach, reached = explorer.reach, threading.Event()
+
+        def reach_late(*place):
+            posture = reach(*place)
+            panel._end()  # as the button "Discard the posture" in the meantime
+            reached.set()
+            return posture
+
+        monkeypatch.setattr(explorer, "reach", reach_late)
+        panel._enter(None)
+        panel._move_end_effector(dashboard.shared.loop.latest().p_ee)
+        assert reached.wait(20.0)
+        drawn = dashboard.pictures
+        wait_for(lambda: dashboard.pictures > drawn + 1)
+        assert panel.posture is None
+    assert dashboard.error is None
+
+
 def test_hidden_plots_are_not_sent(dashboard):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)

@@ -108,13 +108,14 @@ class Page:
             verdict = self._scene.draw(shown, texts=texts, lens=self._camera.lens)
             self.handles.update(shown)
             self._camera.settle(shown, busy=self.grip.holds_anything)
-            if texts and self.timeline.live:
+            moment = Moment(newest, shown, verdict)
+            if texts and moment.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
             # With ghosts the camera stands still, so that the motion of each robot is visible.
             follows = self.view.follow and not shown.ghosts
             self._camera.follow(shown.base_pose[:2], on=follows)
             if texts:
-                self._renew(Moment(newest, shown, verdict))
+                self._renew(moment)
 
     def _renew(self, moment: Moment) -> None:
         for panel in self.viewer.panels:

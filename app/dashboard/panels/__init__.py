@@ -75,7 +75,7 @@ class Viewer:
         shown = self.timeline.shown()
         if preset == "door" and shown.door is None:
             raise TargetError("there is no door here; the scenario refrigerator has one")
-        self.camera.use(preset, shown)
+        self.camera.wanted = preset
 
     def play(self, scenario: str) -> None:
         """Play the scenario of this name, or continue from the free start if the name is empty."""
@@ -107,6 +107,11 @@ class Moment(NamedTuple):
     newest: Snapshot
     shown: Snapshot
     verdict: Verdict
+
+    @property
+    def live(self) -> bool:
+        """Whether the newest snapshot is shown; the shown one can be newer than `newest`."""
+        return self.shown.t >= self.newest.t
 
 
 class Panel:

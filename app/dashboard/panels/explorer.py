@@ -1,6 +1,7 @@
 """Folder "Joint sliders": the controller's response to a posture while the simulation is paused."""
 
 from collections.abc import Mapping, Sequence
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ class ExplorerPanel(Panel):
         self._error = 0.0  # [m] distance of the end-effector from the last such position
         self._paused, self._since = False, viewer.shared.loop.latest()
         """Whether the pause has taken effect, and the newest snapshot when posing began."""
+        self._lock = RLock()  # a callback can change the posture while the page is drawn
         model = viewer.shared.model
         self._scale = np.array([1.0 if unit == "m" else _DEGREES for unit in model.joint_units])
         with self._gui.add_folder("Joint sliders", expand_by_default=False):
@@ -68,9 +70,12 @@ class ExplorerPanel(Panel):
         explorer = self._shared.explorer
         place, self._target = self._target, None
         if place is not None:
-            posture, self._error = explorer.reach(posture, place)
-            self.posture = posture
-            self._set(posture)
+            before, (posture, error) = posture, explorer.reach(posture, place)
+            with self._lock:
+                if self.posture is not before:  # a slider has changed it, or posing has ended
+                    return shown
+                self.posture, self._error = posture, error
+                self._set(posture)
         return explorer.respond(posture, newest)
 
     def update(self, moment: Moment) -> None:
@@ -100,9 +105,10 @@ class ExplorerPanel(Panel):
         self._shared.loop.send(Pause(True))
         self._paused, self._since = False, newest
         self._error, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
-        self._set(posture)
-        self.posture, self._viewer.grip.reach = posture, self._move_end_effector
-        self._show(on=True)
+        with self._lock:
+            self._set(posture)
+            self.posture, self._viewer.grip.reach = posture, self._move_end_effector
+            self._show(on=True)
 
     def _go(self, _: Any) -> None:
         posture = self.posture
@@ -114,20 +120,21 @@ class ExplorerPanel(Panel):
         self._end()
 
     def _end(self) -> None:
-        self._viewer.grip.release()  # otherwise the rest of a drag would pull the robot
-        self.posture = self._target = self._viewer.grip.reach = None
-        self._show(on=False)
+        with self._lock:
+            self._viewer.grip.release()  # otherwise the rest of a drag would pull the robot
+            self.posture = self._target = self._viewer.grip.reach = None
+            self._show(on=False)
 
     def _move_end_effector(self, place: Array) -> None:
         self._target = np.array(place)
 
     def _read(self) -> None:
         """Read the posture from the sliders; each value is clipped to the range of its slider."""
-        if self.posture is None:
-            return
         values = np.array([min(max(s.value, s.min), s.max) for s in self._sliders])
         base = np.append(values[:2], np.radians(values[2]))
-        self.posture, self._error = Posture(base, values[3:] / self._scale), 0.0
+        with self._lock:
+            if self.posture is not None:
+                self.posture, self._error = Posture(base, values[3:] / self._scale), 0.0
 
     def _set(self, posture: Posture) -> None:
         x, y, phi = posture.base_pose

@@ -1,6 +1,7 @@
 """Help: the tab with method and keys, and the card with introduction, demonstration and tour."""
 
 from collections.abc import Callable
+from threading import RLock
 from typing import Any, NamedTuple
 
 import viser
@@ -160,6 +161,7 @@ class Guide(Panel):
     def __init__(self, viewer: Viewer, state: str) -> None:
         super().__init__(viewer)
         self.state, self._shown = state, ""
+        self._lock = RLock()  # the drawing thread, too, begins and ends the demonstration
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
         viewer.channel.on("card", self._press, str)
@@ -169,11 +171,12 @@ class Guide(Panel):
 
         The demonstration ends with its card "demo", or when its viewer chooses "pull" to pull.
         """
-        before, self.state = self.state, state
-        if (before, state) == ("watch", "pull") or (
-            before == "demo" and state not in ("demo", "watch")
-        ):
-            self._end()
+        with self._lock:
+            before, self.state = self.state, state
+            if (before, state) == ("watch", "pull") or (
+                before == "demo" and state not in ("demo", "watch")
+            ):
+                self._end()
 
     def watch(self, state: str) -> None:
         """Play the demonstration, and show the card "watch" or "demo".
@@ -181,24 +184,26 @@ class Guide(Panel):
         Raises:
             UnreachableError: The robot has no line for this scenario.
         """
-        # The card first: otherwise, the drawing thread could end the beginning demonstration.
-        before, self.state = self.state, state
-        try:
-            self._play()
-        except DbbError:
-            self.state = before
-            raise
+        with self._lock:
+            before, self.state = self.state, state
+            try:
+                self._play()
+            except DbbError:
+                self.state = before
+                raise
 
     def leave_demonstration(self) -> None:
         """Close the card of the repeated demonstration, if it is shown."""
-        if self.state == "demo":
-            self.go("")
+        with self._lock:
+            if self.state == "demo":
+                self.go("")
 
     def update(self, moment: Moment) -> None:
-        if self.state == self._shown:
+        state = self.state
+        if state == self._shown:
             return
-        self._shown = self.state
-        title, text, buttons, place = CARDS.get(self.state, Card("", "", ()))
+        self._shown = state
+        title, text, buttons, place = CARDS.get(state, Card("", "", ()))
         self._channel.tell("card", title, text, *buttons)
         if place:
             self._channel.tell("open", place)
@@ -209,17 +214,18 @@ class Guide(Panel):
         Ignore a label that the card does not have, except for the labels of a card that the same
         click has just closed (`leave_demonstration`).
         """
-        card = CARDS.get(self.state)
-        if label not in (card.buttons if card else (WATCH, PULL)):
-            return
-        if label == SHOW:
-            self._show()
-        elif label == WATCH:
-            self.watch("watch")
-        elif label == NEXT:
-            self.go(f"tour {int(self.state[-1]) + 1}")
-        else:
-            self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
+        with self._lock:
+            card = CARDS.get(self.state)
+            if label not in (card.buttons if card else (WATCH, PULL)):
+                return
+            if label == SHOW:
+                self._show()
+            elif label == WATCH:
+                self.watch("watch")
+            elif label == NEXT:
+                self.go(f"tour {int(self.state[-1]) + 1}")
+            else:
+                self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
 
     def _show(self) -> None:
         """Show the subject of a step of the tour."""

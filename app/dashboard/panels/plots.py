@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,7 @@ class Plots(Panel):
                 self.buttons("Curve", acts, hint="An added curve has the axis on the right.")
             note = self._gui.add_markdown("Drag in a plot to zoom; double click to see all again.")
         self._order = note.order
-        self._make()
+        self._make(self._plans)
 
     @property
     def hints(self) -> dict[str, dict[str, str]]:
@@ -65,23 +66,23 @@ class Plots(Panel):
         A plot without values, such as that of an absent door, is hidden.
         """
         newest, shown = moment.newest.t, moment.shown
-        view, timeline = self._viewer.view, self._viewer.timeline
-        self._make()
+        view, live, plans = self._viewer.view, moment.live, dict(self._plans)
+        self._make(plans)
         here = {
             title: plan.curves
-            for title, plan in self._plans.items()
+            for title, plan in plans.items()
             if title in view.plots and not math.isnan(plan.curves[0].value(shown))
         }
         for title, (_, plot) in self._plots.items():
             plot.visible = title in here
-        request = (timeline.live, here)
+        request = (live, here)
         drawn = (*request, newest, shown.t)
-        soon = timeline.live and request == self._drawn[:2] and time.monotonic() < self._due
-        until = newest if timeline.live else min(newest, shown.t + AHEAD)
+        soon = live and request == self._drawn[:2] and time.monotonic() < self._due
+        until = newest if live else min(newest, shown.t + AHEAD)
         unseen = SIGHT not in self._viewer.channel.seen
         if unseen or soon or drawn == self._drawn:
             return
-        past = timeline.between(until - LENGTH, until)
+        past = self._viewer.timeline.between(until - LENGTH, until)
         if not past:  # the simulation has just restarted
             return
         self._drawn = drawn
@@ -89,7 +90,7 @@ class Plots(Panel):
         due = np.diff(np.floor(times / SPACING), prepend=-1.0) > 0.0
         past, times = [past[i] for i in np.flatnonzero(due)], times[due]
         instant = np.full(len(times), OFF)
-        if not timeline.live:
+        if not live:
             instant[int(np.abs(times - shown.t).argmin())] = 1.0
         rests = True
         for title, curves in here.items():
@@ -111,9 +112,9 @@ class Plots(Panel):
         self._plans[title] = plan._replace(curves=curves)
         view.plots = view.plots | {title}
 
-    def _make(self) -> None:
+    def _make(self, plans: Mapping[str, PlotPlan]) -> None:
         """Create the plots whose content has changed; called by the drawing thread."""
-        for k, (title, plan) in enumerate(self._plans.items()):
+        for k, (title, plan) in enumerate(plans.items()):
             before, plot = self._plots.get(title, (None, None))
             if before == plan:
                 continue

@@ -160,7 +160,7 @@ class ComparePanel(Panel):
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
-            if names != [h.value for h in self._choices if h.value != OFF]:
+            if names != self._chosen():
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
         outcomes = compared_html(moment.shown, self._shared.course.name)
@@ -168,8 +168,12 @@ class ComparePanel(Panel):
 
     def _choose(self) -> None:
         names = {title: name for name, title in METHOD_TITLES.items()}
-        others = tuple(names[handle.value] for handle in self._choices if handle.value != OFF)
+        others = tuple(names[title] for title in self._chosen())
         self._shared.loop.send(Compare(others, INPUTS[self._input.value]))
+
+    def _chosen(self) -> list[str]:
+        values = [handle.value for handle in self._choices]  # once: a person can change them
+        return [value for value in values if value != OFF]
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:

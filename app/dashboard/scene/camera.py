@@ -104,6 +104,8 @@ class Camera:
         self._client = client
         self.extent: Array = np.zeros((1, 3))
         """(N, 3) [m] points of the robot to show, in the base's frame."""
+        self.wanted = ""
+        """Preset, a key of `PRESETS`, that the next call of `settle` uses; callbacks assign it."""
         self._preset = "iso"  # the preset that was used last
         self._eye = np.full(3, np.inf)  # [m] its position, with the later motion with the base
         self._fitted: Window | None = None  # its window; None once the viewer has moved the camera
@@ -164,11 +166,15 @@ class Camera:
         return self._preset if self._waits() or away < _SAME else ""
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the preset again if the window has changed and the viewer has not moved the camera.
+        """Use the wanted preset, or the preset again after a change of the window.
 
-        The panels narrow the scene only after the first picture, and a drawer opens later. While
-        the viewer is `busy` with a drag, the camera does not move.
+        A camera that the viewer has moved stays where it is. The panels narrow the scene only after
+        the first picture, and a drawer opens later. While the viewer is `busy` with a drag, the
+        camera does not move.
         """
+        wanted, self.wanted = self.wanted, ""
+        if wanted:
+            self.use(wanted, snapshot)
         if self._fitted is None or busy:
             return
         if self._left():
