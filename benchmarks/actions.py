@@ -60,6 +60,10 @@ _CONTROLS = """() => [...document.querySelectorAll(
 _PAUSES = "() => document.querySelector('#dbb-row button')?.innerText"
 """Text of the button that pauses or continues the simulation."""
 _PRESS = "() => document.querySelector('#dbb-row button').click()"  # works also under an overlay
+_LEAVE_SETTINGS = (
+    "() => document.querySelector('.tabler-icon-arrow-back')?.closest('button')?.click()"
+)
+"""Closes viser's settings, which cover the tabs."""
 _AT = "([n, p]) => dbbTest.place(n, p)"
 
 
@@ -102,10 +106,11 @@ class _Server:
         return sum("Traceback" in line for line in self.lines)
 
     @property
-    def megabytes(self) -> float:
-        """[MB] resident memory of the process and its child processes."""
+    def megabytes(self) -> tuple[float, float]:
+        """[MB] resident memory of the process, and of all its child processes."""
         parent = psutil.Process(self.process.pid)
-        return sum(p.memory_info().rss for p in (parent, *parent.children(recursive=True))) / 1e6
+        children = sum(p.memory_info().rss for p in parent.children(recursive=True))
+        return parent.memory_info().rss / 1e6, children / 1e6
 
     def _read(self) -> None:
         assert self.process.stderr is not None
@@ -119,7 +124,7 @@ class _Run:
         self._server, self._args, self._random = server, args, random.Random(args.seed)
         self._tabs = [DashboardTab(browser, server.address, size) for size in _SIZES]
         self._robot, self._ee = "", ("", np.zeros(3))
-        self._memory: list[tuple[str, float]] = []
+        self._memory: list[tuple[str, tuple[float, float]]] = []
         self._off = 0.0
         self._failed: list[str] = []
         self._apart: list[str] = []
@@ -138,9 +143,9 @@ class _Run:
                 self._change(changes[k])
             if k % check == 0:
                 self._check(k)
-        megabytes: dict[str, list[float]] = {}
+        megabytes: dict[str, list[tuple[int, ...]]] = {}
         for robot, each in self._memory:
-            megabytes.setdefault(robot, []).append(round(each))
+            megabytes.setdefault(robot, []).append(tuple(map(round, each)))
         return {
             "actions": args.actions,
             "seconds": round(time.monotonic() - began),
@@ -151,7 +156,7 @@ class _Run:
             "apart_after": self._apart,
             "largest_distance_of_end_effector_and_gizmo_mm": 1000.0 * self._off,
             "pauses": len(self._memory),
-            "megabytes_by_robot": megabytes,
+            "megabytes_of_server_and_children_by_robot": megabytes,
         }
 
     def _act(self, tab: DashboardTab) -> None:
@@ -259,6 +264,7 @@ class _Run:
         """Release everything, close all overlays, and go to the present."""
         for _ in range(3):
             tab.page.keyboard.press("Escape")
+        tab.page.evaluate(_LEAVE_SETTINGS)
         tab.page.evaluate("() => document.activeElement?.blur()")
         tab.page.keyboard.press("n")
 
@@ -280,7 +286,8 @@ class _Run:
                 tab.page.screenshot(path=APART.format(count, k))
         self._memory.append((self._robot, self._server.megabytes))
         text = f"{count} actions, {self._robot}: {1000 * max(offs):.2f} mm"
-        print(f"{text}, {self._memory[-1][1]:.0f} MB", file=sys.stderr, flush=True)
+        server, children = self._memory[-1][1]
+        print(f"{text}, {server:.0f} + {children:.0f} MB", file=sys.stderr, flush=True)
         if not paused:
             self._press("Continue")
 

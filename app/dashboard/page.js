@@ -17,6 +17,11 @@
     };
   }
 
+  // A cancelled file dialog is not an error of the page.
+  window.addEventListener("unhandledrejection", (event) => {
+    if (event.reason?.name === "AbortError") event.preventDefault();
+  });
+
   // An upright tablet is too narrow for panels next to the scene: it gets the phone's drawer.
   const matches = window.matchMedia.bind(window);
   const NARROW = "(max-width: 56em)";
