@@ -142,7 +142,7 @@ def with_ee(
 def joint_bounds_of(model: RobotModel, at: RobotState | ControlStep, limit: LimitConfig) -> Array:
     """(2, n_m) bounds on q̈_m from position and speed limits."""
     limits, rates = (model.q_limits, model.qd_limits), (limit.position_rate, limit.velocity_rate)
-    return joint_bounds(at.q_m, at.qd_m, *limits, *rates)
+    return joint_bounds(at.q_m, at.qd_m, *limits, *rates, np.inf)
 
 
 def robot_limits(

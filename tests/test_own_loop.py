@@ -35,6 +35,7 @@ Array = np.ndarray
 Degradation = Callable[[int, Measurement], Measurement]
 
 PULL = np.array([-12.0, 0.0, 0.0])  # [N] on the end-effector, into the buffer
+LATERAL, FRONTAL = np.array([0.0, -40.0, 0.0]), np.array([-30.0, 0.0, -10.0])
 FRONT, SIDE = (0.92, 0.10, 0.30), (0.30, 0.72, 0.35)  # [m] starts of the end-effector
 NAN = np.full(7, np.nan)
 
@@ -254,7 +255,41 @@ def test_poor_readings_are_reported_and_change_the_motion_little(
     assert set(found.faults) == faults
     assert found.share < 1.05
     assert found.nearest > 0.02
-    np.testing.assert_allclose(found.base, plain.base, atol=0.04)
+    np.testing.assert_allclose(found.base, plain.base, atol=0.06)
+
+
+@pytest.mark.parametrize(
+    ("every", "delay", "pull", "most"),
+    [(25, 12, LATERAL, 1.8), (25, 12, FRONTAL, 1.8), (3, 19, LATERAL, 1.8), (3, 19, FRONTAL, 1.8)],
+)
+def test_rare_readings_of_unknown_delay_hardly_make_the_arm_oscillate(
+    run, every: int, delay: int, pull: Array, most: float
+) -> None:
+    """Light joints reached 2 to 17 times their limits while gains were those of fast readings."""
+    late_and_rare = starting_at(both(late(delay), every_nth(every)), 20)
+    start = SIDE if pull is LATERAL else FRONT
+    found = run(late_and_rare, start=start, pull=pull, time=0.9)
+    assert found.share < most
+    assert found.nearest > 0.03
+
+
+@pytest.mark.parametrize(
+    ("degrade", "least", "most"),
+    [(lambda: lambda k, m: m, 1, 1), (lambda: every_nth(20), 19, 44)],
+)
+def test_blind_time_is_the_largest_recent_age_of_readings_with_doubts(
+    robot: RobotModel,
+    border_data: BorderData,
+    degrade: Callable[[], Degradation],
+    least: int,
+    most: int,
+) -> None:
+    loop, plant, changed = ControlLoop(robot, border_data), Kinematic(robot, dt=0.001), degrade()
+    plant.reset(np.zeros(3), np.array(robot.description.arm.ready_position))
+    for k in range(100):
+        command = loop.step(changed(k, plant.measure()))
+        plant.step(command.u_a, np.asarray(command.base_velocity), PULL)
+    assert least - 1e-6 <= command.step.blind_time / 0.001 <= most + 1e-6
 
 
 def test_delay_that_begins_in_noise_is_reported_within_0_1_s(
@@ -267,7 +302,9 @@ def test_delay_that_begins_in_noise_is_reported_within_0_1_s(
     assert found.share < 1.05
 
 
-@pytest.mark.parametrize(("delay", "noise", "pull"), [(17, 1e-4, 40.0), (14, 6e-5, 30.0)])
+@pytest.mark.parametrize(
+    ("delay", "noise", "pull"), [(17, 1e-4, 40.0), (14, 6e-5, 30.0), (12, 1e-4, 40.0)]
+)
 def test_delay_that_noise_hides_at_rest_is_reported_within_0_11_s_of_a_pull(
     run, delay: int, noise: float, pull: float
 ) -> None:
@@ -382,7 +419,7 @@ def test_period_hardly_changes_the_motion_and_a_wrong_one_is_reported(
     found = run(stated=stated, real=real)
     assert ("period" in found.faults) == (stated != real)
     assert found.share < 1.05
-    np.testing.assert_allclose(found.base, plain.base, atol=0.008)  # of a base at 0.5 m/s
+    np.testing.assert_allclose(found.base, plain.base, atol=0.01)  # of a base at 0.5 m/s
 
 
 @pytest.mark.parametrize(

@@ -61,11 +61,13 @@ from app.compiled import compiled
 from app.control.admittance import next_command
 from app.control.inputs import GAINS, ROBOT
 from app.control.limits import (
-    barrier_bound,
     distance_rows,
+    early_barrier_bound,
+    fastest_rate,
     joint_bounds,
     joint_rows,
     speed_error,
+    speed_margin,
     torque_range,
     torque_reachable_bounds,
     torque_rows,
@@ -90,6 +92,7 @@ from app.control.transition import (
     limit_ee_drag,
     uncompensated_base_jacobian,
 )
+from app.robot.model import STABLE_STEPS
 from app.robot.state import (
     chain_motion,
     coordinates,
@@ -109,10 +112,6 @@ BUFFER_RATE = 0.1  # [m/s] rate of the buffer distance in force towards the conf
 DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 """Source of the base's acceleration in the arm's problem: the model of its drive, the caller, or
 the command itself."""
-
-_MARGIN = 2.0  # [-] margin of all limits of speeds, in recent errors of predicted speeds
-_MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's top speed: a larger one would let
-# the constraints throw the arm away from an obstacle that it hardly approaches
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
 """Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room`, `set_up_arm`, `hqp`."""
@@ -424,7 +423,8 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
-    put(w.u_free, free_arm_torque(w.g, w.qd, gains.joint_damping))
+    stable = robot.ready_inertia / (STABLE_STEPS * max(w.blind_time[()], gains.dt))
+    put(w.u_free, free_arm_torque(w.g, w.qd, np.minimum(gains.joint_damping, stable)))
     last = w.u_free if math.isnan(w.u_a[0]) else w.u_a
     u_min, u_max = torque_range(last, robot.tau_max, gains.torque_rate * gains.dt)
     put(w.u_min, u_min)
@@ -467,7 +467,8 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         w: `STEP`.
         which: The problem. All problems have the limits of torques and joints. ARM: the torques
             are within w.u_min and w.u_max. The rows of joints and distances include external forces
-            and a margin for the recent errors of predicted speeds. A joint limit demands at most
+            and a margin for recent errors of velocities; while readings are rare or late, they
+            hold with a slower rate too. A joint limit demands at most
             the acceleration that the joint's own torque can achieve. If the method has barriers,
             each pair has one. FREE_BASE: if the base takes part in the method's barriers, each pair
             has one. ROOM: if the method has a lookahead (`dbb`), there are barriers of L_m and the
@@ -477,13 +478,14 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
     n_m, qd_limits = len(w.q_m), robot.qd_limits
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
-    v_error = qdd_ext
+    v_error, fastest = qdd_ext, math.inf
     if for_arm:
-        v_error = np.minimum(_MARGIN * w.v_error, _MOST_MARGIN * robot.qd_max)
+        v_error = speed_margin(w.v_error, robot.qd_max)
+        fastest = fastest_rate(w.blind_time[()], gains.dt)
         qdd_ext, u_min, u_max = w.x_est[2], w.u_min, w.u_max
         qd_limits = qd_limits + np.stack((v_error, -v_error))
     bounds = joint_bounds(
-        w.q_m, w.qd_m, robot.q_limits, qd_limits, gains.position_rate, gains.velocity_rate
+        w.q_m, w.qd_m, robot.q_limits, qd_limits, gains.position_rate, gains.velocity_rate, fastest
     )
     if for_arm:
         bounds = torque_reachable_bounds(
@@ -507,9 +509,8 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         i = rows[k]
         d_min = w.d_b[()] if link_buffers and k >= robot.n_convex_mob else gains.d_min
         d_dot = w.d_dot[i] - speed_error(w.J[i, robot.n_b :], v_error)
-        least[k] = barrier_bound(
-            w.Jdqd[i], d_dot, w.d[i] - d_min, gains.barrier_rate, gains.max_separation_speed
-        )
+        at = w.Jdqd[i], d_dot, w.d[i] - d_min
+        least[k] = early_barrier_bound(at, gains.barrier_rate, fastest, gains.max_separation_speed)
     distances = slice(2 * n_m, 2 * n_m + count)
     distance_rows(w.J, least, rows, qdd_ext, w.C[distances], w.l[distances], w.u[distances])
     fill(w.slack_weight[:n_m], 0.0)

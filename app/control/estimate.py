@@ -25,11 +25,14 @@ import numpy as np
 from app.compiled import compiled
 from app.control.qp import backward, forward, times
 from app.strict import Array
+from app.structs import fill
 
 FEWEST = 8
 """Samples of the noise before the filter starts."""
 _CLEAR = 0.01  # [-] share of a top speed beyond which a change from a reading to the next is clear
 _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its variance
+_SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second, relative to a
+# joint's top speed: a person's force grows within milliseconds, the error of an old reading at once
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
@@ -76,7 +79,7 @@ def _begin_at(
         if steps > 0:
             gained = speed - x[1, i] - steps * dt * x[2, i] - dt * known[:, i].sum()
             if abs(gained) > _CLEAR * qd_max[i]:
-                x[2, i] += gained / (FEWEST * steps * dt)
+                x[2, i] += gained / (max(FEWEST, steps) * dt)
         x[0, i], x[1, i] = q[i], speed
         for j in range(3):
             for k in range(3):
@@ -99,7 +102,8 @@ def estimate_arm(
 ) -> bool:
     """Update the estimate (x, P) by one reading of positions and velocities.
 
-    After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading.
+    After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading;
+    in the second case the external acceleration is unknown, and 0 again.
     Until the estimate of the noise has enough samples, position and velocity are copied from the
     reading, and only a clear change of the velocity changes the external acceleration.
 
@@ -123,6 +127,8 @@ def estimate_arm(
     steps, dt, q, qd = len(known), gains.dt, read[0], read[1]
     jumped = steps > 0 and _jumped(x, q, qd_max, steps, dt)
     continued = steps > 0 and not jumped
+    if jumped:
+        fill(x[2], 0.0)
     if continued:
         samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
         _learn(variances, last, samples, known, q, qd, gains.noise_window, dt)
@@ -136,7 +142,8 @@ def estimate_arm(
         for i in range(len(q) if steps > 1 else 0):
             implied = v_error[i] * math.sqrt(3.0 / (steps * dt) ** 3)
             drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
-        _follow(x, P, known, q, qd, trusted, drift, dt)
+        sudden = _SUDDEN * steps * dt * qd_max
+        _follow(x, P, known, q, qd, trusted, drift, sudden, dt)
         return jumped
     _begin_at(x, P, trusted, last, known if continued else known[:0], q, qd, qd_max, gains)
     return jumped
@@ -222,8 +229,8 @@ def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
 
 
 @compiled()
-def _correct(x: Array, p: Array, k: int, reading: float, variance: float) -> None:
-    """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]."""
+def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden: float) -> None:
+    """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]; x[2] by at most `sudden`."""
     share, error = 1.0 / (p[k, k] + variance), reading - x[k]
     gain_0, gain_1, gain_2 = share * p[0, k], share * p[1, k], share * p[2, k]
     for j in range(3):
@@ -233,7 +240,7 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float) -> Non
         p[2, j] -= gain_2 * of_k
     x[0] += gain_0 * error
     x[1] += gain_1 * error
-    x[2] += gain_2 * error
+    x[2] += min(max(gain_2 * error, -sudden), sudden)
 
 
 @compiled()
@@ -245,6 +252,7 @@ def _follow(
     qd: Array,
     variances: Array,
     drift: Array,
+    sudden: Array,
     dt: float,
 ) -> None:
     """Predict each joint since the last reading, and correct it by its position and its velocity.
@@ -259,6 +267,7 @@ def _follow(
         qd: (n_m,) velocities; NaN has no effect.
         variances: (2, n_m) noise variances of positions and velocities.
         drift: (n_m,) process noise of the external acceleration, in one second.
+        sudden: (n_m,) largest change of the external acceleration.
         dt: [s] control period.
     """
     advance(x, known, dt)
@@ -272,6 +281,6 @@ def _follow(
                 p[j, 1] += dt * p[j, 2]
                 p[j, 0] += dt * p[j, 1]
             p[2, 2] += drift[i] ** 2 * dt
-        _correct(x[:, i], p, 0, q[i], variances[0, i])
+        _correct(x[:, i], p, 0, q[i], variances[0, i], sudden[i])
         if not math.isnan(qd[i]):
-            _correct(x[:, i], p, 1, qd[i], variances[1, i])
+            _correct(x[:, i], p, 1, qd[i], variances[1, i], sudden[i])

@@ -37,6 +37,7 @@ _ROBOT: dict[str, Any] = {
     "qd_limits": _MATRIX,  # (2, n_m) [rad/s, m/s]
     "qd_max": _VECTOR,  # (n_m,)
     "tau_max": _VECTOR,  # (n_m,) [N m, N]
+    "ready_inertia": _VECTOR,  # (n_m,) [kg m², kg]
     "tau_limits": _MATRIX,  # (2, n_m)
     "R_tip": _MATRIX,  # (3, 3) rotation of the end-effector in the frame of the last joint
     "p_tip": _VECTOR,  # (3,) [m] origin of the end-effector in the frame of the last joint

@@ -15,6 +15,10 @@ from app.compiled import compiled
 from app.control.qp import backward, cholesky, forward, inverse_diagonal, times
 from app.strict import Array
 
+_MARGIN = 3.0  # [-] margin of all limits of speeds, in recent errors of used velocities
+_MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's top speed: a larger one would let
+# the constraints throw the arm away from an obstacle that it hardly approaches
+
 
 @compiled()
 def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
@@ -68,6 +72,34 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 
 
 @compiled()
+def early_barrier_bound(
+    at: tuple[float, float, float], rate: float, fastest: float, max_speed: float
+) -> float:
+    """The larger one of two bounds `barrier_bound`: at the rate [1/s], and at most at `fastest`.
+
+    `at` has the first three arguments of `barrier_bound`.
+    """
+    slow = barrier_bound(at[0], at[1], at[2], min(rate, fastest), max_speed)
+    return max(barrier_bound(at[0], at[1], at[2], rate, max_speed), slow)
+
+
+@compiled()
+def fastest_rate(blind_time: float, dt: float) -> float:
+    """[1/s] upper bound 1/(2 T) of all rates; infinite without blind time.
+
+    T is the blind time [s], dt [s] the control period. Without a newer reading, the law reacts to
+    its own prediction. A faster reaction to a wrong prediction lets the arm oscillate.
+    """
+    return 0.5 / blind_time if blind_time > dt else math.inf
+
+
+@compiled()
+def speed_margin(v_error: Array, qd_max: Array) -> Array:
+    """(n_m,) [rad/s or m/s] margin of speeds for recent errors (n_m,) of used velocities."""
+    return np.minimum(_MARGIN * v_error, _MOST_MARGIN * qd_max)
+
+
+@compiled()
 def speed_error(J: Array, v_error: Array) -> float:
     """[m/s] error of J q̇ by independent errors (n_m,) of the joints' speeds."""
     return math.sqrt((J**2 * v_error**2).sum())
@@ -75,23 +107,36 @@ def speed_error(J: Array, v_error: Array) -> float:
 
 @compiled()
 def joint_bounds(
-    q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
+    q: Array,
+    qd: Array,
+    q_limits: Array,
+    qd_limits: Array,
+    position_rate: float,
+    speed_rate: float,
+    fastest: float,
 ) -> Array:
     """(2, n_m) [rad/s² or m/s²] lower and upper bounds on q̈_m, from position and speed limits.
 
-    For each joint and side, the tighter one of the two bounds counts. If a lower bound exceeds the
-    upper bound of the same joint, the two are exchanged.
+    For each joint and side, the tightest one of these bounds counts: those by position and by
+    speed, each with its rate [1/s] and with the rate `fastest` if this is slower. A slow rate
+    brakes early, a fast one brakes strongly. If a lower bound exceeds the upper bound of the same
+    joint, the two are exchanged.
     """
     found = np.empty((2, len(q)))
     for i in range(len(q)):
-        lower = max(
-            position_bound(q[i], qd[i], q_limits[0, i], position_rate),
-            velocity_bound(qd[i], qd_limits[0, i], speed_rate),
-        )
-        upper = min(
-            position_bound(q[i], qd[i], q_limits[1, i], position_rate),
-            velocity_bound(qd[i], qd_limits[1, i], speed_rate),
-        )
+        lower, upper = -math.inf, math.inf
+        for slowest in (math.inf, fastest):
+            rates = min(position_rate, slowest), min(speed_rate, slowest)
+            lower = max(
+                lower,
+                position_bound(q[i], qd[i], q_limits[0, i], rates[0]),
+                velocity_bound(qd[i], qd_limits[0, i], rates[1]),
+            )
+            upper = min(
+                upper,
+                position_bound(q[i], qd[i], q_limits[1, i], rates[0]),
+                velocity_bound(qd[i], qd_limits[1, i], rates[1]),
+            )
         found[0, i], found[1, i] = min(lower, upper), max(lower, upper)
     return found
 

@@ -95,6 +95,8 @@ faults | | 11 | 1 | | readings |
 age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in periods
 stated_lag | | | 1 | | readings | memory: the part of it that `estimate.delay` states
+blind_time | T | | s | | readings |
+    memory: recent longest age of the readings in use, including doubts about it
 ratio | | | 1 | | readings |
     memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
 agreed | | | s | | readings | memory: duration of intervals with equal ratios other than 1
@@ -138,7 +140,9 @@ q_last |  | 3 n_m | rad | joints | estimate |
     memory: last velocity from positions, last position, and their second difference minus the
     prediction
 v_error | | n_m | rad/s, m/s | joints | readings |
-    memory: recent error of predicted joint velocities; 0 while each period has a new reading
+    memory: recent error of the velocities that the law used; 0 while all readings are new
+qd_used | | 32 n_m | rad/s, m/s | joints | readings |
+    memory: `qd_m` of the last periods, as a ring buffer
 samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
 # Link pairs, acting points, the base's acceleration

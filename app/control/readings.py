@@ -64,6 +64,11 @@ _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
+_DOUBTFUL = (
+    60.0  # [1/s] largest unexplained acceleration, relative to a joint's top speed, that does
+)
+# not cast doubt on the age of the readings
+_LATE = 0.024  # [s] additional age of the readings in case of doubt
 _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] duration of a group of readings
 _FEWEST_GROUPS, _CUBIC = 5, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
@@ -616,18 +621,34 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
 
 
 @compiled()
-def _learn_v_error(gains: Any, w: Any, predicted: Array) -> None:
-    """Update `w.v_error` after a new reading, from the velocities (n_m,) predicted without it.
+def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool) -> None:
+    """Update `w.v_error` and `w.blind_time` after a new reading.
 
-    `w.v_error` is the largest recent error of a prediction. Older errors decay with the time
-    constant of the noise estimate.
+    `w.v_error` is the largest recent error of the velocities that the law used for the time of the
+    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. It decays with the time
+    constant of the noise estimate. A large error, or a jump of the arm (`jumped`), shows that the
+    readings can be older than assumed; therefore `w.blind_time` then includes `_LATE`.
     """
-    steps = 1.0 + w.age[()]
-    decay = math.exp(-steps * gains.dt / gains.noise_window)
-    blind = w.age[()] + w.lag[()] > 0.0 and w.known[()] > 0.0
+    steps, lag = 1.0 + w.age[()], int(w.lag[()])
+    decay, blind = math.exp(-steps * gains.dt / gains.noise_window), steps + lag > 1.0
+    used = w.qd_used[(int(w.periods[()]) - lag) % len(w.qd_used)] if lag > 0 else predicted
+    compared, doubtful = not jumped and (lag == 0 or w.known[()] > lag), jumped
     for i in range(len(predicted)):
-        error = abs(w.x_est[1, i] - predicted[i]) if blind else 0.0
-        w.v_error[i] = max(error, decay * w.v_error[i])
+        error = abs(w.x_read[1, i] - used[i]) if compared else 0.0
+        doubtful = doubtful or error > _DOUBTFUL * gains.dt * robot.qd_max[i]
+        w.v_error[i] = max(error if blind else 0.0, decay * w.v_error[i])
+    if doubtful:
+        w.blind_time[()] = max(w.blind_time[()], steps * gains.dt + _LATE)
+
+
+@compiled()
+def _use_estimate(gains: Any, w: Any) -> None:
+    """Write the estimated positions and velocities, and update `w.qd_used` and `w.blind_time`."""
+    put(w.q_m, w.x_est[0])
+    put(w.qd_m, w.x_est[1])
+    decayed = math.exp(-gains.dt / gains.noise_window) * w.blind_time[()]
+    w.blind_time[()] = max((w.age[()] + w.lag[()] + 1.0) * gains.dt, decayed)
+    put(w.qd_used[int(w.periods[()]) % len(w.qd_used)], w.qd_m)
 
 
 @compiled()
@@ -714,8 +735,7 @@ def take_readings(
         _store_reading(w, base_pose, base_velocity, q, qd)
     w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else 0.0
     _estimate_load(gains, w)
-    put(w.q_m, w.x_est[0])
-    put(w.qd_m, w.x_est[1])
+    _use_estimate(gains, w)
     put(w.base_pose, w.pose_last)
     _drive_on(robot, w, w.base_pose, (w.age[()] + w.lag[()]) * gains.dt)
 
@@ -746,4 +766,5 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     put_rows(w.x_est, w.x_read)
     if lag > 0:
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)
-    _learn_v_error(gains, w, predicted)
+    if not first:
+        _learn_errors(robot, gains, w, predicted, jumped)

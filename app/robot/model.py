@@ -133,12 +133,13 @@ class RobotModel:
 
     def stable_damping(self, dt: float) -> Array:
         """(n_m,) [N m s/rad or N s/m] `joint_damping`, but at most m/(3 dt), which is stable in
-        steps of dt [s]; m is the inertia of the joint in the ready pose.
+        steps of dt [s]; m is `ready_inertia`.
         """
-        return np.minimum(self.joint_damping, self._ready_inertia / (STABLE_STEPS * dt))
+        return np.minimum(self.joint_damping, self.ready_inertia / (STABLE_STEPS * dt))
 
     @cached_property
-    def _ready_inertia(self) -> Array:
+    def ready_inertia(self) -> Array:
+        """(n_m,) [kg m² or kg] inertia of each joint in the ready pose."""
         ready = np.array(self.description.arm.ready_position)
         return self.joint_inertia(self.configuration((0.0, 0.0, 0.0), ready))
 
