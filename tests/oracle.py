@@ -49,6 +49,9 @@ class Limits(NamedTuple):
     slack_weight: Array
 
 
+STALLED = 200  # periods without a reading that the test of a gap states
+
+
 class Oracle:
     """One controller with its own memory; `step` returns its quantities by the table's names."""
 
@@ -79,7 +82,9 @@ class Oracle:
         self._take(at_rest(model, np.array(model.description.arm.ready_position)))
         M = self.pin_data.M  # of the ready pose
         inertia = 1 / np.diag(np.linalg.inv(np.triu(M) + np.triu(M, 1).T))[3:]
-        self.damping = np.minimum(model.joint_damping, inertia / (3 * dt))
+        self.inertia = inertia
+        self.blind_time, self.v_error = dt, np.zeros(self.n_m)
+        self.row, self.age = np.zeros(self.n_m), 0
 
     def configure(self, config: Config) -> None:
         """Use other parameters; the present buffer distance follows at 0.1 m/s."""
@@ -130,6 +135,7 @@ class Oracle:
         w.valid = all(np.isfinite(each).all() for each in m)
         if not w.valid:
             self.estimate.gap()
+            self.age = STALLED + 1
             known = np.linalg.solve(w.M[n_b:, n_b:], w.u_a - w.h[n_b:])
             x = self.estimate.x
             now = x[1] + self.dt * (known + x[2])  # the reading's own x stays
@@ -146,13 +152,37 @@ class Oracle:
         qdd_b = self.base.to_q @ (m.base_velocity - self.estimate.v_last) / self.dt
         known = w.u_a - w.h[n_b:] - w.M[n_b:, :n_b] @ qdd_b
         known = np.linalg.solve(w.M[n_b:, n_b:], known)
+        self.row = known if np.isfinite(known[0]) else self.row
+        before = self.estimate.x if self.age == 0 else w.x_est
+        predicted = before[1] + self.dt * (self.row + before[2])
         self.estimate.update(m, known, self.config.estimate)
+        self._doubt(np.abs(self.estimate.x[1] - predicted))
         if np.isnan(w.q_posture[0]):
             w.q_posture = m.q_m.copy()
         self._take(m._replace(q_m=self.estimate.x[0], qd_m=self.estimate.x[1]))
         e = self.estimate
         w.x_est, w.P_est, w.noise_var, w.q_last = e.x, e.P, e.variances, e.last
         w.samples, w.v_last = e.samples, e.v_last
+
+    def _doubt(self, errors: Array) -> None:
+        """Margin and blind time after errors (n_m,) [rad/s] of the predicted velocities."""
+        steps, window = 1 + self.age, self.config.estimate.noise_window
+        first, errors = np.isnan(self.w.q_posture[0]), errors * (not self.estimate.jumped)
+        if not first:
+            blind = errors if steps > 1 else 0.0 * errors
+            self.v_error = np.maximum(blind, np.exp(-steps * self.dt / window) * self.v_error)
+            if self.estimate.jumped or (errors > 60 * self.dt * self.model.qd_max).any():
+                self.blind_time = max(self.blind_time, steps * self.dt + 0.024)
+        self.blind_time = max(self.dt, np.exp(-self.dt / window) * self.blind_time)
+        self.age = 0
+
+    @property
+    def _fastest(self) -> float:
+        return 0.5 / self.blind_time if self.blind_time > self.dt else np.inf
+
+    @property
+    def _margin(self) -> Array:
+        return np.minimum(3 * self.v_error, 0.5 * self.model.qd_max)
 
     def _take(self, m: Measurement) -> None:
         """Kinematics and dynamics at a state, by pinocchio."""
@@ -309,7 +339,8 @@ class Oracle:
     def _tasks(self, reference: Reference | None) -> None:
         w, model, n_b = self.w, self.model, self.n_b
         w.tracking = reference is not None
-        w.u_free = w.g[n_b:] - self.damping * w.qd[n_b:]
+        damping = np.minimum(model.joint_damping, self.inertia / (3 * self.blind_time))
+        w.u_free = w.g[n_b:] - damping * w.qd[n_b:]
         last = w.u_free if np.isnan(w.u_a[0]) else w.u_a
         at, most = (
             np.clip(last, -model.tau_max, model.tau_max),
@@ -390,12 +421,14 @@ class Oracle:
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
-        bounds = self._joint_bounds(slowness)
+        bounds = self._joint_bounds(slowness, for_arm)
         if for_arm:
             bounds = self._reachable(*bounds, pushed)
         unit = model.qd_max
         rows = [] if distances == "none" else list(self.convex)
-        least = np.array([self._barrier(k, slowness, distances == "buffers") for k in rows])
+        least = np.array(
+            [self._barrier(k, slowness, distances == "buffers", for_arm) for k in rows]
+        )
         J = w.J[rows].reshape(-1, model.n)
         arm = np.hstack([np.zeros((self.n_m, n_b)), np.diag(1 / unit)])
         count = self.n_m + len(rows)
@@ -410,20 +443,24 @@ class Oracle:
             np.append(np.zeros(self.n_m), np.full(count, self.config.task.slack_weight**2)),
         )
 
-    def _joint_bounds(self, slowness: float) -> Array:
+    def _joint_bounds(self, slowness: float, for_arm: bool) -> Array:
         """Lower and upper bounds on q̈_m from positions and velocities."""
         w, model, limit = self.w, self.model, self.config.limit
         rate = limit.position_rate / slowness
         speed_rate = limit.velocity_rate if slowness == 1.0 else rate
-        position = rate**2 * (model.q_limits - w.q_m) - 2 * rate * w.qd_m
-        velocity = speed_rate * (np.array([-model.qd_max, model.qd_max]) - w.qd_m)
-        return np.sort(
-            [np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])], axis=0
-        )
+        top = model.qd_max - (self._margin if for_arm else 0.0)
+        lower, upper = [], []
+        for fastest in (np.inf, self._fastest if for_arm else np.inf):
+            slow = min(rate, fastest)
+            position = slow**2 * (model.q_limits - w.q_m) - 2 * slow * w.qd_m
+            velocity = min(speed_rate, fastest) * (np.array([-top, top]) - w.qd_m)
+            lower += [position[0], velocity[0]]
+            upper += [position[1], velocity[1]]
+        return np.sort([np.max(lower, axis=0), np.min(upper, axis=0)], axis=0)
 
     def _reachable(self, lower: Array, upper: Array, pushed: Array) -> Array:
         """Limit the bounds by each joint's torque, and by its torque rate up to the top speed."""
-        w, n_b, qd_max = self.w, self.n_b, self.model.qd_max
+        w, n_b, qd_max = self.w, self.n_b, self.model.qd_max - self._margin
         inverse = np.linalg.inv(w.M[n_b:, n_b:])
         moved = np.diag(inverse)
         room = np.maximum([w.qd_m + qd_max, qd_max - w.qd_m], 0.0)
@@ -438,13 +475,19 @@ class Oracle:
         there, own = pushed + inverse @ acting, moved * (w.u_max - w.u_min) / 2
         return np.array([np.minimum(lower, there + own), np.maximum(upper, there - own)])
 
-    def _barrier(self, k: int, slowness: float, buffers: bool) -> float:
+    def _barrier(self, k: int, slowness: float, buffers: bool, for_arm: bool) -> float:
         """ḧ + 2 λ ḣ + λ² h >= 0 with h = d − d_min, bounded below by −v/λ."""
         w, keep = self.w, self.config.barrier
         rate, leaving = keep.rate / slowness, keep.max_separation_speed / slowness
         d_min = w.d_b if buffers and not self.rows[k].mobile else keep.d_min
-        h = max(w.d[k] - d_min, -leaving / rate)
-        return -2 * rate * w.d_dot[k] - rate**2 * h - w.Jdqd[k]
+        d_dot, rates = w.d_dot[k], [rate]
+        if for_arm:
+            d_dot = d_dot - np.linalg.norm(w.J[k, self.n_b :] * self._margin)
+            rates.append(min(rate, self._fastest))
+        return max(
+            -2 * each * d_dot - each**2 * max(w.d[k] - d_min, -leaving / each) - w.Jdqd[k]
+            for each in rates
+        )
 
     # Line 15: base, then arm
 

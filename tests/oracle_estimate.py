@@ -13,6 +13,7 @@ FEWEST = 8  # samples of the noise before the filter starts
 CLEAR = 0.01  # share of the largest speed; before that, a larger change is an external acceleration
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
 SMALL = 1e-11  # [rad²] smallest variance for the outlier test
+SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the largest speed
 FARTHEST = 10.0  # [-] in steps at a joint's largest speed
 
 
@@ -27,6 +28,8 @@ class Estimate:
             np.zeros((n_m, 3, 3)),
             np.zeros((2, n_m)),
         )
+        self.jumped = False
+        """Whether the arm cannot have moved to the last reading."""
         self.last, self.samples, self.v_last = np.zeros((3, n_m)), 0, np.full(n_b, np.nan)
 
     def gap(self) -> None:
@@ -37,7 +40,10 @@ class Estimate:
         """A measurement; `known` (n_m,) is the acceleration by torques and base, or NaN."""
         q, qd, dt = m.q_m, m.qd_m, self._dt
         way = np.abs(q - self.x[0] - dt * self.x[1])
-        continued = np.isfinite(known[0]) and (way <= FARTHEST * dt * self._qd_max).all()
+        self.jumped = bool(np.isfinite(known[0]) and (way > FARTHEST * dt * self._qd_max).any())
+        continued = np.isfinite(known[0]) and not self.jumped
+        if self.jumped:
+            self.x[2] = 0.0
         if continued:
             self._learn(q, qd, known, config.noise_window)
         else:
@@ -88,5 +94,9 @@ class Estimate:
             P = F @ self.P[i] @ F.T + np.diag([0, 0, drift**2 * dt])
             for k, reading in enumerate((q[i], qd[i])):
                 gain = P[:, k] / (P[k, k] + noise[k, i])
-                x, P = x + gain * (reading - x[k]), P - np.outer(gain, P[k])
+                change = gain * (reading - x[k])
+                change[2] = np.clip(
+                    change[2], -SUDDEN * dt * self._qd_max[i], SUDDEN * dt * self._qd_max[i]
+                )
+                x, P = x + change, P - np.outer(gain, P[k])
             self.x[:, i], self.P[i] = x, P

@@ -19,7 +19,7 @@ from app.robot.model import RobotModel
 from app.robot.shapes import Box
 from app.robot.state import Measurement
 from tests.bases import KINDS, robot_on
-from tests.oracle import ORACLES, Oracle
+from tests.oracle import ORACLES, STALLED, Oracle
 from tests.robots import with_mobile_shapes
 
 Array = np.ndarray
@@ -177,7 +177,9 @@ def along(
         m = plant.measure()
         if k == GAP:
             m = m._replace(q_m=m.q_m * np.nan)
-            controller.last.age[...] = 200  # periods without a reading, too many for a prediction
+            controller.last.age[...] = (
+                STALLED  # periods without a reading, too many for a prediction
+            )
         given = m, reference_at(k * DT, start, path.way)
         a = plant.acceleration() if k % 50 < 25 else None
         step = controller.step(*given, base_acceleration=a)
