@@ -172,7 +172,7 @@ class Oracle:
             blind = errors if steps > 1 else 0.0 * errors
             self.v_error = np.maximum(blind, np.exp(-steps * self.dt / window) * self.v_error)
             if self.estimate.jumped or (errors > 60 * self.dt * self.model.qd_max).any():
-                self.blind_time = max(self.blind_time, steps * self.dt + 0.024)
+                self.blind_time = max(self.blind_time, min(steps * self.dt, 0.1) + 0.024)
         self.blind_time = max(self.dt, np.exp(-self.dt / window) * self.blind_time)
         self.age = 0
 

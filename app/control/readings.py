@@ -638,7 +638,7 @@ def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool
         doubtful = doubtful or error > _DOUBTFUL * gains.dt * robot.qd_max[i]
         w.v_error[i] = max(error if blind else 0.0, decay * w.v_error[i])
     if doubtful:
-        w.blind_time[()] = max(w.blind_time[()], steps * gains.dt + _LATE)
+        w.blind_time[()] = max(w.blind_time[()], min(steps * gains.dt, _MAX_AGE) + _LATE)
 
 
 @compiled()
