@@ -23,6 +23,7 @@ from app.dashboard.viser_compat import Watchdog, close_server, open_server
 from app.errors import LoopError, ServerError
 from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
+from app.simulation.loop.commands import Release
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario
@@ -183,6 +184,9 @@ class DashboardServer:
                 page = before.with_robot(self.shared)
         except Exception as error:  # ends only this viewer's page
             logger.exception("a page could not be built")
+            client.scene.reset()
+            client.gui.reset()
+            self.shared.loop.send(Release(number))  # a part of the page can have pulled
             show_failure(client.gui, _PAGE_ENDED, error)
             if before is not None:
                 self.pages.pop(number).end()
