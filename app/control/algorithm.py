@@ -84,6 +84,7 @@ from app.control.tasks import (
     pose_error,
     posture_objective,
     reaction_torque,
+    stable_damping,
 )
 from app.control.transition import (
     blend_base,
@@ -92,7 +93,6 @@ from app.control.transition import (
     limit_ee_drag,
     uncompensated_base_jacobian,
 )
-from app.robot.model import STABLE_STEPS
 from app.robot.state import (
     chain_motion,
     coordinates,
@@ -423,8 +423,9 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
-    stable = robot.ready_inertia / (STABLE_STEPS * max(w.blind_time[()], gains.dt))
-    put(w.u_free, free_arm_torque(w.g, w.qd, np.minimum(gains.joint_damping, stable)))
+    time = max(w.blind_time[()], gains.dt)
+    damping = stable_damping(gains.joint_damping, robot.ready_inertia, time)
+    put(w.u_free, free_arm_torque(w.g, w.qd, damping))
     last = w.u_free if math.isnan(w.u_a[0]) else w.u_a
     u_min, u_max = torque_range(last, robot.tau_max, gains.torque_rate * gains.dt)
     put(w.u_min, u_min)

@@ -161,7 +161,7 @@ def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any
     gain, drag = response(base, c.admittance)
     values = _Gains(
         dt=dt,
-        joint_damping=model.stable_damping(dt),
+        joint_damping=model.joint_damping,
         d_b=c.border.d_b,
         f_max=c.force.f_max,
         f_arm=c.force.f_arm if method.get("reaction") else 0.0,

@@ -64,10 +64,8 @@ _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
-_DOUBTFUL = (
-    60.0  # [1/s] largest unexplained acceleration, relative to a joint's top speed, that does
-)
-# not cast doubt on the age of the readings
+_DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a top speed and to the control
+# period, that does not cast doubt on the age of the readings
 _LATE = 0.024  # [s] additional age of the readings in case of doubt
 _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] duration of a group of readings

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from app.compiled import compiled
 from app.control.qp import backward, forward
+from app.robot.model import STABLE_STEPS
 from app.strict import Array
 from app.structs import put
 
@@ -210,6 +211,15 @@ def posture_objective(
             + joint_centering * half * share**5
         )
     return H, c
+
+
+@compiled()
+def stable_damping(damping: Array, inertia: Array, time: float) -> Array:
+    """(n_m,) [N m s/rad or N s/m] `damping`, but at most m/(3 T), which is stable in steps of T.
+
+    `inertia` (n_m,) [kg m² or kg] is m of each joint, `time` [s] is T.
+    """
+    return np.minimum(damping, inertia / (STABLE_STEPS * time))
 
 
 @compiled()

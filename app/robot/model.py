@@ -131,12 +131,6 @@ class RobotModel:
         M = np.triu(M) + np.triu(M, 1).T
         return 1.0 / np.diag(np.linalg.inv(M))[3:]
 
-    def stable_damping(self, dt: float) -> Array:
-        """(n_m,) [N m s/rad or N s/m] `joint_damping`, but at most m/(3 dt), which is stable in
-        steps of dt [s]; m is `ready_inertia`.
-        """
-        return np.minimum(self.joint_damping, self.ready_inertia / (STABLE_STEPS * dt))
-
     @cached_property
     def ready_inertia(self) -> Array:
         """(n_m,) [kg m² or kg] inertia of each joint in the ready pose."""

@@ -130,11 +130,12 @@ class ExplorerPanel(Panel):
 
     def _read(self) -> None:
         """Read the posture from the sliders; each value is clipped to the range of its slider."""
-        values = np.array([min(max(s.value, s.min), s.max) for s in self._sliders])
-        base = np.append(values[:2], np.radians(values[2]))
         with self._lock:
-            if self.posture is not None:
-                self.posture, self._error = Posture(base, values[3:] / self._scale), 0.0
+            if self.posture is None:
+                return
+            values = np.array([min(max(s.value, s.min), s.max) for s in self._sliders])
+            base = np.append(values[:2], np.radians(values[2]))
+            self.posture, self._error = Posture(base, values[3:] / self._scale), 0.0
 
     def _set(self, posture: Posture) -> None:
         x, y, phi = posture.base_pose

@@ -174,8 +174,8 @@ class Compare(Command):
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
-    The length of the queue is bounded: a new command replaces a waiting command of the same kind,
-    or of the same person, and the number of persons is limited. Only pulls can be refused.
+    A new command replaces a waiting command of the same kind, or of the same person. While
+    `MAX_WAITING` commands wait, pulls of further people are refused, but no other commands.
     An `Adjustment` takes the place of the replaced command in the queue, so that a run whose start
     waits behind it uses the newest value. Other commands, such as a pull, go to the end of the
     queue. A `Restart` is dropped if a command that starts a run already waits.
