@@ -67,7 +67,7 @@ from app.dashboard.scene.scene import SceneData
 from app.dashboard.server import FRAME, TEXTS_EVERY, check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
-from app.errors import ConfigError, RobotFileError, ServerError
+from app.errors import ConfigError, LoopError, RobotFileError, ServerError
 from app.onboarding.read.links import read_mesh
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
 from app.robot.state import Measurement, RobotState
@@ -155,17 +155,33 @@ def test_drag_pulls_and_its_end_releases(link):
 
 
 def test_released_grip_releases_only_once():
-    grip, sink, _ = held()
+    grip, sink, client = held()
+    grip.pull(np.array([0.5, 0.0, 0.8]), client)
     grip.release()
     grip.release()
-    assert sink.commands == [Release(7)]
+    assert sink.commands[1:] == [Release(7)]
 
 
 def test_released_grip_does_not_pull():
     grip, sink, client = held()
     grip.release()
     grip.pull(np.array([9.0, 9.0, 9.0]), client)
-    assert sink.commands == [Release(7)]
+    assert sink.commands == []
+
+
+def test_refused_pull_is_not_released():
+    class FullSink(Recorder):
+        def send(self, command):
+            if isinstance(command, Pull):
+                raise LoopError("busy")
+            super().send(command)
+
+    grip = Grip(sink := FullSink(), Notifier(sink), 7)
+    grip.take()
+    with pytest.raises(LoopError):
+        grip.pull(np.array([0.5, 0.0, 0.8]), Recorder())
+    grip.release()
+    assert sink.commands == [] and not grip.holds_anything
 
 
 def test_no_pull_follows_a_release_by_another_thread():
@@ -187,9 +203,11 @@ def test_no_pull_follows_a_release_by_another_thread():
 
 def test_taking_another_point_releases_the_first():
     grip, sink, client = held()
-    grip.take(*LINK)
-    grip.pull(np.array([0.5, 0.0, 0.8]), client)
-    assert sink.commands == [Release(7), Pull((0.5, 0.0, 0.8), *LINK, who=7)]
+    for _ in range(2):
+        grip.pull(np.array([0.5, 0.0, 0.8]), client)
+        grip.take(*LINK)
+    first, second = Pull((0.5, 0.0, 0.8), who=7), Pull((0.5, 0.0, 0.8), *LINK, who=7)
+    assert sink.commands == [first, Release(7), second, Release(7)]
     assert not grip.holds_end_effector
 
 

@@ -32,6 +32,7 @@ class Grip:
         self._sink, self._notifier, self._who = sink, notifier, who
         self._held: tuple[str | None, Point | None] | None = None
         """Link and point as in `take`; None without a pull."""
+        self._pulls = False  # whether the simulation has a pull of this viewer
         self._warned = False
         self._moved = 0.0  # [s] time of the last pull
         self._target, self._by_keys = np.zeros(3), False  # [m] target of a pull by keys
@@ -75,6 +76,7 @@ class Grip:
                 self._warned = True  # warn once per drag
                 self._notifier.warn(client, "The floor is at z = 0; the target stays above it.")
             self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._who))
+            self._pulls = True
 
     def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
         """Move the end-effector's target by `NUDGE` times `ahead` (3,), in the base's frame."""
@@ -95,10 +97,11 @@ class Grip:
                 self.release()
 
     def release(self) -> None:
-        """Release the held point."""
+        """Release the held point; a refused pull needs no command."""
         with self._lock:
-            if self._held is not None:
-                self._held = None
+            self._held = None
+            if self._pulls:
+                self._pulls = False
                 self._sink.send(Release(self._who))
 
     def release_if_still(self, seconds: float, client: viser.ClientHandle) -> None:
