@@ -339,7 +339,8 @@ class Oracle:
     def _tasks(self, reference: Reference | None) -> None:
         w, model, n_b = self.w, self.model, self.n_b
         w.tracking = reference is not None
-        damping = np.minimum(model.joint_damping, self.inertia / (3 * self.blind_time))
+        age = self.blind_time if self.w.valid else self.dt
+        damping = np.minimum(model.joint_damping, self.inertia / (3 * age))
         w.u_free = w.g[n_b:] - damping * w.qd[n_b:]
         last = w.u_free if np.isnan(w.u_a[0]) else w.u_a
         at, most = (

@@ -93,10 +93,11 @@ class Estimate:
             x = F @ self.x[:, i] + G * known[i]
             P = F @ self.P[i] @ F.T + np.diag([0, 0, drift**2 * dt])
             for k, reading in enumerate((q[i], qd[i])):
-                gain = P[:, k] / (P[k, k] + noise[k, i])
-                change = gain * (reading - x[k])
-                change[2] = np.clip(
-                    change[2], -SUDDEN * dt * self._qd_max[i], SUDDEN * dt * self._qd_max[i]
-                )
-                x, P = x + change, P - np.outer(gain, P[k])
+                gain, error = P[:, k] / (P[k, k] + noise[k, i]), reading - x[k]
+                sudden = SUDDEN * dt * self._qd_max[i]
+                if abs(gain[2] * error) > sudden:
+                    gain[2] = np.copysign(sudden, gain[2] * error) / error
+                left = np.eye(3) - np.outer(gain, np.eye(3)[k])
+                x = x + gain * error
+                P = left @ P @ left.T + noise[k, i] * np.outer(gain, gain)
             self.x[:, i], self.P[i] = x, P

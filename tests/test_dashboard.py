@@ -181,7 +181,8 @@ def test_refused_pull_is_not_released():
     with pytest.raises(LoopError):
         grip.pull(np.array([0.5, 0.0, 0.8]), Recorder())
     grip.release()
-    assert sink.commands == [] and not grip.holds_anything
+    assert sink.commands == []
+    assert not grip.holds_anything
 
 
 def test_no_pull_follows_a_release_by_another_thread():

@@ -273,23 +273,78 @@ def test_rare_readings_of_unknown_delay_hardly_make_the_arm_oscillate(
     assert found.nearest > 0.03
 
 
-@pytest.mark.parametrize(
-    ("degrade", "least", "most"),
-    [(lambda: lambda k, m: m, 1, 1), (lambda: every_nth(20), 19, 44)],
-)
-def test_blind_time_is_the_largest_recent_age_of_readings_with_doubts(
-    robot: RobotModel,
-    border_data: BorderData,
-    degrade: Callable[[], Degradation],
-    least: int,
-    most: int,
+def blind_times(run, *args: Any, **options: Any) -> Array:
+    """(k,) [ms] blind time of each step of a run."""
+    found: list[float] = []
+
+    def watch(loop: ControlLoop) -> None:
+        step = loop.step
+
+        def watched(*readings: Any) -> Any:
+            command = step(*readings)
+            found.append(1e3 * float(command.step.blind_time))
+            return command
+
+        loop.step = watched  # type: ignore[method-assign]
+
+    run(*args, created=watch, **options)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("force", [20.0, 40.0, 60.0])
+@pytest.mark.parametrize("start", [FRONT, SIDE])
+def test_no_pull_casts_doubt_on_perfect_readings(
+    run, start: tuple[float, ...], force: float
 ) -> None:
-    loop, plant, changed = ControlLoop(robot, border_data), Kinematic(robot, dt=0.001), degrade()
+    """The pull begins at once, and ends before a joint hits its mechanical stop."""
+    direction = LATERAL if start is SIDE else FRONTAL
+    pull = force * direction / np.linalg.norm(direction)
+    np.testing.assert_array_equal(blind_times(run, start=start, pull=pull, time=0.2), 1.0)
+
+
+def test_blind_time_is_the_largest_recent_age_of_the_readings(run) -> None:
+    found = blind_times(run, every_nth(20), pull=PULL / 10.0, time=0.4)
+    assert found[-200:].max() == pytest.approx(20.0)  # no doubt: the motion is slow
+    assert found[-200:].min() == pytest.approx(
+        20.0 * np.exp(-0.019 / Config().estimate.noise_window), rel=0.01
+    )
+
+
+def test_jump_adds_to_the_blind_time_which_then_decays(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    loop, window = ControlLoop(robot, border_data), Config().estimate.noise_window
+    loop.step(good._replace(q_m=np.zeros(7)))
+    for k in range(1, 1000):
+        step = loop.step(good).step
+        assert step.blind_time == pytest.approx(max(0.001, 0.025 * np.exp(-k * 0.001 / window)))
+    assert step.blind_time == 0.001
+
+
+def test_long_gap_adds_at_most_0_1_s_to_the_blind_time(run) -> None:
+    found = blind_times(run, blind(300, 700, "q_m"), time=0.9)
+    assert 25.0 < found[700:].max() <= 124.0
+
+
+def test_errors_are_those_of_the_velocities_used_at_the_time_of_the_reading(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    delay, plant, used, expected = late(10), Kinematic(robot, dt=0.001), [], np.zeros(7)
+    loop = ControlLoop(robot, border_data, Config().replace("estimate.delay", 0.010))
     plant.reset(np.zeros(3), np.array(robot.description.arm.ready_position))
-    for k in range(100):
-        command = loop.step(changed(k, plant.measure()))
+    decay = np.exp(-0.001 / Config().estimate.noise_window)
+    for k in range(200):
+        command, step = loop.step(delay(k, plant.measure())), loop.controller.last
+        if k > 30:
+            expected = np.maximum(np.abs(step.x_read[1] - used[k - 10]), decay * expected)
+            if k > 60:
+                np.testing.assert_allclose(step.v_error, expected, rtol=1e-9)
+        else:
+            expected = step.v_error.copy()
+        used.append(step.qd_m.copy())
         plant.step(command.u_a, np.asarray(command.base_velocity), PULL)
-    assert least - 1e-6 <= command.step.blind_time / 0.001 <= most + 1e-6
+    assert expected.max() > 0.01
 
 
 def test_delay_that_begins_in_noise_is_reported_within_0_1_s(

@@ -423,7 +423,8 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
-    time = max(w.blind_time[()], gains.dt)
+    # Without readings the damping acts on a prediction, not on a feedback that is late.
+    time = gains.dt if w.valid[()] == 0.0 else max(w.blind_time[()], gains.dt)
     damping = stable_damping(gains.joint_damping, robot.ready_inertia, time)
     put(w.u_free, free_arm_torque(w.g, w.qd, damping))
     last = w.u_free if math.isnan(w.u_a[0]) else w.u_a

@@ -88,6 +88,20 @@ def _begin_at(
 
 
 @compiled()
+def process_noise(v_error: Array, periods: int, gains: Any) -> Array:
+    """(n_m,) process noise of the external acceleration, in one second.
+
+    It is at least as large as the recent errors `v_error` (n_m,) of velocities imply, which were
+    predicted over several `periods`.
+    """
+    drift = np.full(len(v_error), gains.external_drift)
+    for i in range(len(v_error) if periods > 1 else 0):
+        implied = v_error[i] * math.sqrt(3.0 / (periods * gains.dt) ** 3)
+        drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
+    return drift
+
+
+@compiled()
 def estimate_arm(
     x: Array,
     P: Array,
@@ -97,7 +111,7 @@ def estimate_arm(
     known: Array,
     read: Array,
     qd_max: Array,
-    v_error: Array,
+    drift: Array,
     gains: Any,
 ) -> bool:
     """Update the estimate (x, P) by one reading of positions and velocities.
@@ -117,8 +131,7 @@ def estimate_arm(
             since the last reading; no rows after a gap.
         read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN without a velocity.
         qd_max: (n_m,) joint speed limits.
-        v_error: (n_m,) recent errors of velocities that were predicted over several periods; the
-            process noise of the external acceleration is at least as large as they imply.
+        drift: (n_m,) `process_noise`.
         gains: `GAINS`.
 
     Returns:
@@ -138,10 +151,6 @@ def estimate_arm(
             last[2, i] = math.nan
     trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
     if continued and samples[()] >= FEWEST:
-        drift = np.full(len(q), gains.external_drift)
-        for i in range(len(q) if steps > 1 else 0):
-            implied = v_error[i] * math.sqrt(3.0 / (steps * dt) ** 3)
-            drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
         sudden = _SUDDEN * steps * dt * qd_max
         _follow(x, P, known, q, qd, trusted, drift, sudden, dt)
         return jumped
@@ -230,7 +239,10 @@ def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
 
 @compiled()
 def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden: float) -> None:
-    """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]; x[2] by at most `sudden`."""
+    """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]; x[2] by at most `sudden`.
+
+    A smaller gain than the optimal one leaves a larger variance of x[2].
+    """
     share, error = 1.0 / (p[k, k] + variance), reading - x[k]
     gain_0, gain_1, gain_2 = share * p[0, k], share * p[1, k], share * p[2, k]
     for j in range(3):
@@ -240,7 +252,10 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden
         p[2, j] -= gain_2 * of_k
     x[0] += gain_0 * error
     x[1] += gain_1 * error
-    x[2] += min(max(gain_2 * error, -sudden), sudden)
+    correction = min(max(gain_2 * error, -sudden), sudden)
+    x[2] += correction
+    if correction != gain_2 * error:
+        p[2, 2] += (gain_2 - correction / error) ** 2 / share
 
 
 @compiled()

@@ -24,7 +24,13 @@ from typing import Any
 import numpy as np
 
 from app.compiled import compiled
-from app.control.estimate import FEWEST, advance, estimate_arm, predicted_joint_acceleration
+from app.control.estimate import (
+    FEWEST,
+    advance,
+    estimate_arm,
+    predicted_joint_acceleration,
+    process_noise,
+)
 from app.control.qp import dot, times
 from app.strict import Array
 from app.structs import fill, put, put_rows
@@ -545,12 +551,14 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if size == 0.0 or w.samples[()] < FEWEST:
         return
     w.load[()] = -dot(torque, lift) / size / _GRAVITY
-    if w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]:  # a new estimate
-        for k in range(len(w.torques)):
-            put(w.torques[k], torque)
+    corrected = w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]
+    if corrected or w.faults[JUMP] != 0.0:  # a new estimate
+        w.torques[0, 0], w.torques_age[()] = math.nan, 0.0
     w.torques_age[()] += gains.dt
     if w.torques_age[()] > _SAMPLED - 0.5 * gains.dt:
         w.torques_age[()] = 0.0
+        for k in range(len(w.torques) if math.isnan(w.torques[0, 0]) else 0):
+            put(w.torques[k], torque)
         for k in range(len(w.torques) - 1, 0, -1):
             put(w.torques[k], w.torques[k - 1])
         put(w.torques[0], torque)
@@ -755,7 +763,8 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     steps = age + 1 if w.known[()] >= age + 1 + lag else 0
     known = _recall(w, lag, steps)
     memory = w.x_read, w.P_est, w.noise_var, w.q_last, w.samples
-    jumped = estimate_arm(*memory, known, read, robot.qd_max, w.v_error, gains)
+    drift = process_noise(w.v_error, steps + lag, gains)
+    jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains)
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
         _forget_groups(w)
