@@ -19,6 +19,7 @@ from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import largest
 from app.simulation.trace.snapshot import GhostReading, Score
 from app.strict import Array
+from app.system import give_freed_memory_back
 
 _SAID = 1.0  # [s] time for which snapshots contain a new case
 MAX_PULLS = 8  # largest number of people who hold the robot at the same time
@@ -243,10 +244,12 @@ class Ensemble:
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
         """Replace the ghosts, and close the sessions that no new ghost uses."""
         kept = {id(ghost.session) for ghost in ghosts}
-        for ghost in self.ghosts:
-            if id(ghost.session) not in kept:
-                ghost.session.close()
+        ended = [ghost.session for ghost in self.ghosts if id(ghost.session) not in kept]
         self.ghosts = ghosts
+        for session in ended:
+            session.close()
+        if ended:
+            give_freed_memory_back()
         for runner in (self._led, *ghosts):
             runner.scored = bool(ghosts)
 
