@@ -228,7 +228,7 @@ def test_targets_below_the_floor_stop_at_it_with_one_notice_per_drag():
 
 @pytest.mark.parametrize(
     ("error", "title", "message"),
-    [(ConfigError("too much"), "Not possible", "too much"), (IndexError("x"), "Internal", DEFECT)],
+    [(ConfigError("too much"), "Not possible", "Too much"), (IndexError("x"), "Internal", DEFECT)],
 )
 def test_callback_error_is_shown_only_to_the_client_that_caused_it(error, title, message):
     everybody, client = Recorder(), Recorder()
@@ -248,8 +248,8 @@ def test_repeated_notices_are_merged_and_counted():
     notifier = Notifier(Recorder())
     for text in ("too much", "too much", "too little"):
         notifier.warn(client, text)
-    assert [text for _, text in client.notes] == ["too much", "too much (2 times)", "too little"]
-    assert client.standing == ["too little"]
+    assert [text for _, text in client.notes] == ["Too much", "Too much (2 times)", "Too little"]
+    assert client.standing == ["Too little"]
 
 
 def test_notifier_keeps_no_reference_to_a_disconnected_client():

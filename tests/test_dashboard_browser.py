@@ -255,9 +255,9 @@ def test_second_robot_appears_in_the_scene_and_in_the_table(tab, served):
     tab.choose("Second robot", "repulsive: arm repulsion only")
     wait_for(lambda: served.loop.commands == [Compare(("repulsive",), "path")])
     p_ee = served.loop.latest().p_ee
-    assert not tab.is_shown("/ghost_0"), "a ghost that coincides with the robot is hidden"
+    assert not tab.is_shown("/ghost_0/fixed"), "links that coincide with the robot's are hidden"
     served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
-    wait_for(lambda: tab.is_shown("/ghost_0"))
+    wait_for(lambda: tab.is_shown("/ghost_0/fixed"))
     wait_for(
         lambda: (tab.text("/names/1") or "").startswith("violet, arm repulsion only"),
         what="the ghost's name",

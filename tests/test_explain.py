@@ -350,7 +350,7 @@ def test_panel_shows_the_numbers_of_the_explanation(blank):
         assert part in text, part
     assert re.search(r"away from the arm\s+80\s+−0.40\s+\+0.00", text)
     assert re.search(r"towards higher score\s+60\s+\+0.00\s+−0.20", text)
-    assert re.search(r"sum × β\s+100\s+−0.40\s+−0.20", text)
+    assert re.search(r"sum\s+100\s+−0.40\s+−0.20", text)
 
 
 @pytest.mark.parametrize("kind", ["differential", "holonomic", "car-like", "of one's own"])

@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.config import Config
 from app.dashboard.panels.run import course_html
 from app.dashboard.record import BIN, HISTORY, SPACING, Course, Strip, Track
 from app.dashboard.scene.scene import SceneData
+from app.simulation.case import RunCase, RunSpec
 from app.simulation.people import PullReading
+from app.simulation.scenarios import scenario_of
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 
@@ -18,6 +21,10 @@ from tests.robots import husky_panda
 @pytest.fixture(scope="module")
 def snapshot():
     return ScriptedLoop(husky_panda()).latest()
+
+
+def shown_html(course, busy=""):
+    return course_html(course, busy, husky_panda().description)
 
 
 class Past:
@@ -116,18 +123,18 @@ def at_time(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
 def test_a_scenario_shows_its_progress_and_then_its_figures(snapshot, d, result):
     course = Course()
     past = Past(snapshot, course)
-    assert course_html(course, "") == ""
+    assert shown_html(course) == ""
     run = [
         at_time(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0),
         at_time(snapshot, 4.0, "way-out"),
     ]
     past.extend([at_time(snapshot, 0.0, "way-out"), *run])
-    text = course_html(course, "")
+    text = shown_html(course)
     assert "The robot starts inside a buffer" in text
     assert "width:50%" in text
     assert "4.0 of 8 s" in text
     past.extend([at_time(snapshot, 7.98, "way-out"), at_time(snapshot, 8.0, "", d=-1.0, x=9.0)])
-    text = course_html(course, "")
+    text = shown_html(course)
     for part in (
         f"way-out ended: {result}<",
         f"{1000 * d:.0f} mm".replace("-", "−"),
@@ -135,6 +142,19 @@ def test_a_scenario_shows_its_progress_and_then_its_figures(snapshot, d, result)
         "0.80 m",
     ):
         assert part in text, part
+
+
+@pytest.mark.parametrize(("farther", "title"), [(1.0, ""), (1.5, " (options changed)")])
+def test_result_of_changed_options_says_so(snapshot, farther, title):
+    """The demonstration has a longer path than the scenario of its name."""
+    robot = husky_panda().description
+    scenario = scenario_of(robot, "guiding-lateral")
+    scenario = scenario.changed(move=tuple(farther * part for part in scenario.move))
+    spec = RunSpec("husky_panda", scenario, Config(), "dbb", "kinematic", 0)
+    course = Course()
+    run = [at_time(snapshot, 0.0, scenario.name), at_time(snapshot, 8.0, "")]
+    Past(snapshot, course).extend([replace(each, case=RunCase.of(spec)) for each in run])
+    assert f"guiding-lateral{title} ended" in course_html(course, "", robot)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +170,7 @@ def test_leaving_an_initial_contact_is_not_an_overlap(snapshot, distances, resul
     course = Course()
     shown = [at_time(snapshot, float(t), "way-out", d=d) for t, d in enumerate(distances)]
     Past(snapshot, course).extend([*shown, at_time(snapshot, 8.0, "")])
-    assert f": {result}<" in course_html(course, "")
+    assert f": {result}<" in shown_html(course)
 
 
 def test_contact_is_reported_by_the_plant(snapshot):
@@ -163,7 +183,7 @@ def test_contact_is_reported_by_the_plant(snapshot):
 def test_an_unlisted_scenario_has_no_description(snapshot):
     course = Course()
     Past(snapshot, course).extend([at_time(snapshot, 1.0, "of-a-case")])
-    assert ">.<" not in course_html(course, "")
+    assert ">.<" not in shown_html(course)
 
 
 @pytest.mark.parametrize("missing", [0.02, 0.3])
@@ -172,24 +192,26 @@ def test_a_scenario_whose_last_snapshots_are_missing_has_ended(snapshot, missing
     course = Course()
     past = Past(snapshot, course)
     past.extend([at_time(snapshot, 8.0 - missing, "guiding-front"), at_time(snapshot, 8.0, "")])
-    assert "guiding-front ended: no contact" in course_html(course, "")
+    assert "guiding-front ended: no contact" in shown_html(course)
 
 
 def test_an_early_end_is_reported_as_a_stop_and_cleared_by_a_reset(snapshot):
     course = Course()
     past = Past(snapshot, course)
     past.extend([at_time(snapshot, 3.0, "guiding-front"), at_time(snapshot, 3.02, "")])
-    assert "guiding-front stopped at 3.0 s" in course_html(course, "")
-    assert "Preparing refrigerator" in course_html(course, "preparing refrigerator")
+    assert "guiding-front stopped at 3.0 s" in shown_html(course)
+    assert "Preparing refrigerator" in course_html(
+        course, "preparing refrigerator", husky_panda().description
+    )
     past.extend([at_time(snapshot, 0.0, "")])
-    assert course_html(course, "") == course.name == ""
+    assert shown_html(course) == course.name == ""
 
 
 def near(snapshot, t, d, **more):
     """A snapshot with the first pair at distance d [m]; its buffer is 0.15 m."""
     first, *others = snapshot.pairs
     pair = first._replace(d=d, beta=max(0.0, 1.0 - d / 0.15))
-    return replace(snapshot, t=t, pairs=(pair, *others), beta_m=pair.beta, **more)
+    return replace(snapshot, t=t, pairs=(pair, *others), **more)
 
 
 def test_the_timeline_stores_extremes_and_each_event_once(snapshot):

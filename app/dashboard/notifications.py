@@ -7,6 +7,7 @@ from typing import Any
 import viser
 
 from app.dashboard.markup import plain
+from app.dashboard.phrases import sentence
 from app.errors import DbbError
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
@@ -23,7 +24,7 @@ class Notifier:
 
     def warn(self, client: viser.ClientHandle | None, text: str) -> None:
         """Show for 6 s that an action was refused; to all viewers if `client` is None."""
-        self._show(client, "Not possible", text, "orange", 6.0)
+        self._show(client, "Not possible", sentence(text), "orange", 6.0)
 
     def tell(self, client: viser.ClientHandle | None, title: str, text: str) -> None:
         """Show a message for 6 s; to all viewers if `client` is None."""

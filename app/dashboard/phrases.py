@@ -34,6 +34,11 @@ _BOUNDS: dict[BoundKind, str] = {
 """Limits whose name is not their kind."""
 
 
+def sentence(text: str) -> str:
+    """Return a text with a capital first letter, unless the text starts with a symbol or a name."""
+    return f"{text[:1].upper()}{text[1:]}" if text.split(" ")[0].isalpha() else text
+
+
 def angle(x: float, y: float) -> str:
     """Return a direction in degrees from forward, such as "150° to the left"."""
     degrees = round(math.degrees(math.atan2(y, x)))

@@ -168,7 +168,8 @@ class Strip:
 
     def _close(self) -> None:
         nearest = min(self._bin, key=lambda snapshot: snapshot.nearest.d)
-        self.rows.append((self._bin[0].t, nearest.nearest.d, max(s.beta_m for s in self._bin)))
+        beta = max((pair.beta for s in self._bin for pair in s.pairs), default=0.0)
+        self.rows.append((self._bin[0].t, nearest.nearest.d, beta))
         self.closed += 1
         if self.closed % 2 or nearest.nearest.d < self.past[-1].nearest.d:
             if self.closed % 2 == 0:

@@ -28,8 +28,9 @@ from app.dashboard.panels.why import BAR_RANGE, state_chip
 from app.dashboard.record import Course, pulled
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, LATE, State, Verdict, is_slow
+from app.robot.description import RobotDescription
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart, Speed
-from app.simulation.scenarios import SCENARIOS
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.session import DT
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome, outcome_text
@@ -94,7 +95,7 @@ class RunPanel(Panel):
         about = "A sudden change would push an arm inside the buffer away."
         self._course.content = (
             (banner("notice", newest.changing, about) if newest.changing else "")
-            + course_html(course, newest.busy)
+            + course_html(course, newest.busy, self._shared.model.description)
             + (small(outcomes_html(beside)) if beside else "")
         )
         self.follow(self._controller, METHOD_TITLES[newest.controller])
@@ -239,22 +240,25 @@ def outcomes_html(scores: Sequence[Score]) -> str:
     return "<br>".join(lines)
 
 
-def course_html(course: Course, busy: str) -> str:
+def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
     """Return preparation, progress or result of the scenario; empty before the first one.
 
-    `busy` is `Snapshot.busy`.
+    `busy` is `Snapshot.busy`, and `robot` has the usual options of the scenario.
     """
     if busy:
-        title = f"{_sentence(busy)} …"
+        title = f"{words.sentence(busy)} …"
         return banner("notice", title, "The simulation waits for the end of the preparation.")
     if not course.name:
         return ""
-    about = f"{_sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
+    about = f"{words.sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
     if course.running:
         share = min(course.until / max(course.duration, DT), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
         return small(f"{about}{bar(share)}{title}")
-    title = f"{course.name} {f'stopped at {course.until:.1f} s' if course.stopped else 'ended'}"
+    case, ended = course.case, f"stopped at {course.until:.1f} s" if course.stopped else "ended"
+    listed = course.name in SCENARIOS and case is not None
+    usual = not listed or case.scenario() == scenario_of(robot, course.name)
+    title = f"{course.name}{'' if usual else ' (options changed)'} {ended}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
     values = (
@@ -311,11 +315,6 @@ def _number(value: float, form: str) -> str:
 
 def _status_row(label: str, value: str, state: State) -> str:
     return reading(label, value if state == "clear" else state_chip(state, value))
-
-
-def _sentence(text: str) -> str:
-    """Return a text with a capital first letter."""
-    return f"{text[:1].upper()}{text[1:]}"
 
 
 def pairs_html(

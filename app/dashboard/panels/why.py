@@ -299,17 +299,16 @@ def _force_rows(why: Explanation) -> list[str]:
     away_acc = _sum([force.away_acceleration for force in forces], n_b)
     turn_acc = _sum([force.turn_acceleration for force in forces], n_b)
     towards = f"{words.direction(*f)}, {words.angle(*f)}" if math.hypot(*f) > 0.05 else _NONE
-    about_away = "component along −n, Figure 7b"
-    about_turn = "component across n from (12) and (13), Figure 7c"
+    times_beta = "accelerations: (16), (17), (18) times β_m"
+    about_away = f"component along −n, Figure 7b; {times_beta}"
+    about_turn = f"component across n from (12) and (13), Figure 7c; {times_beta}"
     return [
         _row("direction", "angle from the base's forward axis", towards, span=1 + n_b),
         _acceleration("away from the arm", away, away_acc, about_away, on=on),
         _acceleration("towards higher score", turn, turn_acc, about_turn, on=on),
-        _acceleration("sum × β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on),
+        _acceleration("sum", f, why.base_avoidance, f"(15); {times_beta}", on=on),
         _acceleration("commanded", None, why.commanded_acceleration, "input of the admittance law"),
-        _acceleration(
-            "assumed", None, why.assumed_acceleration, "base acceleration in the arm's QP"
-        ),
+        _acceleration("used for the arm", None, why.assumed_acceleration, "base, in the arm's QP"),
     ]
 
 

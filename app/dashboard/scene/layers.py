@@ -26,7 +26,7 @@ from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acting points
 _LOOKS = ("solid", "violet", "teal")  # names for the robot and for the colours `colours.GHOSTS`
-_SAME = 0.01  # [m or rad] a ghost with smaller differences from the robot is hidden
+SAME = 0.01  # [m or rad] links of a ghost with smaller differences from the robot are hidden
 LEAST_STRETCH = 0.002  # [m] shorter lines of pulls are not drawn
 _LEAST_FORCE = 0.5  # [N] weaker forces are not drawn
 _FORCE_LIFT = 0.08  # [m] height of a force's arrow above the base's top
@@ -192,7 +192,7 @@ def nearness(robot: Snapshot | GhostReading, *, door: bool) -> str:
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
     """Whether a ghost is so close to the robot's pose that it would only tint the robot."""
     poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
-    return all(bool(np.abs(each).max() < _SAME) for each in poses)
+    return all(bool(np.abs(each).max() < SAME) for each in poses)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:

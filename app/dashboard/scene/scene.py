@@ -1,6 +1,7 @@
 """Scene: the robot and all layers, and the drawing of a snapshot."""
 
 from collections.abc import Mapping
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -140,6 +141,12 @@ class RobotScene:
         for joint, frame in self._frames.items():
             frame.position, frame.wxyz = to_viser(poses[joint])
 
+    def hide_links_near(self, other: Self) -> None:
+        """Hide each link at nearly the same place as the other robot's: it would only tint it."""
+        for joint, frame in self._frames.items():
+            apart = pin.log6(other.world_pose(joint).actInv(self.world_pose(joint)))
+            frame.visible = bool(np.abs(apart.vector).max() > layers.SAME)
+
     def world_pose(self, joint: int) -> pin.SE3:
         """Return T_world_joint of a joint at the last drawing."""
         root, poses = self._placed
@@ -263,7 +270,7 @@ class Scene:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
-        """Move the ghosts, and hide those that are absent or coincide with the robot."""
+        """Move the ghosts, and hide links that are absent or coincide with the robot's."""
         for i, ghost in enumerate(snapshot.ghosts):
             if i == len(self._ghosts):
                 colour = GHOSTS[i % len(GHOSTS)]
@@ -272,6 +279,6 @@ class Scene:
                 )
                 self._ghosts.append(robot)
             self._ghosts[i].update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
+            self._ghosts[i].hide_links_near(self.robot)
         for i, robot in enumerate(self._ghosts):
-            ghosts = snapshot.ghosts[i : i + 1]
-            robot.root.visible = any(not layers.coincides(ghost, snapshot) for ghost in ghosts)
+            robot.root.visible = i < len(snapshot.ghosts)
