@@ -14,6 +14,7 @@ CLEAR = 0.01  # share of the largest speed; before that, a larger change is an e
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
 SMALL = 1e-11  # [rad²] smallest variance for the outlier test
 SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the largest speed
+RESPONSE = 0.004  # [s] longest response time of the filter
 FARTHEST = 10.0  # [-] in steps at a joint's largest speed
 
 
@@ -44,6 +45,7 @@ class Estimate:
         continued = np.isfinite(known[0]) and not self.jumped
         if self.jumped:
             self.x[2] = 0.0
+        response = np.sqrt(self.variances[0] * dt) / max(RESPONSE, dt) ** 3
         if continued:
             self._learn(q, qd, known, config.noise_window)
         else:
@@ -55,7 +57,7 @@ class Estimate:
             [noise, np.max([of_qd, ratio**2 * of_q, np.full_like(q, (least / dt) ** 2)], axis=0)]
         )
         if continued and self.samples >= FEWEST:
-            self._filter(q, qd, known, noise, config.external_drift)
+            self._filter(q, qd, known, noise, np.maximum(config.external_drift, response))
         else:
             external = self.x[2]
             if continued:
@@ -85,13 +87,13 @@ class Estimate:
         self.variances[0, counted] += (weights * (of_q - self.variances[0]))[counted]
         self.last = np.array([speed, q, unknown])
 
-    def _filter(self, q: Array, qd: Array, known: Array, noise: Array, drift: float) -> None:
+    def _filter(self, q: Array, qd: Array, known: Array, noise: Array, drift: Array) -> None:
         """Predict over dt, then correct by the position, then by the velocity."""
         dt = self._dt
         F, G = np.array([[1, dt, dt**2], [0, 1, dt], [0, 0, 1]]), np.array([dt**2, dt, 0])
         for i in range(len(q)):
             x = F @ self.x[:, i] + G * known[i]
-            P = F @ self.P[i] @ F.T + np.diag([0, 0, drift**2 * dt])
+            P = F @ self.P[i] @ F.T + np.diag([0, 0, drift[i] ** 2 * dt])
             for k, reading in enumerate((q[i], qd[i])):
                 gain, error = P[:, k] / (P[k, k] + noise[k, i]), reading - x[k]
                 sudden = SUDDEN * dt * self._qd_max[i]

@@ -34,6 +34,7 @@ _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its
 _SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second, relative to a
 # joint's top speed: a person's force grows within milliseconds, the error of an old reading at once
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
+_RESPONSE = 0.004  # [s] longest response time of the filter to fresh readings
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
@@ -88,16 +89,25 @@ def _begin_at(
 
 
 @compiled()
-def process_noise(v_error: Array, periods: int, gains: Any) -> Array:
+def process_noise(v_error: Array, variance: Array, periods: int, gains: Any) -> Array:
     """(n_m,) process noise of the external acceleration, in one second.
 
-    It is at least as large as the recent errors `v_error` (n_m,) of velocities imply, which were
-    predicted over several `periods`.
+    It is at least so large that the filter responds within `_RESPONSE`, however noisy the positions
+    are: a pull moves a light joint beyond its top speed within 0.05 s. It is also at least as large
+    as the recent errors of predicted velocities imply.
+
+    Args:
+        v_error: (n_m,) recent errors of velocities that were predicted over several periods.
+        variance: (n_m,) noise variance of the positions.
+        periods: Number of these periods.
+        gains: `GAINS`.
     """
-    drift = np.full(len(v_error), gains.external_drift)
-    for i in range(len(v_error) if periods > 1 else 0):
-        implied = v_error[i] * math.sqrt(3.0 / (periods * gains.dt) ** 3)
-        drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
+    drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
+    for i in range(len(v_error)):
+        drift[i] = max(drift[i], math.sqrt(variance[i] * time) / max(_RESPONSE, time) ** 3)
+        if periods > 1:
+            implied = v_error[i] * math.sqrt(3.0 / time**3)
+            drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
     return drift
 
 
