@@ -347,6 +347,12 @@ def test_errors_are_those_of_the_velocities_used_at_the_time_of_the_reading(
     assert expected.max() > 0.01
 
 
+@pytest.mark.parametrize("noise", [3e-5, 1e-4])
+def test_noise_does_not_delay_the_estimate_of_a_pull(run, noise: float) -> None:
+    found = run(noisy(noise, lambda k, m: m), start=SIDE, pull=LATERAL, time=0.6)
+    assert found.share < 1.02
+
+
 def test_delay_that_begins_in_noise_is_reported_within_0_1_s(
     run,
 ) -> None:
