@@ -596,7 +596,7 @@ def test_door_label_appears_when_the_door_becomes_near(scene, loop, clouds):
     shown, canvas = replace(loop.latest(), pairs=(door,)), Canvas(scene)
     with canvas.picture(texts=True):
         draw_distances(canvas, shown, judge(shown), View.first([], []), data.spoken)
-    assert canvas._handles["/distances/label_lm-door"].text == "door – base  100 mm"
+    assert canvas._handles["/distances/label_lm-door"].text == "door – base 100 mm"
 
 
 def test_unreadable_mesh_is_named(tmp_path):

@@ -211,7 +211,7 @@ def test_every_state_has_one_short_sentence(blank, controller):
 def test_sentence_states_distance_buffer_side_and_motion_of_the_base(blank):
     why = explanation(NEAR["base"], mode="tracking")
     assert sentence_for(blank, why, base_velocity=(-0.21, 0.3)) == (
-        "The end-effector is 8 cm from the base's front (buffer 15 cm), so the base backs away at "
+        "The end-effector is 80 mm from the base's front (buffer 150 mm), so the base backs away at "
         "0.21 m/s and turns left; the end-effector's task is not affected."
     )
 
@@ -246,17 +246,17 @@ def test_sentence_calls_the_task_reduced_only_with_much_slack(blank, slack, dist
         ("nothing", "dbb", "Nothing is inside the buffer: the "),
         ("nothing", "none", "Avoidance is off."),
         ("base", "none", "avoidance is off: nothing gives way"),
-        ("above", "dbb", "base's top (buffer 15 cm), where base motion cannot help"),
-        ("high above", "dbb", "the arm itself will stop at 3 cm"),
+        ("above", "dbb", "base's top (buffer 150 mm), where base motion cannot help"),
+        ("high above", "dbb", "the arm itself will stop at 31 mm"),
         ("high above", "hqp", "the hierarchy as printed has no other constraint on the arm"),
         ("last", "dbb", "and the arm itself limits the approach."),
         ("inside", "dbb", "The end-effector overlaps the base's front by 4 mm"),
-        ("edge", "dbb", "The end-effector is 15 cm from the base's front (buffer 15 cm)"),
-        ("links", "dbb", "is 9 cm from the shoulder (buffer 15 cm), so the arm pushes"),
+        ("edge", "dbb", "The end-effector is 148 mm from the base's front (buffer 150 mm)"),
+        ("links", "dbb", "is 90 mm from the shoulder (buffer 150 mm), so the arm pushes"),
         ("both", "dbb", "End-effector and shoulder are also pushed apart."),
         ("base", "repulsive", "pushes the arm away and does not move the base"),
-        ("held", "barrier", "the minimum distance of 3 cm limits the approach"),
-        ("base", "barrier", "this method acts near its minimum distance of 3 cm only"),
+        ("held", "barrier", "the minimum distance of 31 mm limits the approach"),
+        ("base", "barrier", "this method acts near its minimum distance of 31 mm only"),
     ],
 )
 def test_sentence_gives_the_reason_for_each_state(blank, near, controller, part):
@@ -282,7 +282,7 @@ def test_sentence_names_the_overlapping_pair_of_several(blank):
 
 
 def test_sentence_states_the_buffer_in_force(blank):
-    assert "buffer 22 cm" in sentence_for(blank, explanation(NEAR["base"]), d_b=0.22)
+    assert "buffer 220 mm" in sentence_for(blank, explanation(NEAR["base"]), d_b=0.22)
 
 
 def test_sentence_mentions_the_speed_limit_only_if_it_is_active(blank):
@@ -319,7 +319,7 @@ def test_sentence_without_a_near_pair_states_the_least_distance(blank):
         assert snapshot.nearest.name == pair.name
         text = sentence_for(snapshot, explanation())
         a, b = (words.body(name, CHAIN) for name in pair.name.split("-"))
-        assert f"the {b} is 20 cm from the {a}" in text
+        assert f"the {b} is 200 mm from the {a}" in text
         spoken = {each.name: words.spoken(each.name, CHAIN) for each in pairs}
         assert f"{spoken[pair.name]} <b>200 mm" in why_panel.header_html(
             replace(snapshot, explanation=explanation()), judge(snapshot), spoken

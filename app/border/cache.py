@@ -172,8 +172,9 @@ def kept_border_data(
 ) -> BorderData | None:
     """Load the pairs and clouds of a robot, or return None if they are not stored.
 
-    The user's cache has precedence over the project's files. A damaged file, or a file with a key
-    other than that in its name, is ignored with a warning.
+    The user's cache has precedence over the project's files. A file of another robot with the same
+    key is used too, for example that of a robot with another ready pose. A damaged file, or a file
+    with a key other than that in its name, is ignored with a warning.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -182,13 +183,14 @@ def kept_border_data(
     folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}
     folders.setdefault(assets.SHIPPED_CACHE, "shipped")
     for folder, origin in folders.items():
-        path = _path(folder, model, key)
-        try:
-            return replace(read(path, partial(unpack, key=key)), origin=origin)
-        except FileNotFoundError:
-            continue
-        except DamagedFileError as error:
-            _log.warning("%s is not used: %s", path, error)
+        others = sorted(folder.glob(f"*-{key}.npz"))
+        for path in dict.fromkeys((_path(folder, model, key), *others)):
+            try:
+                return replace(read(path, partial(unpack, key=key)), origin=origin)
+            except FileNotFoundError:
+                continue
+            except DamagedFileError as error:
+                _log.warning("%s is not used: %s", path, error)
     return None
 
 

@@ -131,8 +131,10 @@ window.dbbControls = (box, ranges) => {
     }
     const shown = rows.filter(([t]) => t > from() - 1 && t < until() + 1);
     ink.fillStyle = "rgba(142, 107, 216, .55)"; // β, drawn downwards
-    for (const [t, , beta] of shown) if (beta > 0)
-      ink.fillRect(x(t), head, Math.max(x(t + bin) - x(t), 1), beta * (foot - head) * 0.5);
+    shown.forEach(([t, , beta], i) => {
+      const width = x(shown[i + 1]?.[0] ?? t + bin) - x(t); // a busy computer skips snapshots
+      if (beta > 0) ink.fillRect(x(t), head, Math.max(width, 1), beta * (foot - head) * 0.5);
+    });
     ink.lineWidth = 1.6;
     ink.lineJoin = "round";
     for (let i = 1; i < shown.length; i++) {
@@ -164,8 +166,7 @@ window.dbbControls = (box, ranges) => {
     const step = [0.5, 1, 2, 5, 10, 30, 60, 120].find((s) => (s / span) * w > 55) ?? 120;
     for (let t = Math.ceil(Math.max(from(), 0) / step) * step; t <= until(); t += step) {
       ink.fillRect(x(t), foot, 1, 3);
-      const clock = t >= 60 ? `${Math.floor(t / 60)}:${String(Math.round(t % 60)).padStart(2, "0")}` : `${+t.toFixed(1)} s`;
-      ink.fillText(clock, x(t) + 3, h - 2);
+      ink.fillText(`${+t.toFixed(1)} s`, x(t) + 3, h - 2);
     }
     if (w > 500) name("activation β", "left", 4, head + 9); // on a phone the names would hide the curves
     if (w > 500) name("nearest distance", "left", 4, foot - 3);

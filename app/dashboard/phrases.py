@@ -67,11 +67,6 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
     return f"{where}: {_BOUNDS.get(reading.kind, f'{reading.kind} limit')}"
 
 
-def length(d: float) -> str:
-    """Return a length [m] in whole centimetres; below one centimetre, in whole millimetres."""
-    return f"{1000 * d:.0f} mm" if abs(d) < 0.01 else f"{100 * d:.0f} cm"
-
-
 def borne(bound: float) -> str:
     """Return a text after a person's force, such as " (arm resists up to 62 N)"; empty if unknown.
 

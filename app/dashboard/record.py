@@ -91,8 +91,9 @@ class Course:
             self.path += float(np.linalg.norm(place - self._place))
         self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
         self.duration = snapshot.scenario_ends or snapshot.t
-        exact = [score.clearance for score in snapshot.scores[:1]]  # includes all steps
-        self.least = min(self.least, snapshot.nearest.d, *exact)
+        self.least = min(self.least, snapshot.nearest.d)
+        for score in snapshot.scores[:1]:  # of all steps, not of snapshots only
+            self.least, self.path = min(self.least, score.clearance), score.base_path
         self.pull = max(self.pull, pulled(snapshot))
         self.speed = max(self.speed, snapshot.ee_speed)
         self.left = self.left or (self.inside and not touches)

@@ -22,6 +22,7 @@ COLOURS: dict[State, Rgb] = {
 """Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
 is at rest, cannot help, or the controller does not react to this pair."""
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
+_PUSHED = 0.1  # [-] smallest β of two links of the arm at which the arm counts as resisting
 _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
@@ -75,6 +76,11 @@ def base_cannot_help(pair: NearPair) -> bool:
     return pair.above >= _NO_BASE_HELPS
 
 
+def pushes_links_apart(pair: NearPair | PairReading) -> bool:
+    """Whether two links of the arm are so close that a person feels their repulsion."""
+    return not pair.mobile and pair.beta >= _PUSHED
+
+
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
     """Return a pair's state; `near` is its part of the explanation, `moves` that the base moves."""
     if pair.d < 0.0:
@@ -85,7 +91,9 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
         return "clear"
     if controller in ("none", "barrier") or (near is not None and base_cannot_help(near)):
         return "near"
-    if not pair.mobile or controller not in MOVES_BASE:
+    if not pair.mobile:
+        return "resisting" if pushes_links_apart(pair) else "near"
+    if controller not in MOVES_BASE:
         return "resisting"
     return "giving way" if moves else "near"
 

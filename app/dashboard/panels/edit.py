@@ -3,7 +3,6 @@
 Callbacks store the changes; the drawing thread shows them.
 """
 
-from collections.abc import Mapping
 from html import escape
 from itertools import combinations
 from typing import Any
@@ -12,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 import viser
 
+from app.dashboard import phrases as words
 from app.dashboard.markup import small
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.phrases import spoken
 from app.dashboard.robots import new_folder
 from app.dashboard.scene.canvas import to_viser
 from app.dashboard.scene.colours import GHOSTS
@@ -22,6 +21,7 @@ from app.dashboard.scene.scene import node_of
 from app.onboarding.write import BY_HAND, HandMade, save_by_hand
 from app.robot import shapes
 from app.robot.assets import is_own, robot_folder
+from app.robot.description import RobotDescription
 from app.robot.shapes import Shape, shape_mesh
 from app.strict import Array
 
@@ -40,11 +40,14 @@ class EditPanel(Panel):
         super().__init__(viewer)
         gui = self._gui
         self._robot = self._shared.model.description
-        names = [body.name for body in self._robot.bodies]
+        names = tuple(body.name for body in self._robot.bodies)
         apart = combinations(enumerate(names), 2)  # neighbours in the chain form no pair
         self._pairs = {f"{a}-{b}" for (i, a), (k, b) in apart if k - i > 1}
         self._keys = {
-            f"{body.name} {i + 1}" if len(body.shapes) > 1 else body.name: (body, i)
+            f"{words.body(body.name, names)}{f' {i + 1}' if len(body.shapes) > 1 else ''}": (
+                body,
+                i,
+            )
             for body in self._robot.bodies
             for i in range(len(body.shapes))
         }
@@ -61,7 +64,7 @@ class EditPanel(Panel):
             )
             with gui.add_folder("Monitored pairs", expand_by_default=False):
                 self._watched = {
-                    pair: gui.add_checkbox(spoken(pair, tuple(names)), False)
+                    pair: gui.add_checkbox(words.spoken(pair, names), False)
                     for pair in sorted(self._pairs)
                 }
                 for box in self._watched.values():
@@ -81,7 +84,7 @@ class EditPanel(Panel):
     def update(self, moment: Moment) -> None:
         self._q_m = moment.shown.q_m
         self._draw()
-        self._text.content = small(changes_html(self.changes, self._robot.unwatched))
+        self._text.content = small(changes_html(self.changes, self._robot))
 
     def _discard(self) -> None:
         self.changes = HandMade({}, dict(self._robot.unwatched), None)
@@ -114,6 +117,7 @@ class EditPanel(Panel):
         save_by_hand(there, there if again else new_folder(name), self.changes)
         shared = self._shared
         shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
+        self._discard()  # they are saved
 
     def _draw(self) -> None:
         """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""
@@ -243,11 +247,13 @@ def _three(values: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-def changes_html(changes: HandMade, unwatched: Mapping[str, str]) -> str:
-    """List the unsaved changes to a robot, whose pairs `unwatched` are not monitored."""
-    texts = [f"{name}: {shape.type}" for (name, _), shape in changes.shapes.items()]
-    for pair in sorted(changes.unwatched.keys() ^ unwatched.keys()):
-        texts.append(f"{pair}: {'not ' if pair in changes.unwatched else ''}monitored")
+def changes_html(changes: HandMade, robot: RobotDescription) -> str:
+    """List the unsaved changes to a robot."""
+    chain = tuple(body.name for body in robot.bodies)
+    texts = [f"{words.body(body, chain)}: {s.type}" for (body, _), s in changes.shapes.items()]
+    for pair in sorted(changes.unwatched.keys() ^ robot.unwatched.keys()):
+        state = f"{'not ' if pair in changes.unwatched else ''}monitored"
+        texts.append(f"{words.spoken(pair, chain)}: {state}")
     if changes.ready:
         texts.append(f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}")
     return (f"Not saved: <b>{escape('; '.join(texts))}</b>. " if texts else "") + (

@@ -78,8 +78,8 @@ class RobotPanel(Panel):
         here = chosen is not None and chosen.name == self._shared.model.description.name
         ended = self._shared.loop.error is not None  # then the same robot can be restarted
         usable = chosen is not None and chosen.problem is None and (ended or not here)
-        reason = self._switch.problem
-        failed = small(f"{problem(reason)}. The robot has not changed.") if reason else ""
+        reason, written = self._switch.problem, escape if self._switch.cancelled else problem
+        failed = small(f"{written(reason)}. The robot has not changed.") if reason else ""
         self.about.content = (about_html(chosen, here=here) if chosen else "") + failed
         self._use.disabled = progress is not None or not usable
         self._report.visible = chosen is not None and chosen.report

@@ -46,12 +46,12 @@ INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 _SIZE = "font-size:.82em"
 _SCORES = (
     ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
-    ("end-effector error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
+    ("end-effector error, now or final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
     ("end-effector error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
     ("base travel [m]", "base_path", lambda d: f"{d:.2f}", None),
     ("acceleration jump v̇ [m/s²]", "acceleration_jump", lambda a: f"{a:.3f}", min),
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
-    ("torque jump [N m or N]", "torque_jump", lambda u: f"{u:.2f}", min),
+    ("torque jump [N m, N]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
 """Label with unit, field of `Score`, text of a value, and function for the best value, or None."""
 
@@ -91,7 +91,8 @@ class RunPanel(Panel):
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
-        beside = () if course.running or newest.busy else newest.scores[1:]
+        ended = course.name and not (course.running or newest.busy)
+        beside = newest.scores[1:] if ended else ()
         about = "A sudden change would push an arm inside the buffer away."
         self._course.content = (
             (banner("notice", newest.changing, about) if newest.changing else "")

@@ -16,6 +16,7 @@ from app.dashboard.verdict import (
     base_cannot_help,
     contacts,
     is_slow,
+    pushes_links_apart,
 )
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
@@ -154,12 +155,10 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
 def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     name, _, d, *_ = snapshot.nearest
     a, _, b = name.partition("-")
-    close = abs(d - snapshot.d_b) < 0.01  # then whole centimetres could look like d_b
-    distance = f"{100 * d:.1f} cm" if close else words.length(d)
-    text = f"Nothing is inside the buffer: {_the(b, why)} is {distance} from {_the(a, why)}"
+    text = f"Nothing is inside the buffer: {_the(b, why)} is {millimetres(d)} from {_the(a, why)}"
     if why.controller == "none":
         return f"{text}. Avoidance is off."
-    text += f" (buffer {words.length(snapshot.d_b)})"
+    text += f" (buffer {millimetres(snapshot.d_b)})"
     moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
     if moves is None:
         return f"{text}."
@@ -177,7 +176,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
         elif pair.limited:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
         else:
-            least = words.length(snapshot.config.barrier.d_min)
+            least = millimetres(snapshot.config.barrier.d_min)
             rest = f"; the arm itself will stop at {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
@@ -198,7 +197,7 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     limited = next((p for p in why.near if p.limited), None)
     shown = limited or pair
     cause = _cause(shown, why, None)
-    least = words.length(snapshot.config.barrier.d_min)
+    least = millimetres(snapshot.config.barrier.d_min)
     if limited is None:
         return f"{cause}; this method acts near its minimum distance of {least} only."
     moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
@@ -219,9 +218,9 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
-        return f"{b} overlaps {near} by {words.length(-pair.d)}"
-    text = f"{b} is {words.length(pair.d)} from {near}"
-    return text if d_b is None else f"{text} (buffer {words.length(d_b)})"
+        return f"{b} overlaps {near} by {millimetres(-pair.d)}"
+    text = f"{b} is {millimetres(pair.d)} from {near}"
+    return text if d_b is None else f"{text} (buffer {millimetres(d_b)})"
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
@@ -241,6 +240,7 @@ def _task_effect(why: Explanation, *, limited: bool = False) -> str:
     `limited`: whether the controller limits the arm's approach.
     """
     if why.mode == "guiding":
+        limited |= any(map(pushes_links_apart, why.near))
         return f"the arm {'resists further guiding' if limited else 'can still be guided freely'}"
     disturbed = any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
@@ -254,13 +254,13 @@ def _off_target(snapshot: Snapshot) -> str:
     """Return the end-effector's error in words; empty if it is small, or a contact matters more."""
     if snapshot.ee_error < 0.01 or contacts(snapshot):
         return ""
-    return f"; the end-effector is {words.length(snapshot.ee_error)} from its target"
+    return f"; the end-effector is {millimetres(snapshot.ee_error)} from its target"
 
 
 def _also(why: Explanation) -> str:
-    """Return a sentence about the most active pair of arm links; empty if none is active."""
+    """Return a sentence about the most active pair of arm links; empty if the arm yields freely."""
     for pair in why.near:
-        if not pair.mobile:
+        if pushes_links_apart(pair):
             a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
             return f" {b.capitalize()} and {a} are also pushed apart."
     return ""

@@ -131,10 +131,11 @@ class Borders:
         f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
         acceleration = field.base.A_b @ resultant_force(f[None], found.p_act[None])
         forward, left, turn = planar(base.axes, acceleration)
-        way = f"{forward:+.2f} m/s² forward"
-        way += f", {left:+.2f} m/s² left" if abs(left) > 0.005 else ""
+        way = f"{abs(forward):.2f} m/s² {'backward' if forward < 0.0 else 'forward'}"
+        aside = f", {abs(left):.2f} m/s² {'right' if left < 0.0 else 'left'}"
+        way += aside if abs(left) > 0.005 else ""
         text = (
-            f"score S {field.score(p):.3g} {measure_of(base.kind).unit}, "
+            f"score S {field.score(p):.3g} {measure_of(base.kind).unit}".strip() + ", "
             f"mobility {field.singularity(p):.3g}, reachability {field.reachability(p):.0f}\n"
             f"acceleration of the base by an arm here: {way}, {turn:+.2f} rad/s²"
         )

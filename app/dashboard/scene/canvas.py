@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +11,9 @@ import viser
 from app.dashboard.scene.colours import Rgb, linear
 from app.strict import Array
 
-Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right"]
+Anchor = Literal[
+    "bottom-left", "top-left", "bottom-right", "top-right", "bottom-center", "top-center"
+]
 
 ROOT = "/robot"
 """Scene node that moves with the base: its origin is on the floor at the base's position, and its x
@@ -19,10 +21,11 @@ axis points forward."""
 METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force's arrow: 0.1 m is 40 N
 METRES_PER_ACCELERATION = 0.2  # [s²] length of an acceleration's arrow: 0.2 m is 1 m/s²
 HEAD_LENGTH = 0.035  # [m] of an arrow's head
-ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-right")
-"""Corners of a label that may be at its position, the preferred one first."""
+ANCHORS: tuple[Anchor, ...] = get_args(Anchor)
+"""Points of a label that may be at its position, the preferred one first."""
 FONT_SCALE = 0.85  # [-] size of labels, whose characters are then 12 px high
 LINE, CHARACTER = 15.0, 5.6  # [px] height of a label's line, width of a character
+_BEFORE = {"left": 0.0, "center": 0.5, "right": 1.0}  # [-] part of a label left of its position
 _ROOM = 4.0  # [px] space that a label needs around a new spot; this hysteresis avoids jumps
 _SOON = 0.5  # [s] longest simulated time between two pictures of one motion
 _FARTHEST = 8  # [lines] largest shift of a label
@@ -59,7 +62,7 @@ class Spot(NamedTuple):
     """Position of a label relative to its point."""
 
     anchor: Anchor
-    """Corner of the label that is at the shifted point."""
+    """Point of the label that is at the shifted point."""
     rise: float
     """[px] upward shift of the point."""
 
@@ -87,7 +90,7 @@ def set_apart(
         wide, tall = CHARACTER * (max(map(len, rows)) + 1), LINE * len(rows)
         for spot in spots:
             room = 0.0 if spot == before.get(name) else _ROOM
-            left = u if spot.anchor.endswith("left") else u - wide
+            left = u - wide * _BEFORE[spot.anchor.partition("-")[2]]
             low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
             inside = left >= free[0] and low >= free[1]
             inside = inside and left + wide <= free[2] and low + tall <= free[3]

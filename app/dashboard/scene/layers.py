@@ -70,7 +70,7 @@ def draw_distances(
             # Not between base and arm, because the acting points with their labels are there.
             place = pair.p_a + _LABEL_LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
             overlap = "" if pair.d >= 0.0 else " overlap"
-            text = f"{spoken[pair.name]}  {millimetres(abs(pair.d))}{overlap}"
+            text = f"{spoken[pair.name]} {millimetres(abs(pair.d))}{overlap}"
             canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.labels == "all" and pair.d < d_b:
             node = f"/distances/{pair.name}"
