@@ -567,7 +567,7 @@ def test_labels_do_not_overlap_and_return_to_their_place_when_free(labels):
     for name, (u, v, text) in labels.items():
         anchor, rise = spots[name]
         wide = CHARACTER * (len(text) + 1)
-        left = u - (wide if anchor.endswith("right") else 0.0)
+        left = u - wide * {"left": 0.0, "center": 0.5, "right": 1.0}[anchor.partition("-")[2]]
         low = v + rise - (LINE if anchor.startswith("top") else 0.0)
         boxes.append((left, low, left + wide, low + LINE))
     for (a, b, c, d), (x, y, z, w) in itertools.combinations(boxes, 2):

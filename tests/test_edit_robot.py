@@ -70,10 +70,16 @@ CHANGES = HandMade(
 
 def test_the_panel_lists_every_kind_of_unsaved_change() -> None:
     before = {"lm-l3": "far apart"}
-    text = changes_html(CHANGES, before)
-    for change in ("lEE: box", "l1-lEE: not monitored", "lm-l3: monitored", "ready pose 0, -0.5"):
+    robot = husky_panda().description.model_copy(update={"unwatched": before})
+    text = changes_html(CHANGES, robot)
+    for change in (
+        "end-effector: box",
+        "end-effector – shoulder: not monitored",
+        "forearm – base: monitored",
+        "ready pose 0, -0.5",
+    ):
         assert change in text
-    assert "Not saved" not in changes_html(HandMade({}, before, None), before)
+    assert "Not saved" not in changes_html(HandMade({}, before, None), robot)
 
 
 def test_saved_edits_are_marked_and_everything_else_is_unchanged(
@@ -150,10 +156,10 @@ def test_a_body_is_dragged_resized_and_saved_in_the_page(
     tab = DashboardTab(browser, served.server.address)
     tab.open_tab("Robot")
     tab.page.get_by_text("Edit this robot").click()
-    tab.choose("Body", "lEE")
+    tab.choose("Body", "end-effector")
     panel = served.page().robot_panel
     assert panel is not None
-    gizmo = "/robot/panda_joint6/edited_lEE/move"
+    gizmo = "/robot/panda_joint6/edited_end-effector/move"
     tab.wait("n => dbbPage.has(n)", f"{gizmo}/{SIZE}")
     before = husky_panda().description.body("lEE").shapes[0]
     assert isinstance(before, Capsule)

@@ -211,8 +211,8 @@ def test_every_state_has_one_short_sentence(blank, controller):
 def test_sentence_states_distance_buffer_side_and_motion_of_the_base(blank):
     why = explanation(NEAR["base"], mode="tracking")
     assert sentence_for(blank, why, base_velocity=(-0.21, 0.3)) == (
-        "The end-effector is 80 mm from the base's front (buffer 150 mm), so the base backs away at "
-        "0.21 m/s and turns left; the end-effector's task is not affected."
+        "The end-effector is 80 mm from the base's front (buffer 150 mm), so the base backs away "
+        "at 0.21 m/s and turns left; the end-effector's task is not affected."
     )
 
 

@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from viser import _messages
 from websockets.asyncio.server import ServerConnection
 
+from app.cli.serve import _is_loopback
 from app.dashboard import job, notifications, server, viser_compat
 from app.dashboard.gate import _TAKEN, RefusedError, Uploads, checked
-from app.dashboard.server import is_loopback
 from app.dashboard.viser_compat import Channel, _Buffer, close_server, open_server
 from tests.browser import wait_for
 from tests.raw_client import RawClient, link, served
@@ -167,7 +167,7 @@ def test_large_message_is_read_in_small_pieces(monkeypatch) -> None:
     ("host", "alone"), [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False)]
 )
 def test_is_loopback_detects_local_addresses(host, alone) -> None:
-    assert is_loopback(host) is alone
+    assert _is_loopback(host) is alone
 
 
 @pytest.mark.parametrize("persistent", [False, True])

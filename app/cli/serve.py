@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ipaddress
+import socket
 import sys
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -119,7 +121,7 @@ class _First(NamedTuple):
 
 def _serve(first: _First) -> None:
     from app.dashboard.scene.robot import RobotParts
-    from app.dashboard.server import check_address, is_loopback, serve_dashboard
+    from app.dashboard.server import check_address, serve_dashboard
 
     asked = first.asked
     sys.setswitchinterval(_SWITCH)
@@ -145,7 +147,7 @@ def _serve(first: _First) -> None:
             start_loop=first.begin_loop,
         )
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
-        if not is_loopback(asked.host):
+        if not _is_loopback(asked.host):
             say(
                 f"other machines can reach {asked.host}, without a password: everyone there can "
                 "watch and command the simulation"
@@ -169,3 +171,9 @@ def _border(model: RobotModel) -> BorderData:
     say(f"the border of {name} is coarse; a background process refines it for the next start")
     job.start(name, "refining its border", lambda: job.run(sample_border, name))
     return coarse
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether only programs on this machine can reach a host, a name or an IP address."""
+    found = {info[4][0] for info in socket.getaddrinfo(host, None)}
+    return all(ipaddress.ip_address(address).is_loopback for address in found)

@@ -64,16 +64,8 @@ class Explorer:
             step = session.step()
             self._response = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
             self._request = request
-        about = (
-            "t",
-            "run",
-            "speed",
-            "scenario",
-            "scores",
-            "step_time_us",
-            "realtime_factor",
-            "overruns",
-        )
+        about = ["t", "run", "speed", "scenario", "scores"]
+        about += ["step_time_us", "realtime_factor", "overruns"]
         return replace(self._response, **{name: getattr(snapshot, name) for name in about})
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:

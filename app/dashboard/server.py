@@ -1,7 +1,6 @@
 """Server of the dashboard: binds the address, runs the drawing thread, and shuts down."""
 
 import contextlib
-import ipaddress
 import logging
 import socket
 import threading
@@ -283,12 +282,6 @@ def _rested(begin: float) -> float:
     """
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only programs on this machine can reach a host, a name or an IP address."""
-    found = {info[4][0] for info in socket.getaddrinfo(host, None)}
-    return all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
 def check_address(host: str, port: int) -> None:

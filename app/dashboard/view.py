@@ -30,14 +30,11 @@ class View:
     whole_border: bool = _shown(
         BORDER,
         "Include the top",
-        "Also show the border above the top of the base, which hides the arm",
+        "Show the border above the base too: it hides the arm",
         first=False,
     )
     slice: bool = _shown(
-        BORDER,
-        "Slice at the arm",
-        "Contour of the border at the height of the arm's point nearest to the base",
-        first=True,
+        BORDER, "Slice at the arm", "Contour at the height of the arm's nearest point", first=True
     )
     meshes: bool = _shown(LAYERS, "Robot", first=True)
     bodies: bool = _shown(LAYERS, "Convex bodies", "Convex bodies used for distances", first=False)
@@ -51,10 +48,7 @@ class View:
         choices=("active", "all", "none"),
     )
     acting: bool = _shown(
-        LAYERS,
-        "Acting points",
-        "Acting point p_act, points p_n and p_t, and the force on the base",
-        first=True,
+        LAYERS, "Acting points", "Points p_act, p_n and p_t, and the force on the base", first=True
     )
     motion: bool = _shown(
         LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True

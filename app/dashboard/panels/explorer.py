@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import viser
 
+from app.dashboard import phrases as words
 from app.dashboard.explorer import CLOSE, Posture
 from app.dashboard.markup import RIGHT, cell, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.phrases import signed
 from app.errors import TargetError
 from app.robot.bases.kind import planar
 from app.simulation.loop.commands import Pause, Reset
@@ -167,7 +167,5 @@ def posture_html(
         force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
         texts = millimetres(pair.d), f"{pair.beta:.2f}", force
         rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
-    forward, left, turn = acceleration
-    way = f"forward {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
     far = f"<br>The end-effector is {millimetres(error)} off its target." if error > CLOSE else ""
-    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{far}")
+    return small(f"{table(rows)}base acceleration: {words.acceleration(*acceleration)}{far}")

@@ -257,9 +257,9 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
         title = f"{course.until:.1f} of {course.duration:.0f} s"
         return small(f"{about}{bar(share)}{title}")
     case, ended = course.case, f"stopped at {course.until:.1f} s" if course.stopped else "ended"
-    listed = course.name in SCENARIOS and case is not None
-    usual = not listed or case.scenario() == scenario_of(robot, course.name)
-    title = f"{course.name}{'' if usual else ' (options changed)'} {ended}"
+    played = case.scenario() if case is not None and course.name in SCENARIOS else None
+    changed = played is not None and played != scenario_of(robot, course.name)
+    title = f"{course.name}{' (options changed)' if changed else ''} {ended}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
     values = (

@@ -13,6 +13,7 @@ from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
 from app.config import BorderConfig
+from app.dashboard import phrases as words
 from app.dashboard.markup import minus
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, in_world
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
@@ -130,14 +131,11 @@ class Borders:
         assert found is not None, "a drawn border has contours"
         f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
         acceleration = field.base.A_b @ resultant_force(f[None], found.p_act[None])
-        forward, left, turn = planar(base.axes, acceleration)
-        way = f"{abs(forward):.2f} m/s² {'backward' if forward < 0.0 else 'forward'}"
-        aside = f", {abs(left):.2f} m/s² {'right' if left < 0.0 else 'left'}"
-        way += aside if abs(left) > 0.005 else ""
+        way = words.acceleration(*planar(base.axes, acceleration))
         text = (
             f"score S {field.score(p):.3g} {measure_of(base.kind).unit}".strip() + ", "
             f"mobility {field.singularity(p):.3g}, reachability {field.reachability(p):.0f}\n"
-            f"acceleration of the base by an arm here: {way}, {turn:+.2f} rad/s²"
+            f"acceleration of the base by an arm here: {way}"
         )
         return _Probe(p, found.p_act, acceleration, text)
 
