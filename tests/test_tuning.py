@@ -404,7 +404,7 @@ def test_undo_and_redo_buttons_report_when_nothing_is_left(desk):
     assert desk.tuning.config.value(D_B) == 0.15
     press(gui, "Changes", "Redo")
     assert desk.tuning.config.value(D_B) == 0.2
-    assert "nothing to redo" in press(gui, "Changes", "Redo").notes[0]
+    assert "Nothing to redo" in press(gui, "Changes", "Redo").notes[0]
     assert desk.tuning.config.value(D_B) == 0.2
 
 
