@@ -14,7 +14,8 @@ CLEAR = 0.01  # share of the largest speed; before that, a larger change is an e
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
 SMALL = 1e-11  # [rad²] smallest variance for the outlier test
 SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the largest speed
-RESPONSE = 0.004  # [s] longest response time of the filter
+RESPONSE = 0.004  # [s] response time of the filter
+SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
 FARTHEST = 10.0  # [-] in steps at a joint's largest speed
 
 
@@ -45,7 +46,9 @@ class Estimate:
         continued = np.isfinite(known[0]) and not self.jumped
         if self.jumped:
             self.x[2] = 0.0
-        response = np.sqrt(self.variances[0] * dt) / max(RESPONSE, dt) ** 3
+        sigma = np.sqrt(self.variances[0] * dt)
+        time = np.maximum(max(RESPONSE, dt), np.cbrt(sigma / (SHAKE * self._qd_max)) ** 2)
+        response = sigma / time**3
         if continued:
             self._learn(q, qd, known, config.noise_window)
         else:

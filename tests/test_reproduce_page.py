@@ -120,15 +120,15 @@ def test_cases_are_side_by_side_and_missing_values_are_marked(section):
 @pytest.mark.parametrize(
     ("key", "text"),
     [
-        ("min_clearance_m", "min clearance [m]"),
-        ("base_yaw_rad", "base yaw [rad]"),
+        ("d_min_m", "d min [m]"),
+        ("base_yaw_rad", "Rotation of the base from start to end [rad]"),
         ("linear_mps2", "linear [m/s²]"),
         ("angular_radps2", "angular [rad/s²]"),
         ("score_max_m4prad4", "score max [m⁴/rad⁴]"),
         ("A_per_m2", "A [1/m²]"),
-        ("torque_jump_max_nm", "torque jump max [N m]"),
+        ("torque_jump_max_nm", "Largest change of a joint's torque or force in one step [N m]"),
         ("find_p50_us", "find p50 [µs]"),
-        ("contacts", "contacts"),
+        ("contacts", "Steps in which the arm touched the base"),
     ],
 )
 def test_a_keys_ending_becomes_its_unit(key, text):

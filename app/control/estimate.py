@@ -34,7 +34,8 @@ _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its
 _SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second, relative to a
 # joint's top speed: a person's force grows within milliseconds, the error of an old reading at once
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
-_RESPONSE = 0.004  # [s] longest response time of the filter to fresh readings
+_RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
+_SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
@@ -89,22 +90,28 @@ def _begin_at(
 
 
 @compiled()
-def process_noise(v_error: Array, variance: Array, periods: int, gains: Any) -> Array:
+def process_noise(
+    v_error: Array, variance: Array, qd_max: Array, periods: int, gains: Any
+) -> Array:
     """(n_m,) process noise of the external acceleration, in one second.
 
-    It is at least so large that the filter responds within `_RESPONSE`, however noisy the positions
-    are: a pull moves a light joint beyond its top speed within 0.05 s. It is also at least as large
-    as the recent errors of predicted velocities imply.
+    It is at least so large that the filter responds within `_RESPONSE`: a pull moves a light joint
+    beyond its top speed within 0.05 s. With noise above about 0.2 mrad at 1 kHz the response is
+    slower, so that the noise of estimated speeds is limited. The process noise is also at least as
+    large as the recent errors of predicted velocities imply.
 
     Args:
         v_error: (n_m,) recent errors of velocities that were predicted over several periods.
         variance: (n_m,) noise variance of the positions.
+        qd_max: (n_m,) joint speed limits.
         periods: Number of these periods.
         gains: `GAINS`.
     """
     drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
     for i in range(len(v_error)):
-        drift[i] = max(drift[i], math.sqrt(variance[i] * time) / max(_RESPONSE, time) ** 3)
+        noise = math.sqrt(variance[i] * time)
+        slow = (noise / (_SHAKE * qd_max[i])) ** (2.0 / 3.0)
+        drift[i] = max(drift[i], noise / max(_RESPONSE, time, slow) ** 3)
         if periods > 1:
             implied = v_error[i] * math.sqrt(3.0 / time**3)
             drift[i] = max(drift[i], min(implied, _MOST_DRIFT))

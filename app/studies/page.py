@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, StrictUndefined, Template
 
+from app.simulation.trace.metrics import DOOR, FIGURES
 from app.simulation.trace.words import missing, number_text
 from app.studies.runs import flattened
 
@@ -29,6 +30,7 @@ _UNITS = {
     "_mps": "m/s",
 }
 """Units by the ending of a key. A longer ending is before an ending that is a part of it."""
+_FIGURES = FIGURES | DOOR
 
 
 class Cell(NamedTuple):
@@ -108,8 +110,11 @@ def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
 
 
 def label(key: str) -> str:
-    """A key with blanks, and with the unit of its ending in brackets: `d_m` becomes `d [m]`."""
-    for ending, unit in _UNITS.items():
-        if key.endswith(ending):
-            return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"
-    return key.replace("_", " ")
+    """A figure of a run in words, any other key with blanks, and the unit of the key's ending.
+
+    `d_m` becomes `d [m]`.
+    """
+    ending, unit = next(((e, u) for e, u in _UNITS.items() if key.endswith(e)), ("", ""))
+    about = _FIGURES[key].about.partition(";")[0].rstrip(".") if key in _FIGURES else ""
+    text = about or key.removesuffix(ending).replace("_", " ")
+    return f"{text} [{unit}]" if unit else text
