@@ -349,7 +349,7 @@ def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) ->
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),
-        cell(bar(share, colour, limit), "width:26%"),
+        cell(bar(share, colour, limit), "width:26%;padding-left:.4em"),
         cell(_distance(pair.d), RIGHT),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "

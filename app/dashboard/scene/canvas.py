@@ -26,6 +26,7 @@ ANCHORS: tuple[Anchor, ...] = get_args(Anchor)
 FONT_SCALE = 0.85  # [-] size of labels, whose characters are then 12 px high
 LINE, CHARACTER = 15.0, 5.6  # [px] height of a label's line, width of a character
 _BEFORE = {"left": 0.0, "center": 0.5, "right": 1.0}  # [-] part of a label left of its position
+_SMALL, _LARGEST = 800.0, 1.6  # [px] height above which labels are larger; [-] largest factor
 _ROOM = 4.0  # [px] space that a label needs around a new spot; this hysteresis avoids jumps
 _SOON = 0.5  # [s] longest simulated time between two pictures of one motion
 _FARTHEST = 8  # [lines] largest shift of a label
@@ -71,6 +72,7 @@ def set_apart(
     labels: Mapping[str, tuple[float, float, str]],
     before: Mapping[str, Spot],
     free: tuple[float, float, float, float],
+    scale: float = 1.0,
 ) -> dict[str, Spot]:
     """Choose spots for labels so that they do not overlap; earlier labels have priority.
 
@@ -80,14 +82,16 @@ def set_apart(
         labels: Coordinates [px] to the right and up, and text, by the label's name.
         before: Spots in the previous picture; a label stays there until a nearer spot is free.
         free: [px] left, lower, right and upper edge of the area for labels.
+        scale: [-] size of the labels, relative to `FONT_SCALE`.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
-    spots = [Spot(anchor, LINE * k) for k in lines for anchor in ANCHORS]
+    spots = [Spot(anchor, scale * LINE * k) for k in lines for anchor in ANCHORS]
     found: dict[str, Spot] = {}
     taken: list[tuple[float, float, float, float]] = []
     for name, (u, v, text) in labels.items():
         rows = text.split("\n")
-        wide, tall = CHARACTER * (max(map(len, rows)) + 1), LINE * len(rows)
+        wide = scale * CHARACTER * (max(map(len, rows)) + 1)
+        tall = scale * LINE * len(rows)
         for spot in spots:
             room = 0.0 if spot == before.get(name) else _ROOM
             left = u - wide * _BEFORE[spot.anchor.partition("-")[2]]
@@ -200,12 +204,15 @@ class Canvas:
             for name, (place, text) in self._places.items()
             if lens is not None and lens.has(pixel := lens.pixel(place))
         }
-        self._spots = {} if lens is None else set_apart(seen, self._spots, lens.free)
+        high = _SMALL if lens is None else lens.free[3] - lens.free[1]
+        scale = min(max(round(high / _SMALL, 1), 1.0), _LARGEST)
+        self._spots = {} if lens is None else set_apart(seen, self._spots, lens.free, scale)
         for name, (place, _) in self._places.items():
             spot, up = self._spots.get(name, Spot(ANCHORS[0], 0.0)), 0.0
             if lens is not None and spot.rise:
                 up = spot.rise * lens.pixel(place)[2] / lens.focal * lens.axes[1]
             self._handles[name].position, self._handles[name].anchor = place + up, spot.anchor
+            self._handles[name].font_screen_scale = scale * FONT_SCALE
 
     def _node(self, name: str, add: Callable[..., Any], *values: Any, **look: Any) -> Any:
         """Return the scene node of a name; at first, add it with its values and look."""
