@@ -206,7 +206,7 @@ def test_distance_labels_are_shown_at_no_pair_all_pairs_or_active_pairs(tab, ser
         wait_for(lambda wanted=wanted: written() == wanted, what=choice)
         for pair in snapshot.pairs:
             if pair.name in wanted:
-                text = f"{served.server.shared.spoken[pair.name]}  {1000 * pair.d:.0f} mm"
+                text = f"{served.server.shared.spoken[pair.name]} {1000 * pair.d:.0f} mm"
                 wait_for(lambda n=pair.name, t=text: tab.text(f"/distances/label_{n}") == t)
         tab.wait_for_change(before, 60)
 
