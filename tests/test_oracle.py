@@ -232,8 +232,9 @@ def first_disagreements(
 
 @pytest.mark.parametrize("path", PATHS, ids=["-".join(path).replace(" ", "_") for path in PATHS])
 def test_every_quantity_agrees_along_a_path(path: Path, border_data: BorderData) -> None:
-    steps, rows, failures = [], [], 0.0
+    steps, rows, failures, blind = [], [], 0.0, DT
     for step, plain in along(path, border_data):
+        blind = max(blind, float(step.blind_time))
         steps.append(differences(step, plain))
         rows.append(np.append(plain["B"], plain["beta"]) > 0.0)
         failures = float(plain["failures"])
@@ -242,6 +243,8 @@ def test_every_quantity_agrees_along_a_path(path: Path, border_data: BorderData)
     assert np.array(rows).any(), "no row is active"
     assert changes.any() or path.controller != "dbb", "no row enters or leaves"
     assert failures == 1.0  # the NaN reading
+    if path.way == "pulled" and path.controller != "none":
+        assert blind > DT, "the rates of rare readings are not compared"
 
 
 def test_every_quantity_of_the_table_is_compared(border_data: BorderData) -> None:
