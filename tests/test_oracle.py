@@ -243,7 +243,7 @@ def test_every_quantity_agrees_along_a_path(path: Path, border_data: BorderData)
     assert np.array(rows).any(), "no row is active"
     assert changes.any() or path.controller != "dbb", "no row enters or leaves"
     assert failures == 1.0  # the NaN reading
-    if path.way == "pulled" and path.controller != "none":
+    if path.way == "pulled" and path.controller != "none" and path.base != PARTS:
         assert blind > DT, "the rates of rare readings are not compared"
 
 
