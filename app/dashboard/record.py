@@ -54,11 +54,9 @@ class Course:
         duration: [s] end of the scenario.
         until: [s] time of the scenario's last snapshot, or `duration` if the scenario completed.
         least: [m] smallest distance of all pairs; infinite before the first snapshot.
-        pull: [N] largest external force.
-        speed: [m/s] peak speed of the end-effector.
-        path: [m] length of the base's path.
-        inside: Whether a contact or overlap of the first snapshot still lasts.
-        left: Whether a contact or overlap of the first snapshot has ended.
+        pull, speed, path: Largest external force [N], peak speed of the end-effector [m/s], length
+            of the base's path [m].
+        inside, left: Whether a contact or overlap of the first snapshot still lasts, or has ended.
         touched: Whether a contact or overlap began after the first snapshot.
         contact: Whether the plant has reported a contact.
         case: The case that repeats the last run, or None.
@@ -100,11 +98,6 @@ class Course:
         self.inside = self.inside and touches
         self.touched = self.touched or (touches and not self.inside)
         self.contact = self.contact or snapshot.touches
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the scenario was stopped before its end."""
-        return not self.running and self.until < self.duration
 
     @property
     def outcome(self) -> Outcome:

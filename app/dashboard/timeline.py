@@ -52,7 +52,9 @@ class Timeline:
                     self.unmark()
             self._newest = newest
             if self.begin is not None and self.end is None:
-                self._extend()
+                self._marked += self._loop.history(self._marked[-1].t)
+                if self._marked[-1].t - self.begin > MOST_MARKED:
+                    self._cut(self.begin + MOST_MARKED)
             if (replay := self._replay) is not None:
                 began, t, speed = replay
                 t += (monotonic() - began) * speed
@@ -153,12 +155,6 @@ class Timeline:
         """Return all stored snapshots; those older than 60 s have larger intervals."""
         kept = self._loop.history(-1.0)
         return [*(s for s in tuple(self._strip.past) if s.t < kept[0].t), *kept]
-
-    def _extend(self) -> None:
-        """Add new snapshots to an interval without an end, and end it at `MOST_MARKED`."""
-        self._marked += self._loop.history(self._marked[-1].t)
-        if self.begin is not None and self._marked[-1].t - self.begin > MOST_MARKED:
-            self._cut(self.begin + MOST_MARKED)
 
     def _cut(self, end: float) -> None:
         """End the interval at a time [s], and delete its later snapshots."""

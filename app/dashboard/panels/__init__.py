@@ -19,7 +19,6 @@ from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
-from app.errors import TargetError
 from app.simulation.loop.commands import Pause, Play, Reset, StepOnce
 from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
@@ -67,14 +66,7 @@ class Viewer:
         """Creates the viewer's files, one after the other."""
 
     def look(self, preset: str) -> None:
-        """Set the camera to a preset, a key of `PRESETS`, for the displayed snapshot.
-
-        Raises:
-            TargetError: The preset is "door", and the snapshot has no door.
-        """
-        shown = self.timeline.shown()
-        if preset == "door" and shown.door is None:
-            raise TargetError("there is no door here; the scenario refrigerator has one")
+        """Set the camera to a preset, a key of `PRESETS`, for the displayed snapshot."""
         self.camera.wanted = preset
 
     def play(self, scenario: str) -> None:

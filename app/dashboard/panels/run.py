@@ -256,7 +256,8 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
         share = min(course.until / max(course.duration, DT), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
         return small(f"{about}{bar(share)}{title}")
-    case, ended = course.case, f"stopped at {course.until:.1f} s" if course.stopped else "ended"
+    stopped, case = course.until < course.duration, course.case
+    ended = f"stopped at {course.until:.1f} s" if stopped else "ended"
     played = case.scenario() if case is not None and course.name in SCENARIOS else None
     changed = played is not None and played != scenario_of(robot, course.name)
     title = f"{course.name}{' (options changed)' if changed else ''} {ended}"

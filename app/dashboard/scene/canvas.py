@@ -11,9 +11,7 @@ import viser
 from app.dashboard.scene.colours import Rgb, linear
 from app.strict import Array
 
-Anchor = Literal[
-    "bottom-left", "top-left", "bottom-right", "top-right", "bottom-center", "top-center"
-]
+Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right", "bottom-center"]
 
 ROOT = "/robot"
 """Scene node that moves with the base: its origin is on the floor at the base's position, and its x

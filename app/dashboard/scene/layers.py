@@ -174,7 +174,9 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
 
     A label is at the position `at` (3,) [m] in the frame of the robot's base.
     """
-    if all(coincides(ghost, snapshot) for ghost in snapshot.ghosts):
+    base, q_m = snapshot.base_pose, snapshot.q_m
+    apart = [np.append(ghost.base_pose - base, ghost.q_m - q_m) for ghost in snapshot.ghosts]
+    if all(np.abs(each).max() < SAME for each in apart):
         return
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
         place = in_world(robot.base_pose, at)
@@ -187,12 +189,6 @@ def nearness(robot: Snapshot | GhostReading, *, door: bool) -> str:
     """Return a robot's clearance in words; `door` means that its arm holds a door."""
     d, part = robot.clearance, "arm or door" if door else "arm"
     return f"{part} hits its base" if d < 0.0 else f"{part} {millimetres(d)} from its base"
-
-
-def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
-    """Whether a ghost is so close to the robot's pose that it would only tint the robot."""
-    poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
-    return all(bool(np.abs(each).max() < SAME) for each in poses)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:
