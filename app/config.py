@@ -184,8 +184,8 @@ class EstimateConfig(Strict):
     external_drift: Annotated[float, Shown("External push noise")] = Field(
         default=3.0, ge=0.1, le=100.0
     )
-    """[rad/s²] process noise of the external joint acceleration in one second; m/s² for a prismatic
-    joint."""
+    """[rad/s²] lower bound of the process noise of the external joint acceleration in one second;
+    m/s² for a prismatic joint. Noisy or rare readings increase the process noise."""
     least_noise: Annotated[float, Shown("Smallest position noise", advanced=True)] = Field(
         default=2e-8, ge=1e-9, le=0.005
     )

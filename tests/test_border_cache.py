@@ -142,6 +142,16 @@ def test_the_first_call_samples_and_later_calls_read_the_file(folder, monkeypatc
     assert load().origin == "shipped"
 
 
+def test_the_border_of_another_robot_with_equal_inputs_is_used(folder):
+    """An example is a robot that was saved under a new name with another ready pose."""
+    first = load()
+    (file,) = (folder / "cache").glob("*.npz")
+    file.rename(file.with_name(file.name.replace("husky_panda", "another")))
+    again = load()
+    assert (first.origin, again.origin) == ("sampled", "cache")
+    assert_same(first, again)
+
+
 @pytest.mark.parametrize("damage", [b"", b"not a zip", b"PK\x03\x04" + bytes(200)])
 def test_a_damaged_file_is_sampled_again_with_one_warning(folder, damage, caplog):
     load()

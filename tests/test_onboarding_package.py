@@ -136,6 +136,10 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
         {"toy.urdf": with_mesh(TOY, "Hand.STL"), "hand.stl": cube()},
         "(did you mean 'hand.stl'?)",
     ),
+    "mesh in another folder": (
+        {"toy.urdf": with_mesh(TOY, "package://robots/more/arm/hand.stl"), "arm/hand.stl": cube()},
+        "(it has 'arm/hand.stl', but the paths differ)",
+    ),
     "mesh of a NUL": ({"toy.urdf": with_mesh(TOY, "a%00.stl")}, "no such file in the zip"),
     "mesh no mesh": ({"toy.urdf": with_mesh(TOY, "m.stl"), "m.stl": b"solid"}, "m.stl"),
 }

@@ -11,6 +11,8 @@ from app.config import Config
 from app.dashboard.panels.run import course_html
 from app.dashboard.record import BIN, HISTORY, SPACING, Course, Strip, Track
 from app.dashboard.scene.scene import SceneData
+from app.errors import UnreachableError
+from app.robot.description import load_robot
 from app.simulation.case import RunCase, RunSpec
 from app.simulation.people import PullReading
 from app.simulation.scenarios import scenario_of
@@ -155,6 +157,19 @@ def test_result_of_changed_options_says_so(snapshot, farther, title):
     run = [at_time(snapshot, 0.0, scenario.name), at_time(snapshot, 8.0, "")]
     Past(snapshot, course).extend([replace(each, case=RunCase.of(spec)) for each in run])
     assert f"guiding-lateral{title} ended" in course_html(course, "", robot)
+
+
+def test_result_on_a_robot_without_a_line_for_the_scenario(snapshot):
+    """The case has its own line, so its options differ from those of the robot."""
+    robot = load_robot("stretch_se3")
+    with pytest.raises(UnreachableError):
+        scenario_of(robot, "guiding-front")
+    scenario = scenario_of(husky_panda().description, "guiding-front")
+    case = RunCase.of(RunSpec("stretch_se3", scenario, Config(), "dbb", "kinematic", 0))
+    course = Course()
+    run = [at_time(snapshot, 0.0, scenario.name), at_time(snapshot, 8.0, "")]
+    Past(snapshot, course).extend([replace(each, case=case) for each in run])
+    assert "guiding-front (options changed) ended" in course_html(course, "", robot)
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,8 @@ window.dbbControls = (box, ranges) => {
     const shown = rows.filter(([t]) => t > from() - 1 && t < until() + 1);
     ink.fillStyle = "rgba(142, 107, 216, .55)"; // β, drawn downwards
     shown.forEach(([t, , beta], i) => {
-      const width = x(shown[i + 1]?.[0] ?? t + bin) - x(t); // a busy computer skips snapshots
+      const end = Math.min(shown[i + 1]?.[0] ?? t + bin, t + 10 * bin); // a busy computer skips snapshots
+      const width = x(end) - x(t);
       if (beta > 0) ink.fillRect(x(t), head, Math.max(width, 1), beta * (foot - head) * 0.5);
     });
     ink.lineWidth = 1.6;

@@ -224,8 +224,7 @@ class Page:
 
     def _nudge(self, x: float, y: float, z: float) -> None:
         """Move the end-effector's target by `NUDGE` times x, y, z, from −1 to 1, as in `nudge`."""
-        ahead = np.clip((x, y, z), -1.0, 1.0)
-        self.grip.nudge(ahead, self._shared.loop.latest(), self._client)
+        self.grip.nudge(np.clip((x, y, z), -1.0, 1.0), self._shared.loop.latest(), self._client)
 
 
 class Demonstration:

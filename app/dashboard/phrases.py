@@ -108,12 +108,13 @@ def speeds(velocity: Array) -> str:
     return f"{math.hypot(*linear):.2f} m/s, {turn:.0f}°/s{side}"
 
 
-def acceleration(forward: float, left: float, turn: float) -> str:
-    """Return an acceleration [m/s², m/s², rad/s²] in words; one to the side only if it exists."""
-    text = f"{abs(forward):.2f} m/s² {'backward' if forward < 0.0 else 'forward'}"
-    aside = f", {abs(left):.2f} m/s² {'right' if left < 0.0 else 'left'}"
-    turned = f"turn {abs(turn):.2f} rad/s² {'right' if turn < 0.0 else 'left'}"
-    return f"{text}{aside if abs(left) > 0.005 else ''}, {turned}"
+def acceleration(*axes: float) -> str:
+    """Return an acceleration of a base, forward and left [m/s²] and turning [rad/s²], in words."""
+    units = "m/s²", "m/s²", "rad/s²"
+    ways = ("forward", "backward"), ("left", "right"), ("turning left", "turning right")
+    parts = zip(axes, units, ways, strict=True)
+    texts = [f"{abs(a):.2f} {unit} {way[a < 0.0]}" for a, unit, way in parts if abs(a) >= 0.005]
+    return ", ".join(texts) or "none"
 
 
 def signed(value: float, digits: int = 2) -> str:

@@ -20,7 +20,7 @@ COLOURS: dict[State, Rgb] = {
     "contact": CONTACT,
 }
 """Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
-is at rest, cannot help, or the controller does not react to this pair."""
+is at rest or cannot help, the controller does not react, or two links of the arm hardly do."""
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
 _PUSHED = 0.1  # [-] smallest β of two links of the arm at which the arm counts as resisting
 _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps

@@ -117,7 +117,6 @@ class EditPanel(Panel):
         save_by_hand(there, there if again else new_folder(name), self.changes)
         shared = self._shared
         shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
-        self._discard()  # they are saved
 
     def _draw(self) -> None:
         """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""

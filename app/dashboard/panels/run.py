@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from itertools import zip_longest
 from typing import Any
 
@@ -28,6 +29,7 @@ from app.dashboard.panels.why import BAR_RANGE, state_chip
 from app.dashboard.record import Course, pulled
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, LATE, State, Verdict, is_slow
+from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, scenario_of
@@ -256,10 +258,10 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
         share = min(course.until / max(course.duration, DT), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
         return small(f"{about}{bar(share)}{title}")
-    stopped, case = course.until < course.duration, course.case
-    ended = f"stopped at {course.until:.1f} s" if stopped else "ended"
-    played = case.scenario() if case is not None and course.name in SCENARIOS else None
-    changed = played is not None and played != scenario_of(robot, course.name)
+    ended = f"stopped at {course.until:.1f} s" if course.until < course.duration else "ended"
+    changed = course.case is not None and course.name in SCENARIOS
+    with suppress(DbbError):  # the robot has no line of its own for this scenario
+        changed &= course.case is None or course.case.scenario() != scenario_of(robot, course.name)
     title = f"{course.name}{' (options changed)' if changed else ''} {ended}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome

@@ -207,7 +207,8 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause = _cause(pair, why, snapshot.d_b)
-    text = f"{cause}, so the arm pushes the two links apart; the base is not involved"
+    apart = ", so the arm pushes the two links apart" if pushes_links_apart(pair) else ""
+    text = f"{cause}{apart}; the base is not involved"
     if why.mode == "tracking":
         return f"{text}; {_task_effect(why)}."
     return f"{text}{_off_target(snapshot)}."
@@ -240,7 +241,7 @@ def _task_effect(why: Explanation, *, limited: bool = False) -> str:
     `limited`: whether the controller limits the arm's approach.
     """
     if why.mode == "guiding":
-        limited |= any(map(pushes_links_apart, why.near))
+        limited |= any(pair.limited or pushes_links_apart(pair) for pair in why.near)
         return f"the arm {'resists further guiding' if limited else 'can still be guided freely'}"
     disturbed = any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]

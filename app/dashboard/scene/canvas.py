@@ -90,22 +90,21 @@ def set_apart(
         rows = text.split("\n")
         wide = scale * CHARACTER * (max(map(len, rows)) + 1)
         tall = scale * LINE * len(rows)
-        for spot in spots:
+        for k, spot in enumerate((*spots, spots[0])):
             room = 0.0 if spot == before.get(name) else _ROOM
             left = u - wide * _BEFORE[spot.anchor.partition("-")[2]]
             low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
             inside = left >= free[0] and low >= free[1]
             inside = inside and left + wide <= free[2] and low + tall <= free[3]
-            if inside and all(
+            apart = all(
                 left - x >= w + room
                 or x - left >= wide + room
                 or low - y >= h + room
                 or y - low >= tall + room
                 for x, y, w, h in taken
-            ):
+            )
+            if (inside and apart) or k == len(spots):
                 break
-        else:
-            spot = spots[0]
         taken.append((left, low, wide, tall))
         found[name] = spot
     return found
@@ -155,8 +154,7 @@ class Canvas:
         """Draw a text at a position (3,) [m] in the world; labels drawn earlier have priority."""
         if not self.labels:
             return
-        look = {"anchor": ANCHORS[0], "font_screen_scale": FONT_SCALE}
-        node = self._node(name, self._scene.add_label, text, **look)
+        node = self._node(name, self._scene.add_label, text, anchor=ANCHORS[0])
         if self._texts:
             node.text = text
         self._places[name] = place, node.text

@@ -1,7 +1,6 @@
 """Scene: the robot and all layers, and the drawing of a snapshot."""
 
 from collections.abc import Mapping
-from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -141,11 +140,12 @@ class RobotScene:
         for joint, frame in self._frames.items():
             frame.position, frame.wxyz = to_viser(poses[joint])
 
-    def hide_links_near(self, other: Self) -> None:
-        """Hide each link at nearly the same place as the other robot's: it would only tint it."""
+    def hide_links_near(self, other: "RobotScene") -> None:
+        """Hide each link at nearly the same place as the other robot's, which it would tint."""
         for joint, frame in self._frames.items():
-            apart = pin.log6(other.world_pose(joint).actInv(self.world_pose(joint)))
-            frame.visible = bool(np.abs(apart.vector).max() > layers.SAME)
+            apart = other.world_pose(joint).actInv(self.world_pose(joint))
+            turned = np.abs(pin.log3(apart.rotation)).max() if joint == 0 else 0.0  # not wheels
+            frame.visible = bool(max(np.abs(apart.translation).max(), turned) > layers.SAME)
 
     def world_pose(self, joint: int) -> pin.SE3:
         """Return T_world_joint of a joint at the last drawing."""

@@ -224,11 +224,13 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     if (found := next(filter(isfile, below), None)) is not None:
         return found
     files = [each.relative_to(root) for each in root.rglob("*") if each.is_file()]
-    near = did_you_mean(reference, (each.as_posix() for each in files))
-    near = near or did_you_mean(PurePosixPath(reference).name, (each.name for each in files))
+    name = PurePosixPath(reference).name
+    same = [each.as_posix() for each in files if each.name == name]
+    near = f" (it has {same[0]!r}, but the paths differ)" if same else ""
+    near = near or did_you_mean(name, (each.name for each in files))
     raise RobotFileError(
-        f"mesh {reference}: there is no such file in the zip{near}; its folders in the zip and in "
-        f"the address must be equal, and {', '.join(FORMATS[:-1])} are read"
+        f"mesh {reference}: there is no such file in the zip{near}; "
+        f"{', '.join(FORMATS[:-1])} are read"
     )
 
 
