@@ -40,14 +40,11 @@ class EditPanel(Panel):
         super().__init__(viewer)
         gui = self._gui
         self._robot = self._shared.model.description
-        names = tuple(body.name for body in self._robot.bodies)
+        names = self._shared.model.body_names
         apart = combinations(enumerate(names), 2)  # neighbours in the chain form no pair
         self._pairs = {f"{a}-{b}" for (i, a), (k, b) in apart if k - i > 1}
         self._keys = {
-            f"{words.body(body.name, names)}{f' {i + 1}' if len(body.shapes) > 1 else ''}": (
-                body,
-                i,
-            )
+            words.body(body.name, names) + (f" {i + 1}" if len(body.shapes) > 1 else ""): (body, i)
             for body in self._robot.bodies
             for i in range(len(body.shapes))
         }

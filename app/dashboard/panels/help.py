@@ -76,7 +76,7 @@ CARDS = {
     "watch": Card(
         "The same pull on two robots",
         "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays and "
-        "the arm runs into it. The pull goes 1.5 times as far as in guiding-lateral.",
+        f"the arm runs into it. The pull goes {FARTHER:g} times as far as in {SHOWN}.",
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(
