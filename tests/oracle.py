@@ -155,7 +155,7 @@ class Oracle:
         self.row = known if np.isfinite(known[0]) else self.row
         before = self.estimate.x if self.age == 0 else w.x_est
         predicted = before[1] + self.dt * (self.row + before[2])
-        self.estimate.update(m, known, self.config.estimate)
+        self.estimate.update(m, known, self.blind_time, self.config.estimate)
         self._doubt(np.abs(self.estimate.x[1] - predicted))
         if np.isnan(w.q_posture[0]):
             w.q_posture = m.q_m.copy()

@@ -38,7 +38,9 @@ class Estimate:
         """A step without a measurement."""
         self.v_last = np.full_like(self.v_last, np.nan)
 
-    def update(self, m: Measurement, known: Array, config: EstimateConfig) -> None:
+    def update(
+        self, m: Measurement, known: Array, blind_time: float, config: EstimateConfig
+    ) -> None:
         """A measurement; `known` (n_m,) is the acceleration by torques and base, or NaN."""
         q, qd, dt = m.q_m, m.qd_m, self._dt
         way = np.abs(q - self.x[0] - dt * self.x[1])
@@ -47,7 +49,7 @@ class Estimate:
         if self.jumped:
             self.x[2] = 0.0
         sigma = np.sqrt(self.variances[0] * dt)
-        time = np.maximum(max(RESPONSE, dt), np.cbrt(sigma / (SHAKE * self._qd_max)) ** 2)
+        time = np.maximum(max(RESPONSE, blind_time), np.cbrt(sigma / (SHAKE * self._qd_max)) ** 2)
         response = sigma / time**3
         if continued:
             self._learn(q, qd, known, config.noise_window)

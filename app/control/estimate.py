@@ -91,27 +91,29 @@ def _begin_at(
 
 @compiled()
 def process_noise(
-    v_error: Array, variance: Array, qd_max: Array, periods: int, gains: Any
+    v_error: Array, variance: Array, qd_max: Array, periods: int, blind_time: float, gains: Any
 ) -> Array:
     """(n_m,) process noise of the external acceleration, in one second.
 
     It is at least so large that the filter responds within `_RESPONSE`: a pull moves a light joint
-    beyond its top speed within 0.05 s. With noise above about 0.2 mrad at 1 kHz the response is
-    slower, so that the noise of estimated speeds is limited. The process noise is also at least as
-    large as the recent errors of predicted velocities imply.
+    beyond its top speed within 0.05 s. The response is slower than the blind time, because readings
+    that are older than assumed contradict the predicted motion. With noise above about 0.2 mrad at
+    1 kHz the response is slower too, so that the noise of estimated speeds is limited. The process
+    noise is also at least as large as the recent errors of predicted velocities imply.
 
     Args:
         v_error: (n_m,) recent errors of velocities that were predicted over several periods.
         variance: (n_m,) noise variance of the positions.
         qd_max: (n_m,) joint speed limits.
         periods: Number of these periods.
+        blind_time: [s] recent longest age of the readings.
         gains: `GAINS`.
     """
     drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
     for i in range(len(v_error)):
         noise = math.sqrt(variance[i] * time)
         slow = (noise / (_SHAKE * qd_max[i])) ** (2.0 / 3.0)
-        drift[i] = max(drift[i], noise / max(_RESPONSE, time, slow) ** 3)
+        drift[i] = max(drift[i], noise / max(_RESPONSE, time, slow, blind_time) ** 3)
         if periods > 1:
             implied = v_error[i] * math.sqrt(3.0 / time**3)
             drift[i] = max(drift[i], min(implied, _MOST_DRIFT))

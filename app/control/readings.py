@@ -763,7 +763,9 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     steps = age + 1 if w.known[()] >= age + 1 + lag else 0
     known = _recall(w, lag, steps)
     memory = w.x_read, w.P_est, w.noise_var, w.q_last, w.samples
-    drift = process_noise(w.v_error, w.noise_var[0], robot.qd_max, steps + lag, gains)
+    drift = process_noise(
+        w.v_error, w.noise_var[0], robot.qd_max, steps + lag, w.blind_time[()], gains
+    )
     jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains)
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
