@@ -39,7 +39,8 @@ _BEGUN = ".dbb~"  # prefix of folders with unfinished results
 _PATIENCE = 1.0  # [s] time to wait until another process releases such a folder
 _LOOK_EVERY = 0.02  # [s] time between two attempts to lock a folder
 _MAX_LINKS = 40  # [-] longest chain of links, as in the operating system
-_ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
+_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # [-] M_MMAP_THRESHOLD and M_ARENA_MAX of mallopt(3)
+_LARGE = 2**17  # [bytes] size of a large block of memory
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 
 
@@ -90,9 +91,7 @@ def limited(seconds: float, memory: int) -> Iterator[None]:
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         size = pages * resource.getpagesize() + memory
-    mallopt = getattr(_c_library(), "mallopt", None)
-    if mallopt is not None:
-        mallopt(_ARENA_MAX, 1)  # otherwise glibc reserves 64 MB per thread
+    return_freed_memory_early()
     limits = {resource.RLIMIT_CPU: math.ceil(used + seconds), resource.RLIMIT_AS: size}
     before = {kind: resource.getrlimit(kind) for kind in limits}
     for kind, limit in limits.items():
@@ -370,11 +369,16 @@ def peak_memory() -> float:
     return peak / 2**20 if sys.platform == "darwin" else peak / 2**10  # macOS: bytes; Linux: KiB
 
 
-def give_freed_memory_back() -> None:
-    """Return freed memory to the system; only glibc needs this, because it keeps freed memory."""
-    trim = getattr(_c_library(), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
+def return_freed_memory_early() -> None:
+    """Make glibc return freed memory to the system early; other C libraries do this anyway.
+
+    Each large block is mapped on its own, and all threads share one heap. Otherwise freed blocks
+    between used ones stay in this process, for example those of a former robot.
+    """
+    mallopt = getattr(_c_library(), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, _LARGE)
+        mallopt(_ARENA_MAX, 1)
 
 
 def home_folder(find: Callable[..., Path]) -> Path | None:

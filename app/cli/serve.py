@@ -17,11 +17,13 @@ from app.config_file import checked_host
 from app.simulation.scenarios import free_start
 from app.simulation.scenarios.leading import Scenario, check_point
 from app.simulation.scenarios.line import Point
+from app.system import return_freed_memory_early
 
 if TYPE_CHECKING:
     import numpy as np
 
     from app.border.cache import BorderData
+    from app.dashboard.server import DashboardServer
     from app.jobs.process import Child
     from app.robot.model import RobotModel
     from app.simulation.loop.process_loop import ProcessLoop
@@ -62,6 +64,7 @@ def serve(
     config: options.ConfigOption = None,
 ) -> None:
     """Serve the dashboard: a page to pull the arm with the mouse."""
+    return_freed_memory_early()
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
     if asked.case is None:
@@ -120,6 +123,21 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
+    """Serve the dashboard until it ends; no name here keeps the first robot alive."""
+    asked, server = first.asked, _opened(first)
+    try:
+        print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+        if not _is_loopback(asked.host):
+            say(
+                f"other machines can reach {asked.host}, without a password: everyone there can "
+                "watch and command the simulation"
+            )
+        server.run_forever()
+    finally:
+        server.shared.loop.stop()
+
+
+def _opened(first: _First) -> DashboardServer:
     from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, serve_dashboard
 
@@ -135,7 +153,7 @@ def _serve(first: _First) -> None:
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
-        server = serve_dashboard(
+        return serve_dashboard(
             simulation,
             model,
             data.clouds,
@@ -146,15 +164,9 @@ def _serve(first: _First) -> None:
             parts=parts,
             start_loop=first.begin_loop,
         )
-        print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
-        if not _is_loopback(asked.host):
-            say(
-                f"other machines can reach {asked.host}, without a password: everyone there can "
-                "watch and command the simulation"
-            )
-        server.run_forever()
-    finally:
+    except BaseException:
         simulation.stop()
+        raise
 
 
 def _border(model: RobotModel) -> BorderData:

@@ -20,7 +20,7 @@ from app.errors import ConfigError, DbbError
 from app.jobs.bounded import Budget
 from app.jobs.process import Cancelled, Report, run_in_process
 from app.onboarding import helpers
-from app.system import give_freed_memory_back, limited, usable_cores, write_whole
+from app.system import limited, usable_cores, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
+    from app.simulation.trace.trace import Trace
 
 logger = logging.getLogger("app.dashboard")  # for all jobs that viewers can start
 _CORES = max(1, usable_cores() - 1)  # [-] cores for a job; the simulation needs one core
@@ -36,7 +37,7 @@ _PATIENCE = 10.0  # [s] timeout for the end of a thread
 
 
 def give_back(*, frozen: bool = False) -> None:
-    """Run the garbage collector and return the freed memory to the system.
+    """Run the garbage collector.
 
     Python searches old objects for reference cycles only rarely, but a few such objects can use
     much memory, for example a model or a border. With `frozen`, the search includes the objects
@@ -48,7 +49,6 @@ def give_back(*, frozen: bool = False) -> None:
     gc.collect()
     if frozen:
         gc.freeze()
-    give_freed_memory_back()
 
 
 @dataclass(frozen=True)
@@ -211,24 +211,28 @@ def build_robot(report: Report, request: Request) -> None:
     )
 
 
-def write_report(report: Report, log: Path, page: Path) -> None:
-    """Write the report of a log as an HTML page."""
-    from app.simulation.trace.log_file import read_trace
+def write_log(report: Report, trace: Trace, log: Path) -> None:
+    """Write a trace as a log."""
+    from app.simulation.trace.log_file import write_trace  # pyarrow takes long to import
+
+    report("writing the log", 0.0)
+    write_trace(log, trace)
+
+
+def write_report(report: Report, trace: Trace, page: Path) -> None:
+    """Write the report of a trace as an HTML page."""
     from app.studies.run_report import run_report
 
-    report("reading the log", 0.0)
-    read = read_trace(log)
-    write_whole(page, run_report(read, lambda share: report("drawing the figures", share)))
+    report("drawing the figures", 0.0)
+    write_whole(page, run_report(trace, lambda share: report("drawing the figures", share)))
 
 
-def write_replay(report: Report, log: Path, page: Path) -> None:
-    """Write the replay of a log as an HTML page."""
+def write_replay(report: Report, trace: Trace, page: Path) -> None:
+    """Write the replay of a trace as an HTML page."""
     from app.dashboard.export import Look
     from app.dashboard.export.offscreen import replay_html
     from app.dashboard.scene.camera import first_view
-    from app.simulation.trace.log_file import read_trace
 
-    trace = read_trace(log)
     model, data = _loaded(trace.meta.robot, progress=False)
     duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
 
@@ -239,21 +243,19 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
     write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))
 
 
-def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
-    """Write a film of a log with `FILM_RATE`; it plays in real time."""
+def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
+    """Write a film of a trace with `FILM_RATE`; it plays in real time."""
     from contextlib import closing
 
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
-    from app.simulation.trace.log_file import read_trace
 
     report("starting a browser", 0.0)
     with chromium() as browser:  # first, because all later work needs it
-        read = read_trace(log)
-        model, data = _loaded(read.meta.robot, progress=False)
-        begin, end = read.snapshots[0].t, read.snapshots[-1].t
+        model, data = _loaded(trace.meta.robot, progress=False)
+        begin, end = trace.snapshots[0].t, trace.snapshots[-1].t
         times = [begin + k / FILM_RATE for k in range(1 + int((end - begin) * FILM_RATE + 1e-9))]
-        pictures = film_pictures(browser, read.snapshots, times, model, data.clouds, look)
+        pictures = film_pictures(browser, trace.snapshots, times, model, data.clouds, look)
 
         def on_progress(k: int) -> None:
             report(f"picture {k + 1} of {len(times)}", k / len(times))

@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from io import BytesIO
-from pathlib import Path
 from typing import Any, cast
 
 import viser
@@ -14,7 +13,7 @@ from PIL import Image
 from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
-from app.dashboard.job import FILM_RATE, write_film_of, write_replay, write_report
+from app.dashboard.job import FILM_RATE, write_film_of, write_log, write_replay, write_report
 from app.dashboard.panels import JobStatus, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
@@ -55,7 +54,7 @@ class SavePanel(Panel):
                 ("Report (HTML)", "report.html", write_report),
                 ("Replay (HTML)", "replay.html", write_replay),
             ):
-                self._file(label, viser.Icon.MOVIE, name, partial(self._of_log, name, write))
+                self._file(label, viser.Icon.MOVIE, name, partial(self._of_interval, name, write))
             self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
             self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
             self._file(
@@ -144,33 +143,28 @@ class SavePanel(Panel):
         return whole.convert("RGB")
 
     def _log(self, name: str) -> bytes:
-        with temporary_folder() as folder:
-            data = self._write(folder / name).read_bytes()
+        data = self._of_interval(name, write_log)
         # The first line is a comment; without it, spreadsheets and pandas read a plain table.
         return data.partition(b"\n")[2] if name.endswith(".csv") else data
 
-    def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
-        """Return the file that `write(report, log, path, *more)` creates from a log."""
+    def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
+        """Return the file that `write(report, trace, path, *more)` creates in its own process.
+
+        The libraries of logs and films use much memory, and a process returns all of it.
+        """
+        snapshots = self._viewer.timeline.interval()
+        model, scenario = self._viewer.shared.model, snapshots[0].scenario
+        trace = Trace.of_snapshots(model, snapshots, scenario=scenario)
         with temporary_folder() as folder:
-            log, path = self._write(folder / "log.parquet"), folder / name
-            self._job.run(write, log, path, *more)
+            path = folder / name
+            self._job.run(write, trace, path, *more)
             return path.read_bytes()
 
     def _film(self) -> bytes:
         """Return a film of the interval, which a process with its own browser creates."""
         view = cast("Side", self._film_from.value)
         look = Look(*self._size(), view=view, light=not self._viewer.view.dark)
-        return self._of_log(f"film{self._film_as.value}", write_film_of, look)
-
-    def _write(self, path: Path) -> Path:
-        """Write the log of the marked interval, and return its path."""
-        from app.simulation.trace.log_file import write_trace  # pyarrow takes long to import
-
-        snapshots = self._viewer.timeline.interval()
-        scenario = snapshots[0].scenario
-        model = self._viewer.shared.model
-        write_trace(path, Trace.of_snapshots(model, snapshots, scenario=scenario))
-        return path
+        return self._of_interval(f"film{self._film_as.value}", write_film_of, look)
 
 
 def png(picture: Image.Image) -> bytes:

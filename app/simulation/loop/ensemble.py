@@ -19,7 +19,6 @@ from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import largest
 from app.simulation.trace.snapshot import GhostReading, Score
 from app.strict import Array
-from app.system import give_freed_memory_back
 
 _SAID = 1.0  # [s] time for which snapshots contain a new case
 MAX_PULLS = 8  # largest number of people who hold the robot at the same time
@@ -248,8 +247,6 @@ class Ensemble:
         self.ghosts = ghosts
         for session in ended:
             session.close()
-        if ended:
-            give_freed_memory_back()
         for runner in (self._led, *ghosts):
             runner.scored = bool(ghosts)
 

@@ -22,7 +22,7 @@ from app.simulation.loop.loop import LoopHandle, SimulationLoop
 from app.simulation.loop.pacing import gc_frozen
 from app.simulation.session import Session
 from app.strict import Array
-from app.system import raise_priority
+from app.system import raise_priority, return_freed_memory_early
 
 _PATIENCE = 5.0  # [s] timeout for the end of a thread or of the process
 _SEND_EVERY = 0.002  # [s] time between two transmissions of commands
@@ -135,6 +135,7 @@ class ProcessLoop(LoopHandle):
 
 def _run_loop(commands: Connection, snapshots: Connection) -> None:
     """Main function of the child: run a loop until the parent closes its end of `commands`."""
+    return_freed_memory_early()
     sys.setswitchinterval(_SWITCH)
     raise_priority(_NICENESS)
     try:
