@@ -181,7 +181,7 @@ class RobotSwitch(Job):
             data = self.run(sample_border, entry.name)
         self.check()
         self.report("reading the meshes")
-        parts = RobotParts(model)
+        parts = RobotParts(model, apart=True)
         self.check()
         self.report("starting the simulation")
         usual, note = model.description.config, ""

@@ -85,8 +85,13 @@ class LinkPoses:
 class RobotParts:
     """Kinematics, visual meshes and convex bodies of a robot, loaded once for all viewers."""
 
-    def __init__(self, robot: RobotModel) -> None:
+    def __init__(self, robot: RobotModel, *, apart: bool = False) -> None:
         """Load all parts.
+
+        Args:
+            robot: The robot.
+            apart: Whether to read large meshes in a process of their own, which takes a second but
+                returns all memory: the simplification of meshes keeps that of the largest mesh.
 
         Raises:
             AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -98,7 +103,7 @@ class RobotParts:
         self.title = robot.description.title
         """Title of the robot, with a note if it is drawn by its convex bodies."""
         try:
-            self.visuals = _visuals(robot)
+            self.visuals = _visuals(robot, apart)
             """Visual meshes, or the convex bodies if a mesh is missing or cannot be read."""
         except (AssetError, RobotFileError) as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
@@ -153,9 +158,9 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
 
 
 @kept_per_model(1)
-def _visuals(robot: RobotModel) -> list[Visual]:
+def _visuals(robot: RobotModel, apart: bool) -> list[Visual]:
     tree = ElementTree.fromstring(resolved_urdf(robot.description))
-    size = mesh_bytes(tree) if is_own(robot.description.name) else 0
+    size = mesh_bytes(tree) if apart or is_own(robot.description.name) else 0
     try:
         return within_budget(load_visuals, robot.description, size=size)
     except BudgetError as error:
