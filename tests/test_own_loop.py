@@ -877,6 +877,7 @@ def test_only_a_sudden_vertical_force_is_a_load(case: str) -> None:
     w.J_ee, w.x_est = np.hstack([np.zeros((3, 2)), J]), np.zeros((3, 7))
     w.load, w.loaded, w.torques_age = np.zeros(()), np.zeros(()), np.zeros(())
     w.samples, w.torques, w.P_est = np.array(100.0), np.zeros((8, 7)), np.zeros((7, 3, 3))
+    w.blind_time = np.array(0.001)
     estimate = getattr(_estimate_load, "py_func", _estimate_load)
     reported = []
     for k in range(400):

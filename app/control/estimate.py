@@ -34,7 +34,7 @@ _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its
 _SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second, relative to a
 # joint's top speed: a person's force grows within milliseconds, the error of an old reading at once
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
-_RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
+RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
 _SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
@@ -95,7 +95,7 @@ def process_noise(
 ) -> Array:
     """(n_m,) process noise of the external acceleration, in one second.
 
-    It is at least so large that the filter responds within `_RESPONSE`: a pull moves a light joint
+    It is at least so large that the filter responds within `RESPONSE`: a pull moves a light joint
     beyond its top speed within 0.05 s. The response is slower than the blind time, because readings
     that are older than assumed contradict the predicted motion. With noise above about 0.2 mrad at
     1 kHz the response is slower too, so that the noise of estimated speeds is limited. The process
@@ -113,7 +113,7 @@ def process_noise(
     for i in range(len(v_error)):
         noise = math.sqrt(variance[i] * time)
         slow = (noise / (_SHAKE * qd_max[i])) ** (2.0 / 3.0)
-        drift[i] = max(drift[i], noise / max(_RESPONSE, time, slow, blind_time) ** 3)
+        drift[i] = max(drift[i], noise / max(RESPONSE, time, slow, blind_time) ** 3)
         if periods > 1:
             implied = v_error[i] * math.sqrt(3.0 / time**3)
             drift[i] = max(drift[i], min(implied, _MOST_DRIFT))

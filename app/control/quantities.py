@@ -127,9 +127,8 @@ load | m | | kg | | readings |
     memory: mass at the end-effector whose weight best explains the external torques
 loaded | | | kg | | readings | memory: mass of the reported load; 0 without one
 torques | | 8 n_m | N m, N | joints | readings |
-    memory: external torques at intervals of 0.02 s, the newest first; the first entry is NaN until
-    the first sample of a new estimate
-torques_age | | | s | | readings | memory: time since the newest row of `torques`
+    memory: mean external torques in intervals of 0.02 s, the newest first; NaN before the estimate
+torques_age | | | s | | readings | memory: age of the newest interval of `torques`
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: present position, velocity and external acceleration q̈_ext
 x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |

@@ -26,12 +26,13 @@ import numpy as np
 from app.compiled import compiled
 from app.control.estimate import (
     FEWEST,
+    RESPONSE,
     advance,
     estimate_arm,
     predicted_joint_acceleration,
     process_noise,
 )
-from app.control.qp import dot, times
+from app.control.qp import cholesky, dot, forward, times
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
@@ -85,10 +86,11 @@ _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to t
 _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive's model
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
-_SAMPLED = 0.02  # [s] interval between samples of the external torques
+_SAMPLED = 0.02  # [s] interval of a mean of the external torques
 _SIGNIFICANT = 3.0  # [-] smallest reported load in standard deviations of the estimate
-_VERTICAL = 0.9  # [-] smallest share of a load's squared change that a vertical force explains
-_QUIET = 0.4  # [-] largest change in an interval before a load, relative to the load's
+_FRICTION = 0.3  # [N m or N] standard deviation of changes of a joint's friction
+_VERTICAL = 0.95  # [-] smallest share of a load's squared change that a vertical force explains
+_QUIET = 0.25  # [-] largest change in an interval before a load, relative to the load's
 _ENDED = 0.2  # [-] largest further growth in the interval after a load, relative to the load's
 _GRAVITY = 9.81  # [m/s²]
 
@@ -513,27 +515,31 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 
 
 @compiled()
-def _sudden_mass(torques: Array, lift: Array, variance: float) -> float:
+def _sudden_mass(torques: Array, lift: Array, C: Array) -> float:
     """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
 
-    The weight of a load changes the external torques within 0.04 s, and only as a vertical force
-    does, while they change little before and after. A person's force turns, or grows longer.
+    The weight of a load changes the external torques at once, and only as a vertical force does,
+    while they change little before and after. A person's force turns, or grows longer. The changes
+    are compared in units of their standard deviation, so that noisy joints count less.
 
     Args:
-        torques: (8, n_m) external torques at intervals of 0.02 s; the newest is first.
+        torques: (8, n_m) mean external torques in intervals of 0.02 s; the newest is first.
         lift: (n_m,) torques of a vertical force of 1 N.
-        variance: Variance of the product of `lift` and a row of `torques`.
+        C: (n_m, n_m) covariance of the change from one row of `torques` to another.
     """
-    change, after = torques[1] - torques[3], torques[0] - torques[1]
-    along, size, total = dot(change, lift), dot(lift, lift), dot(change, change)
-    least = max(_LEAST_LOAD * _GRAVITY * size, _SIGNIFICANT * math.sqrt(variance))
-    if along**2 < _VERTICAL * total * size or abs(along) < least:
+    L, n_m = cholesky(C), len(lift)
+    up, change = forward(L, lift), forward(L, torques[1] - torques[3])
+    after, along, size = forward(L, torques[0] - torques[1]), dot(change, up), dot(up, up)
+    total = dot(change, change) - n_m  # the expected square of the noise is n_m
+    if abs(along) < max(_LEAST_LOAD * _GRAVITY * size, _SIGNIFICANT * math.sqrt(size)):
+        return 0.0
+    if along**2 < _VERTICAL * total * size:
         return 0.0
     for k in range(3, len(torques) - 1):
-        before = torques[k] - torques[k + 1]
-        if dot(before, before) > _QUIET**2 * total:
+        before = forward(L, torques[k] - torques[k + 1])
+        if dot(before, before) - n_m > _QUIET**2 * total:
             return 0.0
-    if dot(after, lift) / along > _ENDED or dot(after, after) > total:
+    if dot(after, up) / along > _ENDED or dot(after, after) - n_m > total:
         return 0.0
     return -along / size / _GRAVITY
 
@@ -546,30 +552,47 @@ def _estimate_load(gains: Any, w: Any) -> None:
     of its weight is present.
     """
     n_b = len(w.g) - len(w.q_m)
-    M, lift, variance = w.M[n_b:, n_b:], w.J_ee[2, n_b:], 0.0
+    M, lift = w.M[n_b:, n_b:], w.J_ee[2, n_b:]
     torque, size = times(M, w.x_est[2]), dot(lift, lift)
     if size == 0.0 or w.samples[()] < FEWEST:
         return
     w.load[()] = -dot(torque, lift) / size / _GRAVITY
     corrected = w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]
-    if corrected or w.faults[JUMP] != 0.0:  # a new estimate
-        w.torques[0, 0], w.torques_age[()] = math.nan, 0.0
-    w.torques_age[()] += gains.dt
-    if w.torques_age[()] > _SAMPLED - 0.5 * gains.dt:
+    if corrected or w.faults[JUMP] != 0.0 or math.isnan(w.torques[0, 0]):  # a new estimate
         w.torques_age[()] = 0.0
-        for k in range(len(w.torques) if math.isnan(w.torques[0, 0]) else 0):
+        for k in range(len(w.torques)):
             put(w.torques[k], torque)
-        for k in range(len(w.torques) - 1, 0, -1):
-            put(w.torques[k], w.torques[k - 1])
-        put(w.torques[0], torque)
-        for i in range(len(lift)):
-            variance += dot(M[i], lift) ** 2 * w.P_est[i, 2, 2]
-        sudden = _sudden_mass(w.torques, lift, variance)
+    w.torques_age[()] += gains.dt
+    for i in range(len(torque)):
+        w.torques[0, i] += gains.dt / w.torques_age[()] * (torque[i] - w.torques[0, i])
+    if w.torques_age[()] > _SAMPLED - 0.5 * gains.dt:
+        sudden = _sudden_mass(w.torques, lift, _torque_change(M, w.P_est, w.blind_time[()]))
         if sudden != 0.0:
             w.loaded[()] = sudden
         elif w.load[()] * w.loaded[()] <= 0.5 * w.loaded[()] ** 2:
             w.loaded[()] = 0.0
+        w.torques_age[()] = 0.0
+        for k in range(len(w.torques) - 1, 0, -1):
+            put(w.torques[k], w.torques[k - 1])
     w.faults[LOAD] = 1.0 if w.loaded[()] != 0.0 else 0.0
+
+
+@compiled()
+def _torque_change(M: Array, P: Array, blind_time: float) -> Array:
+    """(n_m, n_m) covariance of the change of mean external torques between two intervals.
+
+    The error of an estimated acceleration lasts as long as the filter's response, `blind_time` [s]
+    or longer, and its mean over an interval is smaller. `_FRICTION` is the part that no filter
+    knows.
+    """
+    share = 2.0 * min(1.0, max(RESPONSE, blind_time) / _SAMPLED)
+    C = np.zeros_like(M)
+    for i in range(len(M)):
+        for j in range(len(M)):
+            for k in range(len(M)):
+                C[i, j] += share * M[i, k] * P[k, 2, 2] * M[j, k]
+        C[i, i] += _FRICTION**2
+    return C
 
 
 @compiled()
