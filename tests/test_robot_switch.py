@@ -12,6 +12,8 @@ from contextlib import contextmanager, nullcontext
 import pytest
 
 from app.border.cache import BorderData
+from app.cli import serve
+from app.cli.options import Setup
 from app.config import Config
 from app.dashboard import markup, robots
 from app.dashboard.job import give_back
@@ -87,7 +89,7 @@ def two_robots(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     monkeypatch.setattr(robots, "kept_border_data", lambda _: data)
     seen = parts().visuals
-    monkeypatch.setattr(robot, "load_visuals", lambda *_: list(seen))  # loading takes seconds
+    monkeypatch.setattr(robot, "_visuals", lambda *_: list(seen))  # loading takes seconds
 
 
 def choose(server: DashboardServer, name: str) -> None:
@@ -193,6 +195,29 @@ def test_a_replaced_robot_is_freed_without_a_garbage_collection() -> None:
             assert [name for name, ref in old.items() if ref() is not None] == []
         finally:
             gc.enable()
+
+
+def test_the_command_frees_the_first_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    loops, freed = Loops(), []
+
+    def change(server: DashboardServer) -> None:
+        shared = server.shared
+        old = [weakref.ref(each) for each in (shared.model, shared.parts, shared.loop)]
+        del shared
+        with viewer(server):
+            choose(server, OTHER)
+        gc.collect()
+        freed.extend(ref() is None for ref in old)
+        server.stop()
+
+    monkeypatch.setattr(DashboardServer, "run_forever", change)
+    monkeypatch.setattr(serve, "load_model", lambda _: RobotModel(husky_panda().description))
+    monkeypatch.setattr(serve, "_border", lambda _: BorderData(None, clouds(), "cache"))  # type: ignore[arg-type]
+    monkeypatch.setattr(serve._First, "q_start", lambda *_: None)
+    monkeypatch.setattr(serve._First, "begin_loop", lambda _, *about: loops(*about[:4]))
+    asked = serve.Serving(port=0)
+    serve._serve(serve._First(Setup(), Config(), asked, None, None))  # type: ignore[arg-type]
+    assert freed == [True] * 3
 
 
 @pytest.mark.parametrize("frozen", [False, True])
