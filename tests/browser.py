@@ -317,7 +317,7 @@ class DashboardTab:
             self.page.mouse.up()
 
     def look_at(self, t: float) -> None:
-        """Click on the time line at a past time t [s]."""
+        """Click on the timeline at a past time t [s]."""
         self.wait("t => dbb.seen().now > t + 0.2", t)
         self.page.mouse.click(*self.page.evaluate("t => dbb.pixel(t)", t))
 

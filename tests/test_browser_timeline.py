@@ -1,4 +1,4 @@
-"""The time line: scene, plots and texts show the selected instant, `Back to now` returns."""
+"""The timeline: scene, plots and texts show the selected instant, `Back to now` returns."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def tab(opened, served):
 def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     assert tab.page.title() == f"{PRODUCT} · {served.server.shared.model.description.title}"
     texts = (
-        "out of its own arm's way",
+        "out of the way of its arm",
         "end-effector – base",
         "score S, equation (10)",
         "Nearest",

@@ -220,9 +220,7 @@ def test_sentence_announces_the_motion_of_a_base_at_rest(blank):
     why = explanation(NEAR["base"], commanded_acceleration=(-0.3, -0.2))
     assert "about to back away and turn right" in sentence_for(blank, why, base_velocity=(0.0, 0.0))
     idle = explanation(NEAR["base"])
-    assert "the base does not need to move yet" in sentence_for(
-        blank, idle, base_velocity=(0.0, 0.0)
-    )
+    assert "the base stays where it is" in sentence_for(blank, idle, base_velocity=(0.0, 0.0))
 
 
 @pytest.mark.parametrize("held", [False, True])

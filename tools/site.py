@@ -151,7 +151,7 @@ def _border(
     pair: str,
     layer: Layer,
 ) -> Bordered:
-    """Make a page whose time line changes d_b."""
+    """Make a page whose timeline changes d_b."""
     with own_server() as server:
         look = Look(layer=layer, pair=pair)
         scene = OffscreenScene(server, RecordedLoop(snapshots), model, data.clouds, look)

@@ -1,5 +1,5 @@
 // Elements of the page in addition to viser's widgets, created by `Channel`: the header, the guide's
-// card, the time line, number boxes that accept a complete number only, and keys.
+// card, the timeline, number boxes that accept a complete number only, and keys.
 // `box` is the widget that carries the page's messages to the server; `ranges` has the ranges of the
 // number boxes.
 window.dbbControls = (box, ranges) => {
@@ -29,7 +29,7 @@ window.dbbControls = (box, ranges) => {
   const name = make("div", head, "dbb-name");
   name.title = "dbb: distance buffer border, the coloured points around the base";
   make("h1", name, "", "dbb").append(Object.assign(document.createElement("span"), { textContent: " self-collision avoidance" }));
-  make("p", name, "", "Moves a robot's base out of its own arm's way");
+  make("p", name, "", "Moves a robot's base out of the way of its arm");
   const live_ = make("div", head, "dbb-live");
   const card = make("section", document.body, "dbb-card");
   card.setAttribute("aria-label", "Guide");
@@ -70,7 +70,7 @@ window.dbbControls = (box, ranges) => {
   const marked = make("span", row);
   strip.tabIndex = 0;
   strip.setAttribute("role", "slider");
-  strip.setAttribute("aria-label", "Time line");
+  strip.setAttribute("aria-label", "Timeline");
   edge.hidden = past.hidden = hint.hidden = card.hidden = true;
 
   // ---- content of the bar
@@ -403,7 +403,7 @@ window.dbbControls = (box, ranges) => {
       [now, at, begin, end, live, paused, d_b, playing] = values;
       say();
     },
-    // For tests: position of a time on the page, and the content of the time line.
+    // For tests: position of a time on the page, and the content of the timeline.
     pixel: (t) => [strip.getBoundingClientRect().left + x(t), strip.getBoundingClientRect().top + 25],
     seen: () => ({ from: from(), until: until(), now, at, rows, events: [...events.values()] }),
     end: () => {

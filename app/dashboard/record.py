@@ -17,7 +17,7 @@ from app.strict import Array
 HISTORY = 600.0  # [s] length of the history
 SPACING = 0.01  # [m] distance between two points of a track
 _LONGEST = 1500  # [-] largest number of points of a track
-BIN = 0.1  # [s] length of a bin of the time line
+BIN = 0.1  # [s] length of a bin of the timeline
 _QUIET = 1.0  # [s] after a pause of this length, the same event counts as a new one
 _MOST_EVENTS = 400  # [-] largest number of stored events
 
@@ -106,7 +106,7 @@ class Course:
 
 
 class Event(NamedTuple):
-    """An event, which the time line marks."""
+    """An event, which the timeline marks."""
 
     t: float
     """[s] time of its start."""
@@ -116,7 +116,7 @@ class Event(NamedTuple):
 
 
 class Strip:
-    """Data of the dashboard's time line.
+    """Data of the dashboard's timeline.
 
     The simulated time is divided into bins of `BIN` seconds. Each bin has the smallest distance and
     the largest β of its snapshots; every two bins store the snapshot with the smallest distance.

@@ -174,7 +174,7 @@ class SharedState(SceneData):
         self.course = Course()
         """Results of the last scenario."""
         self.strip = Strip(model.body_names)
-        """Data of the time line, of the last ten minutes."""
+        """Data of the timeline, of the last ten minutes."""
         self.keepers += [self.course, self.strip]
         self._watched = True
 

@@ -15,7 +15,7 @@ from app.simulation.scenarios.line import LineScenario
 from app.simulation.session import SCENARIO_PERSON
 
 TEXT = """
-**Purpose.** A controller that moves the base of a mobile robot out of its own arm's way. It
+**Purpose.** A controller that moves the base of a mobile robot out of the way of its arm. It
 implements *Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator*;
 numbers such as (7) are that paper's equations.
 
@@ -68,7 +68,7 @@ class Card(NamedTuple):
 _STEP = (SHOW, NEXT, CLOSE)
 CARDS = {
     "welcome": Card(
-        "This robot keeps its base out of its own arm's way",
+        "This robot moves its base out of the way of its own arm",
         "A person guides the arm towards the base: the base drives away before the arm touches it. "
         "Without avoidance the base would stay, and the arm would hit it.",
         (WATCH, PULL),
@@ -110,7 +110,7 @@ CARDS = {
     ),
     "tour 4": Card(
         "4 of 5: Go back in time",
-        "The time line below replays the last ten minutes, with all readings and plots. “Back to "
+        "The timeline below replays the last ten minutes, with all readings and plots. “Back to "
         "now” returns.",
         _STEP,
     ),

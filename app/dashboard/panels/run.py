@@ -143,7 +143,7 @@ class ComparePanel(Panel):
         super().__init__(viewer)
         gui = self._gui
         gui.add_markdown(
-            "Run other controllers on the same pull, as ghosts. hqp takes much computing time."
+            "Other controllers run as ghosts under the same pull. hqp needs much computing time."
         )
         self._choices = [
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
@@ -332,7 +332,7 @@ def pairs_html(
         cell(),
         cell("link pair"),
         cell("distance [mm]", RIGHT, ONE_LINE, span=2),
-        cell("activation β", RIGHT, ONE_LINE),
+        cell("activation β", RIGHT, ONE_LINE, "padding-left:1em"),
         style=FAINT,
     )
     pairs = enumerate(zip(snapshot.pairs, verdict.pairs, strict=True))

@@ -1,4 +1,4 @@
-"""Time line: the bar at the lower edge of the page, which selects the shown instant."""
+"""Timeline: the bar at the lower edge of the page, which selects the shown instant."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from app.simulation.trace.snapshot import Snapshot
 
 
 class TimelinePanel(Panel):
-    """Time line of one viewer; the page's own script draws it across the page."""
+    """Timeline of one viewer; the page's own script draws it across the page."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)

@@ -108,14 +108,14 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
-    pace += " (busy computer)" if is_slow(snapshot) else ""
     pace = "paused" if snapshot.paused else pace
+    late = ' title="busy computer" class="dbb-late"' if is_slow(snapshot) else ""
     hint = f"Nearest link pair; the mark is its buffer d_b = {millimetres(d_b)}"
     return (
         f'<div class="dbb-say">{state_chip(verdict.state)} {sentence(snapshot)}</div>'
         f'<div class="dbb-numbers"><span title="{hint}">{spoken[pair.name]} '
         f'<b>{millimetres(pair.d)}</b></span><span class="dbb-bar" title="{hint}">{share}</span>'
-        f"<span>base {words.speeds(snapshot.base_velocity)}</span><span>{pace}</span></div>"
+        f"<span>base {words.speeds(snapshot.base_velocity)}</span><span{late}>{pace}</span></div>"
     )
 
 
@@ -180,7 +180,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
             rest = f"; the arm itself will stop at {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
-    moved = "; the base does not need to move yet" if not moves else f", so {moves}"
+    moved = "; the base stays where it is" if not moves else f", so {moves}"
     if pair.limited:
         return f"{cause}{moved}, and the arm itself limits the approach.{also}"
     return f"{cause}{moved}; {_task_effect(why)}.{also}"

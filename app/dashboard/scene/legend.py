@@ -1,4 +1,4 @@
-"""Legend: colour bars of the borders, and the key to all other signs of scene and time line."""
+"""Legend: colour bars of the borders, and the key to all other signs of scene and timeline."""
 
 import math
 from typing import NamedTuple
@@ -100,7 +100,7 @@ def key_html(d_b: float) -> str:
         ),
         (
             f'<span style="color:{BETA}">▮</span>',
-            "time line, from above: activation β; marks are events (hover for their names)",
+            "timeline, from above: activation β; marks are events (hover for their names)",
         ),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
         (_signs("―", colours.TRAIL_BASE, colours.TRAIL_EE), "trails of base and end-effector"),
