@@ -182,9 +182,10 @@ def claim(file: BinaryIO | int) -> bool | None:
 
 @contextmanager
 def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
-    """Make a folder for an unfinished result, lock it, and remove it at the end.
+    """A locked folder for an unfinished result, which is removed at the end of the `with` block.
 
-    Only one process at a time can use a name. Remains of killed processes are removed first.
+    Only one process at a time can use a name. Files that killed processes have left are removed
+    first.
 
     Args:
         place: The folder in which the new folder is made.
@@ -443,8 +444,8 @@ def open_standard_files() -> None:
 def find_folders() -> None:
     """Set a writable temporary folder and a home for this program and its children, if missing.
 
-    On a read-only file system, for example in a container, shared memory is the only writable
-    place. A user that the system does not know has no home, and browsers need a home to start.
+    On a read-only file system, for example in a container, /dev/shm is often the only writable
+    folder. A user without an entry in the user database has no home, which browsers need to start.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)

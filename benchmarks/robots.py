@@ -93,11 +93,11 @@ def robot_table(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Row:
-    """Move each robot's end-effector towards its base from the side, the front and along the axis.
+    """Move each end-effector towards the base from the side, the front and along the wheel axis.
 
-    The start is the first height and direction with which the arm starts outside of its buffers
-    and, without avoidance, enters the inner half of a buffer. If there is no such start, or if the
-    robot cannot be loaded, the row states the reason.
+    Each path runs without and with avoidance. A path is the first one that starts outside all
+    buffers and, without avoidance, leads to a distance below d_b / 2. If none of the tested paths
+    does, or if the robot cannot be loaded, the row states the reason.
 
     Args:
         robots: Names of the robots.
@@ -107,8 +107,8 @@ def robot_table(
         on_progress: Called with the finished share of the work, 0 to 1.
 
     Returns:
-        `rows`, and the limits with which rows are judged; each key ends in its unit. The `title` of
-        a robot that cannot be loaded is its name.
+        `rows`, `seed`, d_b and the acceptance limits of the rows; the name of a quantity with a
+        unit ends in the unit. The `title` of a robot that cannot be loaded is its name.
     """
     jobs = [
         (SweepPlan(robot=robot, mode=case.mode, length=case.length, seed=seed), case)

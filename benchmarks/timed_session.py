@@ -16,7 +16,7 @@ class TimedSession(Session):
     """A session that writes its record to a file during the run, in any process and for hours."""
 
     def __init__(self, record: Path, *args: Any, **options: Any) -> None:
-        """Prepare a session that writes its times to `record`; `read_times` reads them."""
+        """Prepare a session that writes start and duration of each step to `record`."""
         self._file = record.open("wb", buffering=1 << 16)
         super().__init__(*args, **options)
 

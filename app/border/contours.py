@@ -2,9 +2,10 @@
 
 At each height, every shape has a ring: the boundary of its slice, as a closed polygon. The contour
 of the union consists of those parts of the rings that are outside of the other shapes. It is one
-closed curve, or several curves around islands or holes. Between two heights of the table, the
+closed curve, or several curves around islands or holes. Between two heights of a `Table`, the
 vertices of a ring, and the distances of the vertices to the other shapes, are interpolated. Two
-rings cross where such a distance is zero. The contour changes continuously with the height.
+rings cross where such a distance is zero. The contour changes continuously with the height, except
+where a shape begins or ends.
 """
 
 import math

@@ -63,9 +63,9 @@ class ScoreField:
         """(…) [-] R, the reachability of a point, which depends on the distance from the mount.
 
         Paper: Eq. (9).
-        Departure: far from B, (9) is negative and would change the score's sign. Below R_1 = 0.05 C
-        the function continues as R_1² / (2 R_1 − R), with the same value and slope at R_1. It is
-        positive everywhere, and its gradient does not vanish far from B.
+        Departure: at distances that differ much from B, (9) is negative and would change the
+        score's sign. Below R_1 = 0.05 C the function continues as R_1² / (2 R_1 − R), with the same
+        value and slope at R_1. It is positive everywhere, and its gradient is zero only at B.
         """
         return self._fields(p)[..., 0]
 

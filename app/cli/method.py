@@ -144,9 +144,9 @@ def reach(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        body: lEE, l3 or another body that at least three joints move; `all` means all such bodies.
-        seed: Seed of the joint positions; a different seed gives a different map.
-        out: Folder for two CSV files of each body: the map, and the means of shells with the fit.
+        body: Body such as lEE or l3 with at least three joints before it; `all` selects all these.
+        seed: Seed of the random joint positions; a different seed gives a different map.
+        out: Folder for two CSV files of each body: the map, and mean and fit of each shell.
     """
     from app.border import reach as maps
 
@@ -216,7 +216,7 @@ def config(
 ) -> None:
     """Print all parameters, as a file for --config.
 
-    Each parameter has its unit, range and meaning.
+    A comment states the unit, the range and the meaning of each parameter.
 
     Args:
         out: File to write instead of standard output; an existing file is not overwritten.

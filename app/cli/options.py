@@ -1,6 +1,6 @@
-"""Options made from records, options that several commands share, and checks of options.
+"""Options from dataclasses and models, options of several commands, and checks of options.
 
-A field of a record becomes an option, and the field's docstring its help text.
+Each field becomes an option, and the field's docstring becomes the help text.
 """
 
 import ast
@@ -36,7 +36,8 @@ ConfigOption = Annotated[
     NO_DEFAULT,
     tyro.conf.arg(
         help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
-        "are not in the file have the robot's defaults. Options for parameters override the file."
+        "are not in the file have the robot's defaults; options for parameters, where a command "
+        "has them, override the file."
     ),
 ]
 Processes = Annotated[
@@ -195,8 +196,8 @@ class Setup:
     """dbb; hqp (the paper's controller as printed, slower); repulsive or barrier (methods for
     comparison); or none (the same controller without avoidance)."""
     physics: str = field(default_factory=default_plant)
-    """planar (pybullet, base on velocity-controlled joints), mujoco (the same model in MuJoCo),
-    mujoco-contact (MuJoCo, base on wheels in contact) or kinematic (no physics engine)."""
+    """planar (pybullet; three velocity-controlled joints move the base), mujoco (the same model in
+    MuJoCo), mujoco-contact (MuJoCo, base on wheels in contact) or kinematic (no physics engine)."""
     seed: int = 0
     """Seed of all random numbers."""
 

@@ -46,8 +46,8 @@ def screenshot(
     """Draw instants of a scenario, in a browser without a display.
 
     Args:
-        scenario: A scenario of `dbb run`, or the JSON file of a case; a case sets robot, parameters
-            and seed.
+        scenario: A scenario of `dbb run`, or the JSON file of a case; a case determines robot,
+            parameters and seed.
         at: [s] time since the start of the scenario; 2 to 12 times (--at 0 3 6) make a strip of
             pictures.
         out: The PNG file.
@@ -95,18 +95,18 @@ class Filming:
     """Options of a film."""
 
     rate: float = 25.0
-    """[1/s] number of pictures per second of the film."""
+    """[1/s] frame rate of the film."""
     speed: float = 1.0
     """[-] playback speed; 1 is real time."""
     orbit: float = 0.0
-    """[deg/s] speed of the camera's rotation around the robot, in the film's time."""
+    """[deg/s] angular speed of the camera around the robot, per second of the film."""
     span: tuple[float, float] | None = None
     """[s] start and end of the filmed part; default: the whole scenario."""
     side_by_side: bool = False
-    """Draw the robot of each controller of --beside in a separate picture to the left, not as a
-    ghost."""
+    """Draw the robot of each controller of --beside in its own view, left of the main view, not as
+    a ghost."""
     codec: str = ""
-    """h264 or h265 for .mp4, vp9 or vp8 for .webm; default: h264 and vp9."""
+    """h264 (default) or h265 for .mp4; vp9 (default) or vp8 for .webm."""
 
     def __post_init__(self) -> None:
         check_range("--rate", self.rate, 1.0, 60.0, "1/s")
@@ -129,13 +129,13 @@ def film(
     config: options.ConfigOption = None,
     json: options.Json = False,
 ) -> None:
-    """Film a scenario without a display, picture by picture.
+    """Film a scenario without a display, frame by frame.
 
     Args:
-        scenario: A scenario of `dbb run`, or the JSON file of a case; a case sets robot, parameters
-            and seed.
+        scenario: A scenario of `dbb run`, or the JSON file of a case; a case determines robot,
+            parameters and seed.
         out: The file, which ends in .mp4, .webm, .webp (animated) or .gif.
-        beside: Further controllers, whose robots appear as ghosts.
+        beside: Controllers for comparison; their robots appear as ghosts.
         start: [m] start of the end-effector, in the world, as in `dbb run`.
         move: [m] displacement of the end-effector, in the world, as in `dbb run`.
     """

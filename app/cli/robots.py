@@ -79,8 +79,8 @@ def check_robot(
 
     Args:
         name: Name of the robot; `dbb robots` lists all names.
-        runs: Also guide the end-effector towards the base, which takes the most time.
-        quick: Use a coarse border, as from `dbb new-robot --quick`.
+        runs: Also simulate persons who pull the end-effector towards the base; this takes long.
+        quick: Use a coarse border, as `dbb new-robot --quick` does.
     """
     from app.border.config import QUICK
     from app.robot.description import load_robot

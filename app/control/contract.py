@@ -54,7 +54,10 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """The error for positions q_m (n_m,) far outside of the limits; it names the worst joint."""
+    """Build the error for positions q_m (n_m,) far outside their limits.
+
+    The message names the joint that is the farthest outside.
+    """
     half = 0.5 * (model.q_upper - model.q_lower)
     i = int(np.argmax(np.abs(q_m - 0.5 * (model.q_upper + model.q_lower)) / half))
     return MeasurementError(
@@ -115,7 +118,7 @@ def checked_reference(reference: Reference) -> Reference:
     """The reference with arrays of floats.
 
     Raises:
-        MeasurementError: The value is no `Reference`, or a field has a wrong type or shape; the
+        MeasurementError: The value is not a `Reference`, or a field has a wrong type or shape; the
             message names the field.
     """
     if not isinstance(reference, Reference):

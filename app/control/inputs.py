@@ -213,7 +213,7 @@ def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any
 
 
 def _contiguous(values: Any, fields: Mapping[str, Any]) -> Any:
-    """The values with contiguous arrays and numbers of the struct's types."""
+    """Convert each field: arrays to contiguous arrays, numbers to the type in the struct."""
     kinds = {types.f8: float, types.i8: int, types.b1: bool}
     return values._replace(
         **{

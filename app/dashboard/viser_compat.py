@@ -147,7 +147,7 @@ def open_server(
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """Stop a server, and wait for the end of its threads."""
+    """Stop a server, and wait for the end of its network thread, at most `_ENDING`."""
     with _silence():
         server.stop()
         thread = server._websock_server._server_thread

@@ -127,7 +127,7 @@ def _make_robot(
     if request.ready is None:
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
-        ready, rule = judge_ready(model, data.pairs, np.array(request.ready)), "given: --ready"
+        ready, rule = judge_ready(model, data.pairs, np.array(request.ready)), "from --ready"
     base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track)
     arm = {
         "ready_position": (tuple(ready.q_m.tolist()), rule),

@@ -245,7 +245,7 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
     if len(wheels.left) > 1:
         track += "; the effective half track of a base that skids is larger"
     if half_track:
-        track = "given: --half-track"
+        track = "from --half-track"
     return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
 
 

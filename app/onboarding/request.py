@@ -28,7 +28,7 @@ class Request:
     """Folder of the new description, such as robot_assets/NAME; NAME becomes the robot's name."""
     wheels: tuple[str, str] | None = None
     """Joints (or links) of a left and a right driven wheel; for a car-like base, of the rear
-    wheels. Default: found automatically."""
+    wheels. Default: detected in the URDF."""
     arm_urdf: str | None = None
     """A separate URDF of the arm, which is fixed to --base; --tip is then a link of the arm."""
     mount_xyz: Vector3 = (0.0, 0.0, 0.0)
@@ -36,17 +36,18 @@ class Request:
     mount_rpy: Vector3 = (0.0, 0.0, 0.0)
     """[rad] rotation of the root link of --arm-urdf in the frame of --base."""
     mount: str | None = None
-    """Link at whose origin the arm starts; default: the parent link of the arm's first joint, or
-    the joint's child link if the parent belongs to the base."""
+    """Link whose origin is the arm's mounting point; default: the parent link of the arm's first
+    joint, or the joint's child link if the parent belongs to the base."""
     tip_xyz: Vector3 = (0.0, 0.0, 0.0)
     """[m] position of the end-effector's frame in the frame of --tip."""
     tip_rpy: Vector3 = (0.0, 0.0, 0.0)
     """[rad] rotation of the end-effector's frame in the frame of --tip; its z axis points out of
     the gripper."""
     half_track: float | None = None
-    """[m] effective half track of the base; default: measured between the wheels."""
+    """[m] effective half track of the base; default: half of the distance between the
+    wheels. Not for other kinds of base."""
     wheel_radius: float | None = None
-    """[m] wheel radius, for a URDF without wheels; also needs --half-track."""
+    """[m] wheel radius of a URDF without wheels; needs --half-track, and excludes --wheels."""
     kind: str = "differential"
     """Kind of the base: differential, holonomic or car-like; a holonomic base needs no wheels."""
     wheelbase: float | None = None
@@ -58,9 +59,9 @@ class Request:
     ready: tuple[float, ...] | None = None
     """(n_m,) [rad or m] joint positions of the ready pose; default: the best of random poses."""
     bodies: int | None = None
-    """Number of bodies of the arm; default: four, or another number if four are not sufficient."""
+    """Number of bodies of the arm; default: four, or two to six if four are not sufficient."""
     assume_inertia: bool = False
-    """Compute masses from volumes if the URDF states no mass for any link of the arm."""
+    """Compute masses from volumes if no link of the arm has a mass in the URDF."""
     title: str | None = None
     """Displayed title of the robot; default: its name."""
     licence: str | None = None
@@ -69,15 +70,14 @@ class Request:
     """Seed of all random poses."""
     d_b: float | None = None
     """[m] buffer distance d_b of this robot; the bodies and the ready pose depend on it. Default:
-    0.15, or less if the links of a pair are always nearer and no joint limit separates them."""
+    0.15, or less if two links of a pair are nearer than this at all joint positions."""
     file: str | None = None
     """Path of the URDF within the zip, if the zip contains several."""
     source: str | None = None
     """Displayed source of the robot; default: `urdf`."""
     package: tuple[str, ...] = ()
-    """Folders of ROS packages, as NAME=FOLDER. The program searches for packages that this option
-    does not name beside and above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among
-    installed packages."""
+    """Folders of ROS packages, as NAME=FOLDER. Other packages are searched in the URDF's folder and
+    its parents, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed packages."""
     xacro: tuple[str, ...] = ()
     """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
 

@@ -328,7 +328,7 @@ def description(
         of_arm = {"ready_position": (middle, "assumed"), "joint_damping": (free, "assumed")}
         moving = dict.fromkeys(sorted(fields), (1.0, "assumed")), of_arm
     given = any((*request.tip_xyz, *request.tip_rpy))
-    tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
+    tip = "from --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
     xyz, rpy = (request.tip_xyz, tip), (request.tip_rpy, tip)
     at = {"end_effector_xyz_m": xyz, "end_effector_rpy_rad": rpy}
     chain = {"mount_link": arm.mount, "joints": arm.names, "end_effector_link": arm.tip}

@@ -1,4 +1,4 @@
-"""Small files that expand: long keys, deep nesting, repetitions, wrong sizes."""
+"""Small files that need much memory or time to read: deep nesting, repetitions, wrong sizes."""
 
 from __future__ import annotations
 

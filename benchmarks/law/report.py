@@ -17,8 +17,8 @@ class Report(NamedTuple):
 
     Attributes:
         name: Name of the measurement.
-        rows: The rows, by the names of the columns; each name ends in its unit.
-        summary: Numbers over all rows.
+        rows: One mapping from column name to value for each row.
+        summary: Values for all rows together.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""An environment for each library, because the libraries need different versions of pinocchio."""
+"""A Python environment for each library; they need different versions of pinocchio."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ class Plots(Panel):
         self._due = time.monotonic() + period
 
     def _change(self, *, add: bool = False) -> None:
-        """Remove the chosen quantity from the chosen plot; with `add`, put it at the end."""
+        """Remove the chosen quantity from the chosen plot; with `add`, append it as last curve."""
         name, title = self._name.value, self._into.value
         plan, view = self._plans[title], self._viewer.view
         curves = tuple(curve for curve in plan.curves if curve.label != name)

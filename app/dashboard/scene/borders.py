@@ -253,7 +253,7 @@ class DrawnBorders:
             canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
 
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
-        """Return the probe at the foremost drawn point under the `pointer` [px], or None."""
+        """Return the probe at the drawn point under the `pointer` [px] nearest to the camera."""
         nearest, found = np.inf, None
         for pair, (_, cloud, _) in self._drawn.items():
             if cloud is None:

@@ -243,7 +243,7 @@ class Camera:
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
-        """Whether the browser has not confirmed the last position yet."""
+        """Whether the browser's answer to the last position is pending, at most `_PATIENCE`."""
         return self._set is not None and monotonic() < self._set_at + _PATIENCE
 
     def _left(self) -> bool:

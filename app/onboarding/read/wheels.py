@@ -95,7 +95,7 @@ def _suspends(tree: Tree, arm: Arm, joint: Joint, wheels: Sequence[_Wheel]) -> b
     """Whether a joint hardly moves the wheels that it carries while they stand on a level floor.
 
     A spring has a travel of less than `_TRAVEL` times the wheels' radius. A rocker turns about a
-    level axis between its wheels, so a level floor keeps it at zero.
+    horizontal axis between its wheels, so a level floor keeps it at zero.
     """
     if joint.kind == "prismatic":
         travel = (joint.upper or 0.0) - (joint.lower or 0.0)
@@ -126,7 +126,7 @@ def find_drive(
             )
         floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, low]))
         r, b = request.wheel_radius or 0.0, request.half_track or 0.0
-        return Wheels((), (), r, b, floor, None, "given: --wheel-radius" if given else "")
+        return Wheels((), (), r, b, floor, None, "from --wheel-radius" if given else "")
     wheels = _find_wheels(tree, arm, geometry, request.wheels)
     if request.kind != "car-like":
         return wheels
@@ -158,13 +158,13 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) 
 
 
 def _find_wheels(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], given: tuple[str, str] | None
+    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], named: tuple[str, str] | None
 ) -> Wheels:
-    """The driven wheels: the wheels with the names `given`, or the lowest pair.
+    """The driven wheels: the wheels whose joints or links are `named`, or the lowest pair.
 
-    Further wheels of the same radius on the floor, in line in front of or behind one of these two,
-    are included. A wheel is a round link that turns without limits about a level axle; only a rigid
-    link of the base can carry it.
+    Other wheels of the same radius on the floor, with the same lateral position as one of these
+    two, are included. A wheel is a link of circular cross-section that `_rolls`; its parent is
+    rigidly fixed to the base.
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
@@ -174,8 +174,8 @@ def _find_wheels(
                 found[joint.name] = _wheel(tree, arm, geometry, joint)
             except RobotFileError as error:
                 reasons[joint.name] = str(error)
-    if given is not None:
-        left, right = (_named(tree, arm, found, reasons, name) for name in given)
+    if named is not None:
+        left, right = (_named(tree, arm, found, reasons, name) for name in named)
         if not _mirrored([left, right]):
             raise RobotFileError(
                 f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
@@ -257,7 +257,7 @@ def turns_round(joint: Joint) -> bool:
 
 
 def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
-    """Whether a joint turns without limits about a level axis."""
+    """Whether a joint rotates about a horizontal axis, without limits or by two turns or more."""
     level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
     return turns_round(joint) and bool(level)
 
@@ -266,7 +266,7 @@ def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Jo
     T = tree.pose(joint.child, arm.base)
     axis = T.rotation @ joint.axis
     if np.linalg.norm(axis[:2]) < _LEVEL:
-        raise RobotFileError(f"{joint.name} is not a wheel: its axis is not level")
+        raise RobotFileError(f"{joint.name} is not a wheel: its axis is not horizontal")
     links = tree.below(joint.child, moving=False)
     touched = [s for link in links for s in geometry[link].shapes]
     if not touched:
@@ -280,7 +280,7 @@ def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Jo
 
 
 def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
-    """[m] radius of shapes about a joint's axis, and its source."""
+    """[m] radius of shapes about a joint's axis, and the name of the shape that has it."""
     stated = [s.radius for s in shapes if s.radius is not None]
     if stated:
         kind = next(s.kind for s in shapes if s.radius is not None)
@@ -345,9 +345,9 @@ def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3
     tightest = "from the URDF: the tightest joint"
     slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
     sources = (
-        "given: --wheelbase" if request.wheelbase else measured,
-        "given: --steering-limit" if request.steering_limit else tightest,
-        "given: --steering-rate" if request.steering_rate else slowest,
+        "from --wheelbase" if request.wheelbase else measured,
+        "from --steering-limit" if request.steering_limit else tightest,
+        "from --steering-rate" if request.steering_rate else slowest,
     )
     joints = tuple(joint.name for joint in found)
     return Steering(wheelbase, limit, rate, tuple(rolling), joints, sources)

@@ -16,7 +16,7 @@ def mobile_jacobian(r: float, b: float) -> Array:
 
     Args:
         r: [m] radius of the wheels.
-        b: [m] distance between a wheel and the base's centre.
+        b: [m] half of the track width.
 
     Returns:
         (2, 2), first row [m/rad], second row [1].
@@ -34,7 +34,7 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
         y: [m] the same along the world's y axis.
         phi: [rad] heading of the base.
         r: [m] radius of the wheels.
-        b: [m] distance between a wheel and the base's centre.
+        b: [m] half of the track width.
 
     Returns:
         (2, 2) [m/rad], columns right and left wheel.
@@ -52,7 +52,7 @@ def singularity_measure(p: Array, r: float, b: float) -> Array:
     Args:
         p: (…, 3) [m] points in the base's frame.
         r: [m] radius of the wheels.
-        b: [m] distance between a wheel and the base's centre.
+        b: [m] half of the track width.
 
     Returns:
         (…) [m⁴/rad⁴].

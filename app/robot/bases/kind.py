@@ -57,7 +57,7 @@ def twist_map(axes: Sequence[Axis]) -> Array:
 
 
 class Measure(NamedTuple):
-    """Quality of the motion of a point at x [m] in the base's frame:
+    """Coefficients of the signed mobility measure of a point at x [m] in the base's frame:
     `constant` + `per_square_metre` · x · |x|.
     """
 

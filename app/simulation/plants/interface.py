@@ -148,9 +148,9 @@ class PlanarWorld(ABC):
 
     @abstractmethod
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] distance from the start of each ray to the first hit of robot or floor.
+        """(n,) [m] distance from the start of each ray to the first hit of any body or the floor.
 
-        The rays go from `begins` (n, 3) to `ends` (n, 3) [m]; a ray without a hit has infinity.
+        The rays go from `begins` (n, 3) to `ends` (n, 3) [m]; without a hit it is infinite.
         """
 
     @abstractmethod

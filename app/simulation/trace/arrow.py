@@ -52,8 +52,8 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
     """Write a table completely or not at all, as CSV or Parquet according to the file's ending.
 
-    The header becomes a comment on the first line of CSV, or metadata of Parquet. Equal tables give
-    equal files.
+    The header becomes a comment on the first line of CSV, or metadata of Parquet. Equal tables
+    produce equal bytes.
     """
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":

@@ -316,7 +316,7 @@ def columns_of(meta: TraceMeta) -> list[Column]:
 
 
 def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
-    """All cells of a snapshot, in the order of the columns."""
+    """The values of a snapshot as a row of the table, in the order of the columns."""
     return [x for name, q in QUANTITIES.items() for x in q.cells(getattr(snapshot, name), meta)]
 
 
