@@ -212,7 +212,7 @@ def test_a_wheel_with_a_vertical_axle_is_refused(tmp_path: Path) -> None:
     upright = TOY.replace(
         '<axis xyz="0 1 0"/><limit effort="20"', '<axis xyz="0 0 1"/><limit effort="20"'
     )
-    assert "not level" in refused(tmp_path, upright, wheels=("left_axle", "right_axle"))
+    assert "not horizontal" in refused(tmp_path, upright, wheels=("left_axle", "right_axle"))
 
 
 def test_wheel_pairs_of_two_sizes_require_the_option_for_wheels(tmp_path: Path) -> None:
