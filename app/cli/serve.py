@@ -63,7 +63,7 @@ def serve(
     parameters: options.ParameterOptions,
     config: options.ConfigOption = None,
 ) -> None:
-    """Serve the dashboard, a web page on which you pull the arm with the mouse."""
+    """Serve the dashboard, a web page on which you pull the arm."""
     return_freed_memory_early()
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
