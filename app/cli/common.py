@@ -52,8 +52,8 @@ def show(text: str) -> None:
 
 
 def print_json(result: object) -> None:
-    """Print one JSON object on standard output."""
-    print(json.dumps(result, indent=2, allow_nan=False))
+    """Print one JSON object on standard output; it can have numbers and arrays of numpy."""
+    print(json.dumps(result, indent=2, allow_nan=False, default=lambda x: x.tolist()))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:

@@ -68,11 +68,11 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
 
 
 def borne(bound: float) -> str:
-    """Return a text after a person's force, such as " (arm resists up to 62 N)"; empty if unknown.
+    """Return a text after a person's force, such as " (limits hold up to 62 N)"; empty if unknown.
 
     `bound` [N] is `Snapshot.force_bound`, which is NaN if it is unknown.
     """
-    return "" if math.isnan(bound) else f" (arm resists up to {bound:.0f} N)"
+    return "" if math.isnan(bound) else f" (limits hold up to {bound:.0f} N)"
 
 
 def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:

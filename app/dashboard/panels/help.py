@@ -76,7 +76,7 @@ CARDS = {
     "watch": Card(
         "The same pull on two robots",
         "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays and "
-        f"the arm runs into it. The pull goes {FARTHER:g} times as far as in {SHOWN}.",
+        f"the arm runs into it. The scenario is {SHOWN}, with a path {FARTHER:g} times as long.",
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(

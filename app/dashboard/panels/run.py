@@ -201,7 +201,8 @@ def scores_html(scores: tuple[Score, ...]) -> str:
     for label, name, text, best in _SCORES:
         values = [getattr(score, name) for score in scores]
         rows.append(row(cell(label, FAINT), *_marked(values, text, best, valid)))
-    return table((row(cell(), *heads), *rows), "font-size:.8em;line-height:1.7;padding:.3em .7em")
+    look = "font-size:.8em;line-height:1.7;padding:.3em .7em;border-collapse:separate"
+    return table((row(cell(), *heads), *rows), f"{look};border-spacing:.6em 0")
 
 
 def _marked(
@@ -250,7 +251,7 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
     """
     if busy:
         title = f"{words.sentence(busy)} …"
-        return banner("notice", title, "The simulation waits for the end of the preparation.")
+        return banner("notice", title, "The simulation continues after this.")
     if not course.name:
         return ""
     about = f"{words.sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""

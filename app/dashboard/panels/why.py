@@ -242,7 +242,9 @@ def _task_effect(why: Explanation, *, limited: bool = False) -> str:
     """
     if why.mode == "guiding":
         limited |= any(pair.limited or pushes_links_apart(pair) for pair in why.near)
-        return f"the arm {'resists further guiding' if limited else 'can still be guided freely'}"
+        stopped = any(bound.kind == "position" for bound in why.bounds)
+        free = "be guided within its joint limits" if stopped else "still be guided freely"
+        return f"the arm {'resists further guiding' if limited else f'can {free}'}"
     disturbed = any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
         for level in why.levels
