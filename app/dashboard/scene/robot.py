@@ -88,10 +88,8 @@ class RobotParts:
     def __init__(self, robot: RobotModel, *, apart: bool = False) -> None:
         """Load all parts.
 
-        Args:
-            robot: The robot.
-            apart: Whether to read large meshes in a process of their own, which takes a second but
-                returns all memory: the simplification of meshes keeps that of the largest mesh.
+        `apart` reads large meshes in a process of their own. This takes a second, but the library
+        that simplifies meshes keeps the memory of the largest mesh.
 
         Raises:
             AssetError: The robot's URDF or the mesh of a convex body is missing.
