@@ -67,14 +67,6 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
     return f"{where}: {_BOUNDS.get(reading.kind, f'{reading.kind} limit')}"
 
 
-def borne(bound: float) -> str:
-    """Return a text after a person's force, such as " (limits hold up to 62 N)"; empty if unknown.
-
-    `bound` [N] is `Snapshot.force_bound`, which is NaN if it is unknown.
-    """
-    return "" if math.isnan(bound) else f" (limits hold up to {bound:.0f} N)"
-
-
 def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
     """Describe a base's motion, such as "backs away at 0.21 m/s and turns left"; None at rest.
 

@@ -143,7 +143,7 @@ class ComparePanel(Panel):
         super().__init__(viewer)
         gui = self._gui
         gui.add_markdown(
-            "Other controllers run as ghosts under the same pull. hqp needs much computing time."
+            "Other controllers run as ghosts beside the robot. hqp needs a lot of computing time."
         )
         self._choices = [
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
@@ -283,7 +283,8 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
     A row "buffer" exists only if d_b was too small in the last seconds; it has a sufficient d_b.
     """
     state = "paused" if snapshot.paused else "running"
-    pull = f"{pulled(snapshot):.1f} N{words.borne(snapshot.force_bound)}"
+    pull, bound = f"{pulled(snapshot):.1f} N", snapshot.force_bound
+    pull += "" if math.isnan(bound) else f" (limits hold up to {bound:.0f} N)"
     *linear, w = snapshot.base_velocity
     speed = ", ".join(words.signed(v) for v in linear)
     contact: State = "contact" if verdict.touching else "clear"

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from app.dashboard import phrases as words
 from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import (
     HEAD_LENGTH,
@@ -165,7 +164,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
             canvas.lines(f"/pull/{i}", [ends], colours.PERSON, 3.0)
             force = float(np.linalg.norm(pull.force))
             if force >= _LEAST_FORCE:
-                text = f"pull {force:.0f} N{words.borne(snapshot.force_bound)}"
+                text = f"pull {force:.0f} N"
                 canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
 
 
