@@ -382,6 +382,13 @@ def return_freed_memory_early() -> None:
         mallopt(_ARENA_MAX, 1)
 
 
+def return_freed_memory() -> None:
+    """Make glibc return the freed small blocks, which it otherwise keeps between used ones."""
+    trim = getattr(_c_library(), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
 def home_folder(find: Callable[..., Path]) -> Path | None:
     """This program's folder from a function of `platformdirs`; None if the user has no home."""
     with suppress(RuntimeError):  # raised by recent versions without a home

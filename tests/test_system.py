@@ -189,6 +189,7 @@ def test_process_that_never_pauses_loses_the_real_time_policy() -> None:
 @pytest.mark.usefixtures("mac")
 def test_memory_release_and_flush_work_without_mallopt() -> None:
     system.return_freed_memory_early()
+    system.return_freed_memory()
     system.flush_c_output()
 
 

@@ -20,7 +20,7 @@ from app.errors import ConfigError, DbbError
 from app.jobs.bounded import Budget
 from app.jobs.process import Cancelled, Report, run_in_process
 from app.onboarding import helpers
-from app.system import limited, usable_cores, write_whole
+from app.system import limited, return_freed_memory, usable_cores, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -37,7 +37,7 @@ _PATIENCE = 10.0  # [s] timeout for the end of a thread
 
 
 def give_back(*, frozen: bool = False) -> None:
-    """Run the garbage collector.
+    """Run the garbage collector, and return the freed memory to the system.
 
     Python searches old objects for reference cycles only rarely, but a few such objects can use
     much memory, for example a model or a border. With `frozen`, the search includes the objects
@@ -49,6 +49,7 @@ def give_back(*, frozen: bool = False) -> None:
     gc.collect()
     if frozen:
         gc.freeze()
+    return_freed_memory()
 
 
 @dataclass(frozen=True)
