@@ -91,7 +91,7 @@ _SIGNIFICANT = 3.0  # [-] smallest reported load in standard deviations of the e
 _FRICTION = 0.3  # [N m or N] standard deviation of changes of a joint's friction
 _VERTICAL = 0.95  # [-] smallest share of a load's squared change that a vertical force explains
 _QUIET = 0.25  # [-] largest change in an interval before a load, relative to the load's
-_ENDED = 0.1  # [-] largest further growth in the interval after a load, relative to the load's
+_ENDED = 0.25  # [-] largest growth in the interval after a load, which at first accelerates down
 _GRAVITY = 9.81  # [m/s²]
 
 
