@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from app.config import Config
+from app.dashboard.panels import save
 from app.dashboard.panels.run import course_html
+from app.dashboard.panels.save import SavePanel
 from app.dashboard.record import BIN, HISTORY, SPACING, Course, Strip, Track
 from app.dashboard.scene.scene import SceneData
 from app.errors import UnreachableError
@@ -157,6 +161,42 @@ def test_result_of_changed_options_says_so(snapshot, farther, title):
     run = [at_time(snapshot, 0.0, scenario.name), at_time(snapshot, 8.0, "")]
     Past(snapshot, course).extend([replace(each, case=RunCase.of(spec)) for each in run])
     assert f"guiding-lateral{title} ended" in course_html(course, "", robot)
+
+
+def test_saved_case_has_the_changes_during_the_run_also_after_its_end(snapshot):
+    scenario = scenario_of(husky_panda().description, "guiding-lateral")
+    case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "kinematic", 0))
+    wide = Config().replace("border.d_b", 0.2)
+    run = [
+        at_time(snapshot, 0.0, scenario.name),
+        replace(at_time(snapshot, 4.0, scenario.name), controller="none", config=wide),
+        at_time(snapshot, 8.0, ""),
+    ]
+    course, sent = Course(), []
+    Past(snapshot, course).extend([replace(each, case=case) for each in run])
+    client = SimpleNamespace(send_file_download=lambda _, data, **__: sent.append(json.loads(data)))
+    panel = SimpleNamespace(_shared=SimpleNamespace(course=course))
+    SavePanel._case(panel, SimpleNamespace(client=client))
+    assert sent[0]["controller"] == "none"
+    assert sent[0]["parameters"]["border.d_b"] == 0.2
+
+
+def test_caption_of_a_picture_is_that_of_the_drawn_posture(snapshot, monkeypatch):
+    captions = []
+    monkeypatch.setattr(save, "captioned", lambda _, shown, __: captions.append(shown))
+    monkeypatch.setattr(save, "png", lambda _: b"")
+    posed, past = at_time(snapshot, 2.0, ""), at_time(snapshot, 1.0, "")
+    timeline = SimpleNamespace(shown=lambda: past)
+    panel = SimpleNamespace(
+        _viewer=SimpleNamespace(timeline=timeline, view=SimpleNamespace(dark=True)),
+        _scene=lambda *_: None,
+        _size=lambda: (64, 64),
+        _drawn=None,
+    )
+    SavePanel._picture(panel)
+    SavePanel.update(panel, SimpleNamespace(shown=posed))
+    SavePanel._picture(panel)
+    assert captions == [past, posed]
 
 
 def test_result_on_a_robot_without_a_line_for_the_scenario(snapshot):

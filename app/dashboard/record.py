@@ -59,7 +59,8 @@ class Course:
         inside, left: Whether a contact or overlap of the first snapshot still lasts, or has ended.
         touched: Whether a contact or overlap began after the first snapshot.
         contact: Whether the plant has reported a contact.
-        case: The case that repeats the last run, or None.
+        case: The case of the last run, without changes during the run; or None.
+        last: The last snapshot of the last run, with such changes; or None.
     """
 
     def __init__(self) -> None:
@@ -68,6 +69,7 @@ class Course:
     def begin(self) -> None:
         """Reset all results."""
         self.case: RunCase | None = None
+        self.last: Snapshot | None = None
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
         self.least = np.inf
@@ -88,6 +90,7 @@ class Course:
         else:
             self.path += float(np.linalg.norm(place - self._place))
         self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
+        self.last = snapshot
         self.duration = snapshot.scenario_ends or snapshot.t
         self.least = min(self.least, snapshot.nearest.d)
         for score in snapshot.scores[:1]:  # of all steps, not of snapshots only

@@ -45,12 +45,10 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
             parts.append(Part(each.title, each.name, [each.caption], style.png_of(each.draw(run))))
     parts.append(_changes(run))
     meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
-    plant = f"plant {meta.physics}, " if meta.physics else ""
+    robot = f"Robot {meta.robot}" + (f", plant {meta.physics}" if meta.physics else "")
+    robot += "" if meta.seed is None else f", seed {meta.seed}"
     rows = "one for each control step" if run.each_step else "without the steps between them"
-    about = (
-        f"Robot {meta.robot}, {plant}seed {meta.seed}; {first.t:.2f} s to {last.t:.2f} s, "
-        f"{len(run)} rows, {rows}."
-    )
+    about = f"{robot}; {first.t:.2f} s to {last.t:.2f} s, {len(run)} rows, {rows}."
     return page_html(title, about, parts)
 
 

@@ -14,12 +14,13 @@ from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
 from app.dashboard.job import FILM_RATE, write_film_of, write_log, write_replay, write_report
-from app.dashboard.panels import JobStatus, Panel, Viewer
+from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.viser_compat import scene_picture
 from app.errors import BrowserError, CaseError
 from app.jobs.process import Cancelled
+from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Trace
 from app.strict import check_range
 from app.system import temporary_folder
@@ -36,6 +37,7 @@ class SavePanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._job = self._gui, viewer.files
+        self._drawn: Snapshot | None = None  # also of a posture, which the timeline does not have
         JobStatus(viewer, viewer.files)
         with gui.add_folder("Picture"):
             self._sizes = {
@@ -74,6 +76,9 @@ class SavePanel(Panel):
             )
         gui.add_markdown("The tab *Tune* saves parameters.")
 
+    def update(self, moment: Moment) -> None:
+        self._drawn = moment.shown
+
     def _file(
         self,
         label: str,
@@ -97,14 +102,12 @@ class SavePanel(Panel):
         self.button(label, pressed, icon, **look)
 
     def _case(self, event: Any) -> None:
-        case, newest = self._shared.course.case, self._shared.loop.latest()
-        if case is None:
+        case, last = self._shared.course.case, self._shared.course.last
+        if case is None or last is None:
             raise CaseError("there is no case yet; play a scenario first")
-        if newest.scenario:  # then the case includes parameters changed during the run
-            parameters = {path: newest.config.value(path) for path in case.parameters}
-            parameters |= newest.config.changes(Config())
-            changed = {"controller": newest.controller, "parameters": parameters}
-            case = case.model_copy(update=changed)
+        parameters = {path: last.config.value(path) for path in case.parameters}
+        parameters |= last.config.changes(Config())  # also those changed during the run
+        case = case.model_copy(update={"controller": last.controller, "parameters": parameters})
         name = f"{case.played}.json"
         event.client.send_file_download(name, case.text().encode(), save_immediately=True)
 
@@ -116,8 +119,8 @@ class SavePanel(Panel):
         return width, height
 
     def _picture(self) -> bytes:
-        shown, look = self._viewer.timeline.shown(), Look(light=not self._viewer.view.dark)
-        return png(captioned(self._scene(*self._size()), shown, look))
+        look, pixels = Look(light=not self._viewer.view.dark), self._scene(*self._size())
+        return png(captioned(pixels, self._drawn or self._viewer.timeline.shown(), look))
 
     def _scene(self, width: int, height: int) -> Image.Image:
         """Return the scene from the viewer's browser, in a size [px].
@@ -153,8 +156,9 @@ class SavePanel(Panel):
         The libraries of logs and films use much memory, and a process returns all of it.
         """
         snapshots = self._viewer.timeline.interval()
-        model, scenario = self._viewer.shared.model, snapshots[0].scenario
-        trace = Trace.of_snapshots(model, snapshots, scenario=scenario)
+        model, case = self._viewer.shared.model, snapshots[0].case
+        about = {} if case is None else {"physics": case.physics, "seed": case.seed}
+        trace = Trace.of_snapshots(model, snapshots, scenario=snapshots[0].scenario, **about)
         with temporary_folder() as folder:
             path = folder / name
             self._job.run(write, trace, path, *more)

@@ -60,8 +60,8 @@ class TraceMeta(Strict):
     """Name of the scenario; empty if a person guided the arm."""
     physics: str = ""
     """Name of the plant; empty if unknown."""
-    seed: int = Field(default=0, ge=0)
-    """[-] seed of all random numbers of the run."""
+    seed: int | None = Field(default=None, ge=0)
+    """[-] seed of all random numbers of the run; None if unknown."""
     config: Config
     """Parameters at the first row; a column has the later changes."""
     stuck: dict[str, Any] | None = None
