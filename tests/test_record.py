@@ -181,6 +181,26 @@ def test_saved_case_has_the_changes_during_the_run_also_after_its_end(snapshot):
     assert sent[0]["parameters"]["border.d_b"] == 0.2
 
 
+def test_a_saved_interval_has_seed_and_plant_also_if_it_begins_late_in_a_run(snapshot):
+    """Snapshots have the case of a run only at its start."""
+    scenario = scenario_of(husky_panda().description, "guiding-lateral")
+    case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "kinematic", 7))
+    traces = []
+
+    def run(_, trace, path):
+        traces.append(trace)
+        path.write_bytes(b"")
+
+    shared = SimpleNamespace(model=husky_panda(), course=SimpleNamespace(case=case))
+    late = [at_time(snapshot, 5.0, scenario.name), at_time(snapshot, 5.1, scenario.name)]
+    timeline = SimpleNamespace(interval=lambda: late)
+    panel = SimpleNamespace(
+        _viewer=SimpleNamespace(timeline=timeline, shared=shared), _job=SimpleNamespace(run=run)
+    )
+    SavePanel._of_interval(panel, "log.csv", None)
+    assert (traces[0].meta.seed, traces[0].meta.physics) == (7, "kinematic")
+
+
 def test_caption_of_a_picture_is_that_of_the_drawn_posture(snapshot, monkeypatch):
     captions = []
     monkeypatch.setattr(save, "captioned", lambda _, shown, __: captions.append(shown))
@@ -191,7 +211,7 @@ def test_caption_of_a_picture_is_that_of_the_drawn_posture(snapshot, monkeypatch
         _viewer=SimpleNamespace(timeline=timeline, view=SimpleNamespace(dark=True)),
         _scene=lambda *_: None,
         _size=lambda: (64, 64),
-        _drawn=None,
+        _drawn=past,
     )
     SavePanel._picture(panel)
     SavePanel.update(panel, SimpleNamespace(shown=posed))

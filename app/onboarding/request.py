@@ -45,7 +45,7 @@ class Request:
     the gripper."""
     half_track: float | None = None
     """[m] effective half track of the base; default: half of the distance between the
-    wheels. Not for other kinds of base."""
+    wheels. Only for a differential base."""
     wheel_radius: float | None = None
     """[m] wheel radius of a URDF without wheels; needs --half-track, and excludes --wheels."""
     kind: str = "differential"

@@ -31,7 +31,7 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
 
     Before each picture, `on_progress` gets the share of the pictures that are finished.
     """
-    controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
+    controllers = ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
     parts = [Part(text=[verdict(numbers, chain)])]

@@ -230,8 +230,7 @@ def replay_html(
 
 def _caption(log: Trace, chain: Sequence[str], layer: Layer) -> tuple[str, str]:
     """Return the title of a replay, and its verdict with the scene's legend."""
-    names = dict.fromkeys(s.controller for s in log.snapshots)
-    methods = ", then ".join(METHOD_WORDS.get(name, name) for name in names)
+    methods = ", then ".join(METHOD_WORDS.get(name, name) for name in log.controllers)
     title = f"{log.meta.scenario or 'Guiding by hand'}, {methods}"
     border = f"Coloured points: border around the base; {_MEANINGS[layer]}. "
     legend = (

@@ -20,7 +20,6 @@ from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.viser_compat import scene_picture
 from app.errors import BrowserError, CaseError
 from app.jobs.process import Cancelled
-from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Trace
 from app.strict import check_range
 from app.system import temporary_folder
@@ -37,7 +36,7 @@ class SavePanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._job = self._gui, viewer.files
-        self._drawn: Snapshot | None = None  # also of a posture, which the timeline does not have
+        self._drawn = viewer.timeline.shown()  # or a posture, which the timeline does not have
         JobStatus(viewer, viewer.files)
         with gui.add_folder("Picture"):
             self._sizes = {
@@ -119,8 +118,8 @@ class SavePanel(Panel):
         return width, height
 
     def _picture(self) -> bytes:
-        look, pixels = Look(light=not self._viewer.view.dark), self._scene(*self._size())
-        return png(captioned(pixels, self._drawn or self._viewer.timeline.shown(), look))
+        shown, look = self._drawn, Look(light=not self._viewer.view.dark)
+        return png(captioned(self._scene(*self._size()), shown, look))
 
     def _scene(self, width: int, height: int) -> Image.Image:
         """Return the scene from the viewer's browser, in a size [px].
@@ -156,7 +155,7 @@ class SavePanel(Panel):
         The libraries of logs and films use much memory, and a process returns all of it.
         """
         snapshots = self._viewer.timeline.interval()
-        model, case = self._viewer.shared.model, snapshots[0].case
+        model, case = self._viewer.shared.model, self._viewer.shared.course.case
         about = {} if case is None else {"physics": case.physics, "seed": case.seed}
         trace = Trace.of_snapshots(model, snapshots, scenario=snapshots[0].scenario, **about)
         with temporary_folder() as folder:

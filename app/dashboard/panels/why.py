@@ -242,9 +242,11 @@ def _task_effect(why: Explanation, *, limited: bool = False) -> str:
     """
     if why.mode == "guiding":
         limited |= any(pair.limited or pushes_links_apart(pair) for pair in why.near)
-        stopped = any(bound.kind == "position" for bound in why.bounds)
-        free = "be guided within its joint limits" if stopped else "still be guided freely"
-        return f"the arm {'resists further guiding' if limited else f'can {free}'}"
+        if limited:
+            return "the arm resists further guiding"
+        if any(bound.kind == "position" for bound in why.bounds):
+            return "the arm can be guided within its joint limits"
+        return "the arm can still be guided freely"
     disturbed = any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
         for level in why.levels

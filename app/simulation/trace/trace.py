@@ -75,6 +75,11 @@ class Trace:
         self.index = {column.name: k for k, column in enumerate(self.columns)}
         """Index of each column in the table, by its name."""
 
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Names of the controllers of the snapshots, in the order of their first use."""
+        return tuple(dict.fromkeys(snapshot.controller for snapshot in self.snapshots))
+
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot], **about: Any) -> Self:
         """Make a trace with a row for each snapshot.
