@@ -43,8 +43,12 @@ class Command(NamedTuple):
 
     @property
     def load(self) -> float:
-        """[kg] mass at the end-effector whose weight best explains the external torques."""
-        return float(self.step.load)
+        """[kg] mass of the load that the fault `load` reports.
+
+        Without this fault, the mass at the end-effector that best explains the external torques,
+        including those of a person.
+        """
+        return float(self.step.loaded if "load" in self.faults else self.step.load)
 
     @property
     def faults(self) -> tuple[str, ...]:

@@ -136,8 +136,12 @@ class Controller:
             ConfigError: The control period is too long for a gain.
         """
         check_gains(config, self._dt)
-        self._config, border, load = config, config.border, config.payload
+        border, load, w = config.border, config.payload, self.last
+        added = load.mass - self._config.payload.mass
+        self._config = config
         self.state.carry(load.mass, (load.x, load.y, load.z))
+        w.torques += added * w.lifts
+        w.loaded -= added * (w.loaded != 0.0)
         if METHODS[self.name].get("hierarchy"):
             border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from app.compiled import compiled
-from app.control.qp import backward, forward, times
+from app.control.qp import backward, cholesky, dot, forward, times
 from app.strict import Array
-from app.structs import fill
+from app.structs import fill, put
 
 FEWEST = 8
 """Samples of the noise before the filter starts."""
@@ -38,6 +38,15 @@ RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless th
 _SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
+LEAST_LOAD = 0.3
+"""[kg] Smallest mass of a reported load."""
+_SAMPLED = 0.02  # [s] interval of a mean of the external torques
+_SIGNIFICANT = 3.0  # [-] smallest reported load in standard deviations of the estimate
+_FRICTION = 0.3  # [N m or N] standard deviation of changes of a joint's friction
+_EXPLAINED = 0.95  # [-] smallest share of a squared change that a load explains
+_QUIET = 0.25  # [-] largest change in an interval before a load, and largest growth after it,
+# relative to the change by the load
+_GRAVITY = 9.81  # [m/s²]
 
 
 @compiled()
@@ -318,3 +327,103 @@ def _follow(
         _correct(x[:, i], p, 0, q[i], variances[0, i], sudden[i])
         if not math.isnan(qd[i]):
             _correct(x[:, i], p, 1, qd[i], variances[1, i], sudden[i])
+
+
+@compiled()
+def _torque_change(M: Array, P: Array, blind_time: float) -> Array:
+    """(n_m, n_m) covariance of the change of mean external torques between two intervals.
+
+    The error of an estimated acceleration lasts as long as the filter's response, `blind_time` [s]
+    or longer, and its mean over an interval is smaller. `_FRICTION` is the part that no filter
+    knows.
+    """
+    share = 2.0 * min(1.0, max(RESPONSE, blind_time) / _SAMPLED)
+    C = np.zeros_like(M)
+    for i in range(len(M)):
+        for j in range(len(M)):
+            for k in range(len(M)):
+                C[i, j] += share * M[i, k] * P[k, 2, 2] * M[j, k]
+        C[i, i] += _FRICTION**2
+    return C
+
+
+@compiled()
+def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
+    """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
+
+    A load changes the external torques at once, and only by its weight and its inertia. Before and
+    after this, they change little. A person's force turns, or grows longer. The changes are
+    compared in units of their standard deviation, so that noisy joints count less.
+
+    Args:
+        torques: (8, n_m) mean external torques in intervals of 0.02 s; the newest is first.
+        lifts: (8, n_m) mean torques that move a load of 1 kg in these intervals.
+        C: (n_m, n_m) covariance of the change from one row of `torques` to another.
+    """
+    L, n_m = cholesky(C), len(C)
+    lift, change = forward(L, lifts[1]), forward(L, torques[3] - torques[1])
+    along, size = dot(change, lift), dot(lift, lift)
+    total = dot(change, change) - n_m  # the expected square of the noise is n_m
+    if abs(along) <= max(LEAST_LOAD * size, _SIGNIFICANT * math.sqrt(size)):
+        return 0.0
+    if along**2 < _EXPLAINED * total * size:
+        return 0.0
+    mass = along / size
+    for k in range(3, len(torques) - 1):
+        before = forward(L, torques[k] - torques[k + 1])
+        if dot(before, before) - n_m > _QUIET**2 * total:
+            return 0.0
+    after = forward(L, torques[1] - torques[0] + mass * (lifts[1] - lifts[0]))
+    if dot(after, lift) / along > _QUIET or dot(after, after) - n_m > total:
+        return 0.0
+    return mass
+
+
+@compiled()
+def estimate_load(w: Any, dt: float, restarted: bool) -> None:
+    """Estimate the mass of a load at the end-effector, and detect a load that begins or ceases.
+
+    A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
+    inertia. `w.load` is the mass that best explains the external torques; a force of a person
+    counts too. `w.loaded` is the sum of all sudden loads, as long as `w.load` is at least half of
+    this sum.
+
+    Args:
+        w: `STEP`.
+        dt: [s] control period.
+        restarted: Whether the estimate of the arm has restarted after a gap.
+    """
+    n_b = len(w.g) - len(w.q_m)
+    if w.samples[()] < FEWEST:
+        return
+    M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
+    for k in range(3):
+        a = 0.0 if restarted else (w.v_ee[k] - w.v_tip[k]) / dt
+        if k == 2:
+            a += _GRAVITY
+        for i in range(len(lift)):
+            lift[i] += w.J_ee[k, n_b + i] * a
+    put(w.v_tip, w.v_ee[:3])
+    if restarted:
+        w.torques_age[()] = 0.0
+        for k in range(len(w.torques)):
+            put(w.torques[k], torque)
+            put(w.lifts[k], lift)
+    w.torques_age[()] += dt
+    share = dt / w.torques_age[()]
+    for i in range(len(torque)):
+        w.torques[0, i] += share * (torque[i] - w.torques[0, i])
+        w.lifts[0, i] += share * (lift[i] - w.lifts[0, i])
+    if w.torques_age[()] <= _SAMPLED - 0.5 * dt:
+        return
+    size = dot(w.lifts[0], w.lifts[0])
+    w.load[()] = -dot(w.torques[0], w.lifts[0]) / size if size > 0.0 else 0.0
+    rest = w.torques + w.loaded[()] * w.lifts
+    sudden = _sudden_mass(rest, w.lifts, _torque_change(M, w.P_est, w.blind_time[()]))
+    w.loaded[()] += sudden
+    if sudden == 0.0 and w.load[()] * w.loaded[()] <= 0.5 * w.loaded[()] ** 2:
+        w.loaded[()] = 0.0
+    w.torques_age[()] = 0.0
+    for k in range(len(w.torques) - 1, 0, -1):
+        put(w.torques[k], w.torques[k - 1])
+        put(w.lifts[k], w.lifts[k - 1])

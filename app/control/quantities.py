@@ -107,6 +107,11 @@ reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions an
 pose_read | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
 pose_last | | 3 | m, m, rad | world | readings | memory: pose of the base at the last used reading
+pose_moved | | 3 | m, m, rad | world | readings |
+    memory: motion by the velocities since the newest pose of the base
+pose_error | | 3 | m, m, rad | world | readings |
+    memory: recent changes of the pose minus motions by the velocities
+pose_way | | 2 | m, rad | | readings | memory: recent length of these motions
 astray | | n_b | m/s, rad/s | axes | readings |
     memory: recent changes of the base's velocity that the model of its drive does not explain
 history | | 128 n_m | rad/s² | joints | readings |
@@ -123,12 +128,15 @@ travel | | 3 n_m | rad, rad/s | joints | readings |
     the velocities at the start
 since | | | 1 | | readings | memory: number of readings in the integral of `travel`
 travel_time | | | s | | readings | memory: duration of this integral
-load | m | | kg | | readings |
-    memory: mass at the end-effector whose weight best explains the external torques
-loaded | | | kg | | readings | memory: mass of the reported load; 0 without one
-torques | | 8 n_m | N m, N | joints | readings |
-    memory: mean external torques in intervals of 0.02 s, the newest first; NaN before the estimate
-torques_age | | | s | | readings | memory: age of the newest interval of `torques`
+load | m | | kg | | estimate_load |
+    memory: mass at the end-effector that best explains the external torques of the last 0.02 s
+loaded | | | kg | | estimate_load | memory: sum of the loads that began suddenly; 0 without one
+torques | | 8 n_m | N m, N | joints | estimate_load |
+    memory: mean external torques in intervals of 0.02 s, the newest first
+lifts | | 8 n_m | N m/kg, N/kg | joints | estimate_load |
+    memory: mean torques that move a load of 1 kg at the end-effector, in these intervals
+v_tip | | 3 | m/s | world | estimate_load | memory: velocity of the end-effector one period ago
+torques_age | | | s | | estimate_load | memory: age of the newest interval of `torques`
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: present position, velocity and external acceleration q̈_ext
 x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |

@@ -26,13 +26,14 @@ import numpy as np
 from app.compiled import compiled
 from app.control.estimate import (
     FEWEST,
-    RESPONSE,
+    LEAST_LOAD,
     advance,
     estimate_arm,
+    estimate_load,
     predicted_joint_acceleration,
     process_noise,
 )
-from app.control.qp import cholesky, dot, forward, times
+from app.control.qp import dot, times
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
@@ -48,9 +49,10 @@ FAULTS = {
     "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
     "lag": "the readings are older than stated: an age of up to 24 periods is compensated",
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
-    "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
-    "load": "a vertical force suddenly acts on the end-effector: set `payload.mass` to the mass of "
-    "the load",
+    "localisation": "the base's pose has jumped, or contradicts its velocity: use a frame without "
+    "jumps, such as odom, and check the unit and the sign of pose and velocity",
+    "load": "the weight of a load suddenly acts on the end-effector: set `payload.mass` to the "
+    "mass of the load",
     "base": "the base does not follow its commands: check its brakes, its driver, the sign of its "
     "velocity, and its `drive_time_constant_s`",
 }
@@ -85,14 +87,8 @@ _UNEXPECTED = 30.0  # [rad/s²] acceleration that a prediction over one period c
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
 _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive's model
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
-_LEAST_LOAD = 0.3  # [kg] smallest reported load
-_SAMPLED = 0.02  # [s] interval of a mean of the external torques
-_SIGNIFICANT = 3.0  # [-] smallest reported load in standard deviations of the estimate
-_FRICTION = 0.3  # [N m or N] standard deviation of changes of a joint's friction
-_VERTICAL = 0.95  # [-] smallest share of a load's squared change that a vertical force explains
-_QUIET = 0.25  # [-] largest change in an interval before a load, relative to the load's
-_ENDED = 0.25  # [-] largest growth in the interval after a load, which at first accelerates down
-_GRAVITY = 9.81  # [m/s²]
+_RECENT = 2.0  # [s] time constant of the comparison of the base's pose with its velocity
+_NEAR = 0.02  # [m or rad] difference of the two that is always plausible
 
 
 @compiled()
@@ -476,32 +472,77 @@ def _begin(w: Any, q: Array, qd: Array) -> None:
 
 
 @compiled()
+def _motion_of_base(robot: Any, w: Any, time: float) -> tuple[float, float, float]:
+    """Motion x, y, φ of the base in the world by its present velocity in a time [s]."""
+    twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
+    c, s = math.cos(w.pose_last[2]), math.sin(w.pose_last[2])
+    return (
+        time * (c * twist[0] - s * twist[1]),
+        time * (s * twist[0] + c * twist[1]),
+        time * twist[2],
+    )
+
+
+@compiled()
 def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
     """Move a pose (3,) of the base by its present velocity for a time [s]."""
-    if time > 0.0:
-        twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        pose[0] += time * (c * twist[0] - s * twist[1])
-        pose[1] += time * (s * twist[0] + c * twist[1])
-        pose[2] += time * twist[2]
+    moved = _motion_of_base(robot, w, time)
+    for i in range(3):
+        pose[i] += moved[i]
+
+
+@compiled()
+def _differs(error: Array, way: float, turn: float) -> bool:
+    """Whether an error (3,) of a motion of the base exceeds half its length [m] or angle [rad]."""
+    far = math.hypot(error[0], error[1]) > _NEAR + 0.5 * way
+    return far or abs(error[2]) > _NEAR + 0.5 * turn
+
+
+@compiled()
+def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
+    """Update `w.pose_last` by a reading (3,) after a time [s]; equal readings are repetitions.
+
+    Odometry is often slower than the joints' readings: between its readings, the base moves at its
+    velocity. The fault `localisation` is a reading that contradicts the velocity: a jump, or recent
+    motions that deviate by more than half.
+    """
+    moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
+    for i in range(3):
+        w.pose_last[i] += moved[i]
+        w.pose_moved[i] += moved[i]
+        w.pose_error[i] = decay * (w.pose_error[i] - moved[i])
+    w.pose_way[0] = decay * (w.pose_way[0] + math.hypot(moved[0], moved[1]))
+    w.pose_way[1] = decay * (w.pose_way[1] + abs(moved[2]))
+    if not math.isfinite(pose.sum()):
+        for i in range(3):
+            w.pose_error[i] = -w.pose_moved[i]
+        return
+    jumped = False
+    if not _same(pose, w.pose_read):
+        jump = pose - w.pose_last
+        jump[2] = (jump[2] + math.pi) % (2.0 * math.pi) - math.pi
+        way, turn = math.hypot(w.pose_moved[0], w.pose_moved[1]), abs(w.pose_moved[2])
+        jumped = _differs(jump, way, turn)
+        for i in range(3):
+            w.pose_error[i] += jump[i] + w.pose_moved[i]
+        fill(w.pose_moved, 0.0)
+        put(w.pose_last, pose)
+    if jumped or _differs(w.pose_error, w.pose_way[0], w.pose_way[1]):
+        w.faults[LOCALISATION] = 1.0
 
 
 @compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Store the base's readings; write a predicted pose into `pose` (3,) if it is not finite.
+    """Store the base's readings.
 
-    The fault `localisation` is a jump of the pose. The fault `base` is a change of velocity that
-    the assumed acceleration of the base does not explain: `w.astray` is a decaying sum of them.
+    The fault `base` is a change of velocity that the assumed acceleration of the base does not
+    explain: `w.astray` is a decaying sum of them.
     """
     time = (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
-    if not math.isfinite(pose.sum()):
-        _drive_on(robot, w, w.pose_last, 0.0 if first else time)
-        put(pose, w.pose_last)
-    elif not first:
-        far = _FARTHEST * time * max(robot.v_max[0], 1.0)
-        moved = math.hypot(pose[0] - w.pose_last[0], pose[1] - w.pose_last[1])
-        turned = abs((pose[2] - w.pose_last[2] + math.pi) % (2.0 * math.pi) - math.pi)
-        w.faults[LOCALISATION] = 1.0 if moved > far or turned > 2.0 * far else 0.0
+    if not first:
+        _take_pose(robot, w, pose, time)
+    elif math.isfinite(pose.sum()):
+        put(w.pose_last, pose)
     if not math.isnan(w.v_last[0]):
         decay = math.exp(-time / _FOLLOWS)
         for i in range(robot.n_b):
@@ -509,90 +550,8 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
             w.astray[i] = decay * (w.astray[i] + velocity[i] - w.v_last[i] - explained)
             if abs(w.astray[i]) > _ASTRAY * gains.largest_command[i]:
                 w.faults[BASE] = 1.0
-    put(w.pose_last, pose)
     put(w.v_last, velocity)
     put(w.base_velocity, velocity)
-
-
-@compiled()
-def _sudden_mass(torques: Array, lift: Array, C: Array) -> float:
-    """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
-
-    The weight of a load changes the external torques at once, and only as a vertical force does,
-    while they change little before and after. A person's force turns, or grows longer. The changes
-    are compared in units of their standard deviation, so that noisy joints count less.
-
-    Args:
-        torques: (8, n_m) mean external torques in intervals of 0.02 s; the newest is first.
-        lift: (n_m,) torques of a vertical force of 1 N.
-        C: (n_m, n_m) covariance of the change from one row of `torques` to another.
-    """
-    L, n_m = cholesky(C), len(lift)
-    up, change = forward(L, lift), forward(L, torques[1] - torques[3])
-    after, along, size = forward(L, torques[0] - torques[1]), dot(change, up), dot(up, up)
-    total = dot(change, change) - n_m  # the expected square of the noise is n_m
-    if abs(along) < max(_LEAST_LOAD * _GRAVITY * size, _SIGNIFICANT * math.sqrt(size)):
-        return 0.0
-    if along**2 < _VERTICAL * total * size:
-        return 0.0
-    for k in range(3, len(torques) - 1):
-        before = forward(L, torques[k] - torques[k + 1])
-        if dot(before, before) - n_m > _QUIET**2 * total:
-            return 0.0
-    if dot(after, up) / along > _ENDED or dot(after, after) - n_m > total:
-        return 0.0
-    return -along / size / _GRAVITY
-
-
-@compiled()
-def _estimate_load(gains: Any, w: Any) -> None:
-    """Estimate the mass at the end-effector whose weight best explains the external torques.
-
-    The fault `load` reports a load that suddenly begins or ceases to act, as long as at least half
-    of its weight is present.
-    """
-    n_b = len(w.g) - len(w.q_m)
-    M, lift = w.M[n_b:, n_b:], w.J_ee[2, n_b:]
-    torque, size = times(M, w.x_est[2]), dot(lift, lift)
-    if size == 0.0 or w.samples[()] < FEWEST:
-        return
-    w.load[()] = -dot(torque, lift) / size / _GRAVITY
-    corrected = w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]
-    if corrected or w.faults[JUMP] != 0.0 or math.isnan(w.torques[0, 0]):  # a new estimate
-        w.torques_age[()] = 0.0
-        for k in range(len(w.torques)):
-            put(w.torques[k], torque)
-    w.torques_age[()] += gains.dt
-    for i in range(len(torque)):
-        w.torques[0, i] += gains.dt / w.torques_age[()] * (torque[i] - w.torques[0, i])
-    if w.torques_age[()] > _SAMPLED - 0.5 * gains.dt:
-        sudden = _sudden_mass(w.torques, lift, _torque_change(M, w.P_est, w.blind_time[()]))
-        if sudden != 0.0:
-            w.loaded[()] = sudden
-        elif w.load[()] * w.loaded[()] <= 0.5 * w.loaded[()] ** 2:
-            w.loaded[()] = 0.0
-        w.torques_age[()] = 0.0
-        for k in range(len(w.torques) - 1, 0, -1):
-            put(w.torques[k], w.torques[k - 1])
-    w.faults[LOAD] = 1.0 if w.loaded[()] != 0.0 else 0.0
-
-
-@compiled()
-def _torque_change(M: Array, P: Array, blind_time: float) -> Array:
-    """(n_m, n_m) covariance of the change of mean external torques between two intervals.
-
-    The error of an estimated acceleration lasts as long as the filter's response, `blind_time` [s]
-    or longer, and its mean over an interval is smaller. `_FRICTION` is the part that no filter
-    knows.
-    """
-    share = 2.0 * min(1.0, max(RESPONSE, blind_time) / _SAMPLED)
-    C = np.zeros_like(M)
-    for i in range(len(M)):
-        for j in range(len(M)):
-            for k in range(len(M)):
-                C[i, j] += share * M[i, k] * P[k, 2, 2] * M[j, k]
-        C[i, i] += _FRICTION**2
-    return C
 
 
 @compiled()
@@ -763,7 +722,9 @@ def take_readings(
     if unseen:
         _store_reading(w, base_pose, base_velocity, q, qd)
     w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else 0.0
-    _estimate_load(gains, w)
+    restarted = w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]
+    estimate_load(w, gains.dt, restarted or w.faults[JUMP] != 0.0 or w.known[()] == 0.0)
+    w.faults[LOAD] = 1.0 if abs(w.loaded[()]) >= LEAST_LOAD else 0.0
     _use_estimate(gains, w)
     put(w.base_pose, w.pose_last)
     _drive_on(robot, w, w.base_pose, (w.age[()] + w.lag[()]) * gains.dt)

@@ -230,9 +230,8 @@ class Page:
 class Demonstration:
     """Starts a repeated demonstration for a single viewer who has not touched the page.
 
-    It shows a scenario with the controller dbb, and a ghost without avoidance. It starts after
-    `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first input, or a second
-    viewer, closes its card, which ends it.
+    It starts after `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first
+    input, or a second viewer, closes its card, which ends it.
     """
 
     def __init__(self) -> None:

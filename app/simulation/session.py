@@ -21,10 +21,11 @@ from app.control.tasks import Reference
 from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from app.simulation.load import PointLoad
 from app.simulation.people import Hold, People, PersonForces, PullReading, first_target
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorReading, OpenDoor
-from app.simulation.plants.interface import Contacts, Physics, Push
+from app.simulation.plants.interface import Contacts, Physics
 from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
@@ -141,7 +142,6 @@ class Session:
         self._distances = DistanceMonitor(self._own_state, pairs)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
-        self._weights = self._weights_of(config)
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
@@ -167,6 +167,7 @@ class Session:
         """The true state of the robot at the last step; without sensor errors, the controller's
         estimate."""
         self._watch.reset()
+        self._loads = self._loads_of(self.config)
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
@@ -179,7 +180,7 @@ class Session:
         self._people.configure(config.hand)
         self._watch.config = config
         self._disturb(config.disturbance)
-        self._weights = self._weights_of(config)
+        self._loads = self._loads_of(config)
 
     @property
     def controller(self) -> Controller:
@@ -229,7 +230,10 @@ class Session:
         target = first_target(holds)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._weights[self.t >= self.config.disturbance.begins])
+        pushes = [*person.pushes]
+        for load, begins in self._loads:
+            if self.t >= begins:
+                pushes.append(load.push(state))
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
@@ -257,21 +261,12 @@ class Session:
         self.t += DT
         return step
 
-    def _weights_of(self, config: Config) -> tuple[tuple[Push, ...], tuple[Push, ...]]:
-        """The weight of the payload, and the weights of payload and unknown load together.
-
-        The second entry applies from `disturbance.begins` on.
-        """
-        payload, model = config.payload, self.model
-        at = model.pin.frames[model.ee_frame].placement
-        joint = model.pin.names[model.pin.njoints - 1]
-
-        def weight(mass: float, *centre: float) -> tuple[Push, ...]:
-            force = mass * model.pin.gravity.linear
-            return (Push(joint, at.act(np.array(centre)), force),) if mass > 0.0 else ()
-
-        known = weight(payload.mass, payload.x, payload.y, payload.z)
-        return known, known + weight(config.disturbance.unknown_load, 0.0, 0.0, 0.0)
+    def _loads_of(self, config: Config) -> list[tuple[PointLoad, float]]:
+        """The payload and the unknown load, each with the time [s] at which it begins to act."""
+        load, disturbance = config.payload, config.disturbance
+        centre, unknown = np.array([load.x, load.y, load.z]), disturbance.unknown_load
+        loads = (load.mass, centre, 0.0), (unknown, np.zeros(3), disturbance.begins)
+        return [(PointLoad(self.model, m, p, DT), begins) for m, p, begins in loads if m > 0.0]
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep

@@ -58,13 +58,17 @@ class ExplorerPanel(Panel):
     def shown(self, newest: Snapshot, shown: Snapshot) -> Snapshot:
         """Return the snapshot to draw: the response to the posture, or `shown` without a posture.
 
-        Posing ends if the simulation continues or restarts. Called by the drawing thread.
+        Posing ends if the simulation continues or restarts, or if the viewer goes to the past.
+        Called by the drawing thread.
         """
         posture = self.posture
         if posture is None:
             return shown
         self._paused = self._paused or newest.paused
-        if not newest.follows(self._since) or (self._paused and not newest.paused):
+        continued = not newest.follows(self._since) or (self._paused and not newest.paused)
+        if continued or not self._viewer.timeline.live:
+            text = "The posture is dismissed: the simulation continues, or the page shows the past."
+            self._viewer.notifier.tell(self._viewer.client, "Joint sliders", text)
             self._end()
             return shown
         explorer = self._shared.explorer
@@ -103,6 +107,7 @@ class ExplorerPanel(Panel):
                 "the end-effector holds a door in this scenario; choose another scenario first"
             )
         self._shared.loop.send(Pause(True))
+        self._viewer.timeline.go_live()
         self._paused, self._since = False, newest
         self._error, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         with self._lock:

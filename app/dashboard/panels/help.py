@@ -13,6 +13,7 @@ from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.scenarios import scenario_of
 from app.simulation.scenarios.line import LineScenario
 from app.simulation.session import SCENARIO_PERSON
+from app.simulation.trace.words import METHOD_WORDS
 
 TEXT = """
 **Purpose.** A controller that moves the base of a mobile robot out of the way of its arm. It
@@ -65,6 +66,7 @@ class Card(NamedTuple):
     """Tab that the card explains and opens."""
 
 
+_NO_CARD = Card("", "", ())
 _STEP = (SHOW, NEXT, CLOSE)
 CARDS = {
     "welcome": Card(
@@ -153,14 +155,11 @@ def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
 
 
 class Guide(Panel):
-    """The card over the scene: introduction, demonstration, or a step of the tour.
-
-    The state is a key of `CARDS`, or empty without a card.
-    """
+    """The card over the scene; the state is a key of `CARDS`, or empty without a card."""
 
     def __init__(self, viewer: Viewer, state: str) -> None:
         super().__init__(viewer)
-        self.state, self._shown = state, ""
+        self.state, self._shown = state, _NO_CARD
         self._lock = RLock()  # the drawing thread, too, begins and ends the demonstration
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
@@ -199,14 +198,16 @@ class Guide(Panel):
                 self.go("")
 
     def update(self, moment: Moment) -> None:
-        state = self.state
-        if state == self._shown:
+        card, newest = CARDS.get(self.state, _NO_CARD), moment.newest
+        if self.state in ("watch", "demo") and newest.ghosts and not newest.scenario:
+            ends = [f"{METHOD_WORDS[each.controller]}: {each.text}" for each in newest.scores]
+            card = card._replace(text=f"{card.text} Result {'; '.join(ends)}.")
+        if card == self._shown:
             return
-        self._shown = state
-        title, text, buttons, place = CARDS.get(state, Card("", "", ()))
-        self._channel.tell("card", title, text, *buttons)
-        if place:
-            self._channel.tell("open", place)
+        self._shown = card
+        self._channel.tell("card", card.title, card.text, *card.buttons)
+        if card.place:
+            self._channel.tell("open", card.place)
 
     def _press(self, label: str) -> None:
         """Handle a click on a button of the card.

@@ -35,7 +35,7 @@ from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart,
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.session import DT
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
-from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome, outcome_text
+from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice without a scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
@@ -237,9 +237,8 @@ def compared_html(shown: Snapshot, last: str) -> str:
 def outcomes_html(scores: Sequence[Score]) -> str:
     """A line per robot, such as "With avoidance (dbb): no contact, smallest distance 72 mm"."""
     lines = (
-        f"<b>{METHOD_WORDS[score.controller].capitalize()}</b> ({score.controller}): "
-        f"{outcome_text(score.clearance, touched=bool(score.contacts))}"
-        for score in scores
+        f"<b>{METHOD_WORDS[each.controller].capitalize()}</b> ({each.controller}): {each.text}"
+        for each in scores
     )
     return "<br>".join(lines)
 
@@ -306,17 +305,13 @@ def machine_rows(snapshot: Snapshot) -> list[str]:
     """Return the load of the machine as rows of a table; values beyond a limit are coloured."""
     late = min(snapshot.overruns / max(round(snapshot.t / DT), 1), 1.0)
     rows = [
-        ("real-time factor", _number(snapshot.realtime_factor, ".2f"), is_slow(snapshot)),
-        ("control step", f"{_number(snapshot.step_time_us, '.0f')} µs", False),
+        ("real-time factor", f"{snapshot.realtime_factor:.2f}", is_slow(snapshot)),
+        ("control step", f"{snapshot.step_time_us:.0f} µs", False),
         ("late steps", f"{100.0 * late:.1f} %", late > LATE),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
     ]
-    return [_status_row(name, text, "contact" if bad else "clear") for name, text, bad in rows]
-
-
-def _number(value: float, form: str) -> str:
-    """Format a number; NaN is a dash."""
-    return "–" if math.isnan(value) else format(value, form)
+    shown = ((name, text.replace("nan", "–"), bad) for name, text, bad in rows)
+    return [_status_row(name, text, "contact" if bad else "clear") for name, text, bad in shown]
 
 
 def _status_row(label: str, value: str, state: State) -> str:

@@ -45,6 +45,7 @@ from app.simulation.trace.columns import (
     numbers,
     records,
 )
+from app.simulation.trace.words import outcome_text
 from app.strict import Array
 
 _D_B_STEP = 0.005  # [m] step of a changing d_b after which the border is drawn again
@@ -140,6 +141,11 @@ class Score(NamedTuple):
     """[N m or N] largest change of a joint's torque or force in one step."""
     contacts: int
     """Number of control steps with a contact of any kind (`Contacts`)."""
+
+    @property
+    def text(self) -> str:
+        """The result in words, such as "no contact, smallest distance 105 mm"."""
+        return outcome_text(self.clearance, touched=bool(self.contacts))
 
 
 class Refusal(NamedTuple):
