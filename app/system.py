@@ -181,7 +181,7 @@ def claim(file: BinaryIO | int) -> bool | None:
 
 
 @contextmanager
-def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
+def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
     """A locked folder for an unfinished result, which is removed at the end of the `with` block.
 
     Only one process at a time can use a name. Files that killed processes have left are removed
@@ -263,8 +263,8 @@ _remove_abandoned_once = lru_cache(maxsize=256)(remove_abandoned)
 
 
 def temporary_folder() -> AbstractContextManager[Path]:
-    """A `begun_folder` in the folder for temporary files."""
-    return begun_folder(Path(tempfile.gettempdir()))
+    """A `unfinished_folder` in the folder for temporary files."""
+    return unfinished_folder(Path(tempfile.gettempdir()))
 
 
 def own_path(path: Path) -> Path:
@@ -318,7 +318,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             raise OutputError(
                 f"cannot write {path}: it is a folder, a device, a pipe or a mount point"
             )
-        with begun_folder(real.parent) as folder:
+        with unfinished_folder(real.parent) as folder:
             beside = folder / path.name
             yield beside
             with beside.open("rb") as file:
@@ -342,7 +342,7 @@ def whole_folder(out: Path) -> Iterator[Path]:
             if os.path.ismount(out):
                 raise OutputError(f"--out: {out} is a mount point; choose a new folder in it")
             out.parent.mkdir(parents=True, exist_ok=True)
-            folder = stack.enter_context(begun_folder(out.parent, out.name))
+            folder = stack.enter_context(unfinished_folder(out.parent, out.name))
         except OSError as error:
             raise OutputError(f"--out: cannot write to {out.parent}: {error.strerror}") from None
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -448,7 +448,7 @@ def open_standard_files() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def find_folders() -> None:
+def set_missing_folders() -> None:
     """Set a writable temporary folder and a home for this program and its children, if missing.
 
     On a read-only file system, for example in a container, /dev/shm is often the only writable

@@ -306,7 +306,7 @@ def test_invalid_temporary_folder_is_ignored(
 ) -> None:
     for folder, kept in ((tmp_path, True), (tmp_path / "nothing", False)):
         monkeypatch.setenv("TMPDIR", str(folder))
-        system.find_folders()
+        system.set_missing_folders()
         assert ("TMPDIR" in os.environ) is kept
 
 
@@ -327,7 +327,7 @@ def test_new_folder_waits_while_its_lock_is_checked_elsewhere(tmp_path: Path) ->
     assert system.claim(looks)
     release = threading.Timer(0.2, os.close, [looks])
     release.start()
-    with system.begun_folder(tmp_path, "robot") as begun:
+    with system.unfinished_folder(tmp_path, "robot") as begun:
         assert begun == folder
     release.join()
 
@@ -509,5 +509,5 @@ def test_user_without_a_home_gets_a_separate_folder(
 ) -> None:
     monkeypatch.setenv("HOME", "~")  # the home of a user that the system does not know
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    system.find_folders()
+    system.set_missing_folders()
     assert Path(os.environ["HOME"]).parent == tmp_path

@@ -443,11 +443,13 @@ def install_table(found: Figures) -> str:
 
 def buffer_table(found: Figures) -> str:
     """A row per speed, a column per place and delay."""
-    rows = [dict(row) for row in found["rows"]["rows"]]
-    speeds = [f"{row.pop('v_mps'):.2f} m/s" for row in rows]
-    cells = [[f"{need:.2f} m" if need else "none" for need in row.values()] for row in rows]
-    head = ["speed", *rows[0]]
-    return grid(head, [[v, *line] for v, line in zip(speeds, cells, strict=True)])
+    columns: dict[str, dict[float, str]] = {}
+    for row in found["rows"]["rows"]:
+        title, need = f"{row['place']}, delay {row['delay_s']:g} s", row["needed_d_b_m"]
+        columns.setdefault(title, {})[row["v_mps"]] = f"{need:.2f} m" if need else "none"
+    speeds = next(iter(columns.values()))
+    rows = [[f"{v:.2f} m/s", *(column[v] for column in columns.values())] for v in speeds]
+    return grid(["speed", *columns], rows)
 
 
 def claims_table(found: Figures) -> str:

@@ -189,12 +189,12 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
     (pair, seed), config = job, context.config
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
-    seen = PairReader(context.model, pair).witnesses(q_m)
-    inside = (seen.d > config.d_low) & (seen.d < config.d_high)
+    found = PairReader(context.model, pair).witnesses(q_m)
+    inside = (found.d > config.d_low) & (found.d < config.d_high)
     return Kept(
         q_m[inside].astype(np.float32),
-        quantise_points(seen.p_b[inside]),
-        quantise_distances(seen.d[inside]),
+        quantise_points(found.p_b[inside]),
+        quantise_distances(found.d[inside]),
     )
 
 
@@ -283,47 +283,47 @@ class _Flood:
             The accepted poses (N, n_m) float32 [rad or m], including sources in open voxels, and
             their points (N, 3) int16 as in `Cloud`.
         """
-        seen = self._reader.witnesses(sources)
-        accepted = [self._accepted(seen)]
-        waiting = [[seen]] + [[] for _ in range(self._retries)]
+        found = self._reader.witnesses(sources)
+        accepted = [self._accepted(found)]
+        waiting = [[found]] + [[] for _ in range(self._retries)]
         while (round_ := next((k for k, queue in enumerate(waiting) if queue), None)) is not None:
-            seen = _take(waiting[round_])
-            fresh = self._accepted(self._expand(seen, round_))
+            found = _take(waiting[round_])
+            fresh = self._accepted(self._expand(found, round_))
             if len(fresh.d):
                 accepted.append(fresh)
                 waiting[0].append(fresh)
             if round_ < self._retries:
-                waiting[round_ + 1].append(seen)
+                waiting[round_ + 1].append(found)
         found = _joined(accepted)
         return found.q_m.astype(np.float32), quantise_points(found.p_b)
 
-    def _accepted(self, seen: Witnesses) -> Witnesses:
+    def _accepted(self, found: Witnesses) -> Witnesses:
         """Select one pose for each open voxel, and close these voxels."""
-        keys = self._voxels.keys(self._voxels.cells(quantise_points(seen.p_b)))
-        fits = (keys >= 0) & (seen.d > self._low) & (seen.d < self._high)
+        keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
+        fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
         _, first = np.unique(keys[candidates], return_index=True)
         fresh = candidates[first]
         self._open[keys[fresh]] = False
-        return _rows(seen, fresh)
+        return _rows(found, fresh)
 
-    def _expand(self, seen: Witnesses, round_: int) -> Witnesses:
+    def _expand(self, found: Witnesses, round_: int) -> Witnesses:
         """Make one step into each open voxel that is a neighbour of the closest point of a pose.
 
         If several poses are next to a voxel, the first of them makes the step.
         """
-        cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
+        cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
         keys = self._voxels.keys(cells)
-        step = self._voxels.centres(cells) - seen.p_b[:, None]
-        ahead = seen.d[:, None] + (step * seen.normal[:, None]).sum(axis=2)
+        step = self._voxels.centres(cells) - found.p_b[:, None]
+        ahead = found.d[:, None] + (step * found.normal[:, None]).sum(axis=2)
         useful = (keys >= 0) & self._open[keys] & (ahead > self._low) & (ahead < self._high)
         source, side = np.nonzero(useful)
         # Without this selection, two poses would try the same voxel in nearly half of all tries.
         _, first = np.unique(keys[source, side], return_index=True)
         source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
-        J = self._reader.jacobians(seen.q_m[needed], seen.p_b[needed])[row]
-        tried = self._step(seen.q_m[source], J, step[source, side], round_)
+        J = self._reader.jacobians(found.q_m[needed], found.p_b[needed])[row]
+        tried = self._step(found.q_m[source], J, step[source, side], round_)
         return self._reader.witnesses(tried)
 
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:

@@ -17,7 +17,7 @@ from typing import NoReturn
 
 from app.errors import DbbError, check_name, extras_named, printable
 from app.jobs.progress import ending_signals_raised
-from app.system import find_folders, open_standard_files
+from app.system import open_standard_files, set_missing_folders
 
 COMMANDS = {
     "Runs and pictures": {
@@ -57,7 +57,7 @@ def console() -> NoReturn:
 def main(args: list[str] | None = None) -> None:
     """Run the command line; the exit status is 0 only if the command succeeds."""
     open_standard_files()
-    find_folders()
+    set_missing_folders()
     logging.basicConfig(level=logging.INFO, stream=sys.stderr)
     for handler in logging.getLogger().handlers:
         handler.setFormatter(_Plain("%(message)s"))

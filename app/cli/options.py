@@ -24,7 +24,7 @@ from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range
-from app.system import begun_folder, is_no_file, own_path, usable_cores
+from app.system import is_no_file, own_path, unfinished_folder, usable_cores
 
 Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
@@ -362,7 +362,7 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
     try:
         out = own_path(out)
         out.mkdir(parents=True, exist_ok=True)
-        with begun_folder(out):
+        with unfinished_folder(out):
             pass
     except OutputError as error:
         raise OutputError(f"{option}: {error}") from None

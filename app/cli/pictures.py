@@ -176,9 +176,9 @@ def _film(
         found = [common.filmed(run, model, data, times) for run in runs]
         orbit = math.radians(how.orbit) / how.rate
 
-        def drawn(shown: list[Snapshot], *seen: Snapshot) -> Generator[Image.Image, None, None]:
+        def drawn(shown: list[Snapshot], *framed: Snapshot) -> Generator[Image.Image, None, None]:
             return film_pictures(
-                browser, shown, times, model, data.clouds, look, orbit=orbit, seen=seen
+                browser, shown, times, model, data.clouds, look, orbit=orbit, framed=framed
             )
 
         if how.side_by_side:

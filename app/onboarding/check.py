@@ -306,9 +306,9 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
         return Row("pairs", "warned", "no monitored part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
     poses = sample_joints(model, _NEAR_POSES, np.random.default_rng(1))
-    seen = PairDistances(model, pairs.all).sampled(poses)
-    free = (seen > 0.0).all(axis=1)
-    near = (seen[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
+    d = PairDistances(model, pairs.all).sampled(poses)
+    free = (d > 0.0).all(axis=1)
+    near = (d[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
     names = [pair.name for pair in pairs.all]
     numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
     always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]

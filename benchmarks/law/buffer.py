@@ -30,11 +30,9 @@ def buffer(options: Options) -> Report:
     """
     base = load(options.robot).model.description.base
     rows = []
-    for v in _SPEEDS:
-        row: dict[str, float | None] = {"v_mps": v}
-        for (place, (n, p_b)), delay in product(_PLACES.items(), _DELAYS):
-            config = Config().replace("disturbance.base_delay", delay)
-            need = buffer_need(Approach(v, np.array(n), np.array(p_b)), base, config)
-            row[f"{place}, delay {delay:g} s"] = need if math.isfinite(need) else None
-        rows.append(row)
+    for v, place, delay in product(_SPEEDS, _PLACES, _DELAYS):
+        config, (n, p_b) = Config().replace("disturbance.base_delay", delay), _PLACES[place]
+        need = buffer_need(Approach(v, np.array(n), np.array(p_b)), base, config)
+        needed = need if math.isfinite(need) else None
+        rows.append({"v_mps": v, "place": place, "delay_s": delay, "needed_d_b_m": needed})
     return Report("buffer", rows, {"reserve_m": RESERVE})

@@ -299,14 +299,14 @@ def film_pictures(
     clouds: Mapping[str, Cloud],
     look: Look,
     orbit: float = 0.0,
-    seen: Sequence[Snapshot] = (),
+    framed: Sequence[Snapshot] = (),
 ) -> Generator[Image.Image, None, None]:
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
     Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
-    turns about the robot by the angle `orbit` [rad]. For a part of a side-by-side film, `seen` has
-    the snapshots of all robots. The camera then shows all of them, and the picture has the base's
-    initial outline and the lines of `story`.
+    turns about the robot by the angle `orbit` [rad]. For a part of a side-by-side film, `framed`
+    has the snapshots of all robots. The camera then shows all of them, and the picture has the
+    base's initial outline and the lines of `story`.
 
     Raises:
         AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -315,9 +315,9 @@ def film_pictures(
     with own_page(browser, look) as (server, page):
         scene = OffscreenScene(server, loop, model, clouds, look, labels=False)
         server.scene.configure_default_lights(enabled=True, cast_shadow=False)
-        eye, target = scene.look(seen or [loop.go_to(t) for t in times])
+        eye, target = scene.look(framed or [loop.go_to(t) for t in times])
         first = loop.go_to(times[0])
-        if seen:
+        if framed:
             scene.outline(first.base_pose)
         scene.draw(times[0])
         open_page(page, server)
@@ -331,7 +331,7 @@ def film_pictures(
             jpeg = base64.b64decode(page.evaluate("values => dbbPage.still(values)", values))
             picture = Image.open(io.BytesIO(jpeg)).convert("RGB")
             shown = loop.go_to(t)
-            if seen:
+            if framed:
                 yield label(picture, story(shown, first), dark=look.dark)
             else:
                 yield captioned(picture, shown, look)

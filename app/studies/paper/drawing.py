@@ -127,9 +127,9 @@ def framed(
 
     Parts above the height `tallest` [m] may be outside the picture.
     """
-    seen = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
-    seen[:, 2] = np.minimum(seen[:, 2], tallest)
-    return camera._replace(target=seen.mean(axis=0)).framing(seen, 0.05)
+    shown = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
+    shown[:, 2] = np.minimum(shown[:, 2], tallest)
+    return camera._replace(target=shown.mean(axis=0)).framing(shown, 0.05)
 
 
 @dataclass(frozen=True)
