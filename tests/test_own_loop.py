@@ -889,7 +889,8 @@ def test_only_a_sudden_weight_is_a_load(case: str) -> None:
     w.J_ee[:3, 2:], w.x_est, w.v_ee, w.v_tip = J, np.zeros((3, 7)), np.zeros(6), np.zeros(3)
     w.load, w.loaded, w.torques_age = np.zeros(()), np.zeros(()), np.zeros(())
     w.samples, w.torques, w.P_est = np.array(100.0), np.zeros((8, 7)), np.zeros((7, 3, 3))
-    w.lifts, w.blind_time = np.zeros((8, 7)), np.array(0.001)
+    w.lifts, w.blind_time, w.known = np.zeros((8, 7)), np.array(0.001), np.array(100.0)
+    w.corrected = w.lag = w.stated_lag = np.zeros(())
     estimate = getattr(estimate_load, "py_func", estimate_load)
     reported = []
     for k in range(400):

@@ -380,7 +380,7 @@ def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
 
 
 @compiled()
-def estimate_load(w: Any, dt: float, restarted: bool) -> None:
+def estimate_load(w: Any, dt: float, jumped: bool) -> None:
     """Estimate the mass of a load at the end-effector, and detect a load that begins or ceases.
 
     A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
@@ -391,11 +391,13 @@ def estimate_load(w: Any, dt: float, restarted: bool) -> None:
     Args:
         w: `STEP`.
         dt: [s] control period.
-        restarted: Whether the estimate of the arm has restarted after a gap.
+        jumped: Whether the arm cannot have moved to the newest reading.
     """
     n_b = len(w.g) - len(w.q_m)
     if w.samples[()] < FEWEST:
         return
+    corrected = w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]
+    restarted = jumped or corrected or w.known[()] == 0.0
     M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
     for k in range(3):
         a = 0.0 if restarted else (w.v_ee[k] - w.v_tip[k]) / dt

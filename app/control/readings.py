@@ -722,8 +722,7 @@ def take_readings(
     if unseen:
         _store_reading(w, base_pose, base_velocity, q, qd)
     w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else 0.0
-    restarted = w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]
-    estimate_load(w, gains.dt, restarted or w.faults[JUMP] != 0.0 or w.known[()] == 0.0)
+    estimate_load(w, gains.dt, w.faults[JUMP] != 0.0)
     w.faults[LOAD] = 1.0 if abs(w.loaded[()]) >= LEAST_LOAD else 0.0
     _use_estimate(gains, w)
     put(w.base_pose, w.pose_last)

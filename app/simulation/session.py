@@ -25,7 +25,7 @@ from app.simulation.load import PointLoad
 from app.simulation.people import Hold, People, PersonForces, PullReading, first_target
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorReading, OpenDoor
-from app.simulation.plants.interface import Contacts, Physics
+from app.simulation.plants.interface import Contacts, Physics, Push
 from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
@@ -230,10 +230,7 @@ class Session:
         target = first_target(holds)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = [*person.pushes]
-        for load, begins in self._loads:
-            if self.t >= begins:
-                pushes.append(load.push(state))
+        pushes = (*person.pushes, *self._weights(state))
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
@@ -267,6 +264,10 @@ class Session:
         centre, unknown = np.array([load.x, load.y, load.z]), disturbance.unknown_load
         loads = (load.mass, centre, 0.0), (unknown, np.zeros(3), disturbance.begins)
         return [(PointLoad(self.model, m, p, DT), begins) for m, p, begins in loads if m > 0.0]
+
+    def _weights(self, state: RobotState) -> list[Push]:
+        """The forces of the loads that act at present."""
+        return [load.push(state) for load, begins in self._loads if self.t >= begins]
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
