@@ -3,9 +3,9 @@
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
 them; logs, the explanation, studies and tests read them under the same names. The next step
 overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these.
-In addition, the estimate reads M, h, L_aa, J_ee, base_velocity and a_base_meas of the last step. In
-a step without valid readings all kinematics are those of the last valid step. Two states are not in
-the table: the control period in use (`Controller.dt`) and the state of the drive
+In addition, the estimate reads M, h, L_aa, J_ee, v_ee, base_velocity and a_base_meas of the last
+step. In a step without valid readings all kinematics are those of the last valid step. Two states
+are not in the table: the control period in use (`Controller.dt`) and the state of the drive
 (`RobotState.drive`).
 
 Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
@@ -128,15 +128,15 @@ travel | | 3 n_m | rad, rad/s | joints | readings |
     the velocities at the start
 since | | | 1 | | readings | memory: number of readings in the integral of `travel`
 travel_time | | | s | | readings | memory: duration of this integral
-load | m | | kg | | estimate_load |
+load | m | | kg | | readings |
     memory: mass at the end-effector that best explains the external torques of the last 0.02 s
-loaded | | | kg | | estimate_load | memory: sum of the loads that began suddenly; 0 without one
-torques | | 8 n_m | N m, N | joints | estimate_load |
+loaded | | | kg | | readings | memory: sum of the loads that began suddenly; 0 without one
+torques | | 8 n_m | N m, N | joints | readings |
     memory: mean external torques in intervals of 0.02 s, the newest first
-lifts | | 8 n_m | N m/kg, N/kg | joints | estimate_load |
+lifts | | 8 n_m | N m/kg, N/kg | joints | readings |
     memory: mean torques that move a load of 1 kg at the end-effector, in these intervals
-v_tip | | 3 | m/s | world | estimate_load | memory: velocity of the end-effector one period ago
-torques_age | | | s | | estimate_load | memory: age of the newest interval of `torques`
+v_tip | | 3 | m/s | world | readings | memory: velocity of the end-effector one period ago
+torques_age | | | s | | readings | memory: age of the newest interval of `torques`
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: present position, velocity and external acceleration q̈_ext
 x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
