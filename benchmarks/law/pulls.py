@@ -85,7 +85,7 @@ def play(case: Held) -> dict[str, Any]:
     n, tau_max = robot.n_mobile, robot.model.tau_max
     force = person = back = torque = 0.0
     nearest = links = math.inf
-    contacts, shares, bounds, moment = 0, [], [], None
+    contacts, floor, shares, bounds, moment = 0, 0, [], [], None
     bound = QUANTITIES["force_bound"].take
     assert bound is not None
     steps = moments(pull)
@@ -102,6 +102,7 @@ def play(case: Held) -> dict[str, Any]:
         force = max(force, float(np.linalg.norm(step.person.hand)))
         torque = max(torque, float(np.max(np.abs(step.control.u_cmd) / tau_max)))
         contacts += step.contacts.arm_base or step.contacts.arm_arm
+        floor += step.contacts.arm_floor
         if len(shares) % EVERY == 0:
             bounds.append(bound(moment.session, step))
         shares.append(joint_share(step, robot.model))
@@ -119,6 +120,7 @@ def play(case: Held) -> dict[str, Any]:
         "overlap_m": max(0.0, -nearest),
         "least_between_links_m": links,
         "contact_steps": contacts,
+        "floor_contact_steps": floor,
         "hand_speed_after_mps": back,
         "thrown": nearest < Config().border.d_b and back > _THROWN * person,
         "torque_share": torque,
@@ -132,7 +134,8 @@ def play(case: Held) -> dict[str, Any]:
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     claimed = [row for row in rows if row["f_max_n"] <= _CLAIMED]
-    within = [row for row in rows if row["force_max_n"] <= (row["force_bound_min_n"] or 0.0)]
+    free = [row for row in rows if not row["floor_contact_steps"]]  # the floor's force is no pull
+    within = [row for row in free if row["force_max_n"] <= (row["force_bound_min_n"] or 0.0)]
     return {
         "pulls": len(rows),
         "entered_the_buffer": sum(row["least_distance_m"] < Config().border.d_b for row in rows),
@@ -147,6 +150,7 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "hand_speed_after_max_mps": largest(rows, "hand_speed_after_mps"),
         "joint_speed_share_max": largest(rows, "joint_speed_share"),
         "joint_speed_over_1.01": sum(row["joint_speed_share"] > 1.01 for row in rows),
+        "without_floor_contact": len(free),
         "within_the_force_bound": len(within),
         "joint_speed_share_max_within_it": largest(within, "joint_speed_share"),
         "failures": sum(row["failures"] for row in rows),
