@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import app.robot.assets
+from app.cli.options import Setup, fields_of
 from app.errors import AssetError, ConfigError
 from app.robot.assets import resolved_urdf, robot_names
 from app.robot.description import load_robot
@@ -122,3 +124,8 @@ def test_warnings_of_mujoco_are_logged_and_leave_no_file(tmp_path, monkeypatch, 
         plant.step(np.full(7, np.nan), np.zeros(2), NOBODY)
     assert "MuJoCo: Nan" in caplog.text
     assert not list(tmp_path.iterdir())
+
+
+def test_help_of_a_run_names_every_plant() -> None:
+    help_text = dict(fields_of(Setup))["physics"].help
+    assert all(re.search(rf"\b{name}\b(?!-)", help_text) for name in PLANTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from typing import Literal
 
 import pytest
 
@@ -43,3 +44,12 @@ def test_a_second_kind_of_the_same_name_is_refused(example) -> None:
     taken = type("Taken", (example["RailBase"],), {"__module__": __name__})
     with pytest.raises(DescriptionError, match="'rail'"):
         register_base_kind(taken)
+
+
+def test_a_kind_without_required_members_is_refused() -> None:
+    class Sledge(BaseKind):
+        kind: Literal["sledge"] = "sledge"  # type: ignore[assignment]
+
+    with pytest.raises(DescriptionError, match="Sledge must define J_m, axes, .*measure"):
+        register_base_kind(Sledge)
+    assert "sledge" not in KINDS

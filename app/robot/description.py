@@ -206,11 +206,15 @@ def register_base_kind(kind: type[BaseKind]) -> None:
     """Register a kind of base for descriptions: a record whose `kind` is a `Literal`.
 
     Raises:
-        DescriptionError: The `Literal` does not have exactly one name, or a different kind has it.
+        DescriptionError: The `Literal` does not have exactly one name, a different kind has it, or
+            the kind does not define all that `BaseKind` demands.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
         raise DescriptionError(f"{kind.__name__}.kind must be a Literal of one name")
+    missing = sorted({*kind.__abstractmethods__, *(() if hasattr(kind, "axes") else ("axes",))})
+    if missing:
+        raise DescriptionError(f"{kind.__name__} must define {', '.join(missing)}")
     if KINDS.setdefault(names[0], kind) is not kind:
         raise DescriptionError(f"another kind of base is named {names[0]!r}")
     field = RobotDescription.model_fields["base"]

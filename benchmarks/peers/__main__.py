@@ -35,7 +35,7 @@ class Peers:
     out: Path = Path("out/peers")
     """Folder for table.json, table.csv, table.md and peers.png, and for the environments."""
     physics: str = "planar"
-    """Plant of our own controllers: planar, mujoco, mujoco-contact or kinematic."""
+    """Plant of our own controllers; `dbb run guiding-front --help` lists all names."""
     allow_missing: Flag = False
     """End with status 0 even if a library could not be installed or run."""
     quick: Flag = False

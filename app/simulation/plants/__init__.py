@@ -75,6 +75,7 @@ def make_physics(
         from app.simulation.plants.mujoco_wheels import MujocoWheels
 
         return MujocoWheels(model, dt=dt, door=door)
+    assert kind == "kinematic", f"make_physics has no branch for {kind}"
     from app.simulation.plants.kinematic import Kinematic
 
     if door is not None:

@@ -194,6 +194,7 @@ def number(
     *,
     often: bool = True,
     optional: bool = False,
+    row: Take | None = None,
 ) -> Quantity:
     """A quantity of one number or text.
 
@@ -204,7 +205,16 @@ def number(
             computation of the value, as in `Quantity.take`.
         often: Whether the value is recorded at each control step; if not, at snapshots only.
         optional: Whether the value can be None.
+        row: As in `Quantity.row`; required if `often`, unless `source` is an attribute.
+
+    Raises:
+        ValueError: Nothing defines the value at each control step.
     """
+    if often and row is None and not isinstance(source, str):
+        raise ValueError(
+            f"{name}: `source` must be an attribute of `Step`, such as a property, because the "
+            "value is recorded at each control step; otherwise use `drawn`, or set `row`"
+        )
     column, cast = Column(name, kind, optional, often), _CASTS[kind]
 
     def value(cells: Sequence[Any], _: TraceMeta) -> Any:
@@ -215,7 +225,7 @@ def number(
 
     paths = (source,) if isinstance(source, str) else ()
     take = _reader(source, cast) if isinstance(source, str) else source
-    return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths)
+    return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths, row=row)
 
 
 def numbers(

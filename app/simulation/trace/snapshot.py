@@ -290,7 +290,7 @@ def _force_bound() -> Quantity:
     def row(session: Session, step: Step) -> Sequence[float]:
         return (NAN if round(step.t / DT) % EVERY else _smallest_force_bound(session, step),)
 
-    return number("force_bound_n", "float", _smallest_force_bound)._replace(row=row)
+    return number("force_bound_n", "float", _smallest_force_bound, row=row)
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
@@ -341,10 +341,10 @@ class Snapshot:
     """The whole simulation at one instant.
 
     Most fields are quantities with one or several columns in a trace. A quantity of `number` or
-    `numbers` is recorded at each control step, a quantity of `drawn` at snapshots. The declaration
-    names the attribute of the step with the value, or computes the value from a step o and the
-    session s after the step; otherwise the publisher of the snapshot sets the value. Fields without
-    columns are not recorded.
+    `numbers` is recorded at each control step; the declaration names the attribute of `Step` with
+    the value, which can be a property. A quantity of `drawn` is recorded at snapshots; the
+    declaration can also compute the value from the session s after the step and the step o.
+    Otherwise the publisher of the snapshot sets the value. Fields without columns are not recorded.
     """
 
     t: Annotated[float, number("t_s", "float", "t")]

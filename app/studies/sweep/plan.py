@@ -158,7 +158,7 @@ class SweepPlan:
     start_distance: float | None = None
     """[m] distance between arm and base at the start; default: d_b + 0.02."""
     physics: str = field(default_factory=default_plant)
-    """planar, mujoco, mujoco-contact or kinematic."""
+    """Name of the plant; `dbb run guiding-front --help` lists all names."""
     seed: int = 0
     """Seed of all random numbers."""
     config: Config = field(default_factory=Config)
