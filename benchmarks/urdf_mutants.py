@@ -568,7 +568,7 @@ def main(
     robots: Sequence[str] = tuple(ROBOTS),
     json: Json = False,
 ) -> None:
-    """Read mutants, and count the outcomes for each class of changes.
+    """Read changed URDFs (mutants), and count the outcomes for each class of changes.
 
     Args:
         count: Number of mutants.

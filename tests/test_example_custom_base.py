@@ -50,6 +50,6 @@ def test_a_kind_without_required_members_is_refused() -> None:
     class Sledge(BaseKind):
         kind: Literal["sledge"] = "sledge"  # type: ignore[assignment]
 
-    with pytest.raises(DescriptionError, match="Sledge must define J_m, axes, .*measure"):
+    with pytest.raises(DescriptionError, match=r"Sledge must define J_m, axes, .*measure"):
         register_base_kind(Sledge)
     assert "sledge" not in KINDS

@@ -165,7 +165,7 @@ def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
 
 
 class ActingPoint(NamedTuple):
-    """Result of Algorithm 3, in the base's frame; all at the height of p_b."""
+    """Result of Algorithm 3, in the base's frame; all its points have the height of p_b."""
 
     p_n: Array
     """(3,) [m] point of the border nearest to p_b."""

@@ -221,12 +221,12 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Fit (9) by least squares with equal weights.
 
     Paper: Eq. (9).
-    The fit covers the range of distances around the peak in which the shells' means are at least a
-    share of the peak. The default share is that below which `ScoreField.reachability` modifies (9).
+    The fit covers the distances around the peak at which `reach` is at least `share` times the
+    peak. Below the default share, `ScoreField.reachability` replaces (9) by a different curve.
 
     Args:
         rho: (N,) [m] distances from the arm's mount.
-        reach: (N,) [-] values at these distances, including zeros.
+        reach: (N,) [-] mean reachability at these distances, including zeros.
         share: [-] share of the peak.
 
     Raises:

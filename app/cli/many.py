@@ -73,8 +73,8 @@ def sweep(
 ) -> None:
     """Move the end-effector towards the base from all sides; draw maps.
 
-    Each path starts at a posture outside all buffers, with the same distance between arm and base
-    if the arm can reach it. The path leads straight towards the base's centre, along the wheel
+    Each path starts at a posture outside all buffers. The distance between arm and base is the same
+    at all starts that allow it. The path leads straight towards the base's centre, along the wheel
     axis, or down onto the base. Starts without such a posture are listed as unreachable. Paths
     along the wheel axis start with the arm's closest point at x = 0, ±1, ±10 and ±50 mm.
 

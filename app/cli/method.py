@@ -136,11 +136,12 @@ def reach(
     direction for five joints, only the position for three or four joints. R is the density of
     inverse kinematics solutions within the joint limits and without self-collision. It is computed
     from random joint positions by the area formula: R is the sum of |det J| over the joint
-    positions that lead to a cell of the lattice. J is the square Jacobian of the pose, without
-    redundant joints. Then the mean of R is computed in spherical shells around the mount, each for
-    an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of these means is 100, and (9)
-    is fitted to the shells with a mean of at least 5. The fitted A depends on the end-effector's
-    frame, on this scale, and on the lower bound 5; the paper does not state these.
+    positions that lead to a cell of the lattice. J is the square Jacobian of the pose; joints
+    beyond its number of coordinates stay fixed. Then the mean of R is computed in spherical shells
+    around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of
+    these means is 100, and (9) is fitted to the shells with a mean of at least 5. The fitted A
+    depends on the end-effector's frame, on this scale, and on the lower bound 5; the paper does not
+    state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.

@@ -221,7 +221,7 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
         else:
             kind, usual = str, about.default
             text = f"{about.help.rstrip('.')}: {about.allowed}"
-        found[name] = Field(kind, f"{usual}, unless the robot has another value", text)
+        found[name] = Field(kind, f"{usual}, unless robot.toml sets another value", text)
     return from_fields(found)
 
 

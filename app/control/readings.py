@@ -731,7 +731,10 @@ def take_readings(
 
 @compiled()
 def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) -> None:
-    """Update the estimate with new readings q and qd (n_m,); unusable velocities have no effect."""
+    """Update the estimate of the arm's motion by new readings q and qd (n_m,).
+
+    Unusable velocities are ignored; the positions are used.
+    """
     age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
     if first:
         _begin(w, q, qd)

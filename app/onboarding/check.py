@@ -298,8 +298,8 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that bodies of pairs with l_m have a reachability, and that no pair is inside its
-    buffer in most free poses.
+    """Check that each body that is paired with l_m has a reachability, and that no pair is inside
+    its buffer in most poses without a collision.
     """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:

@@ -1,4 +1,4 @@
-"""Strong pulls: smallest distances of arm and base, and the motion afterwards."""
+"""Strong pulls: the smallest distance between arm and base, and the motion after its instant."""
 
 from __future__ import annotations
 

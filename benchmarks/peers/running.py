@@ -28,8 +28,8 @@ class Motion(NamedTuple):
 
     Attributes:
         q: (N + 1, 3 + n_m) x, y [m], yaw [rad] and the arm's joints, every `plan.DT`.
-        step_s: (M,) [s] real time of each step.
-        d_start: (pairs,) [m] initial distances of the library.
+        step_s: (M,) [s] computing time of each of the M control steps.
+        d_start: (pairs,) [m] distances at the start, as the library computes them.
         failures: Number of steps without a solution.
     """
 

@@ -97,7 +97,7 @@ class Meetings:
         return np.logical_and(self.random.distances <= 0.0, watched)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
-        """(N,) for each point of a unit's surface, whether one of the other units can reach it."""
+        """(N,) whether one of the other units can reach each point of a unit's surface."""
         mask = np.zeros(len(self.units[unit].surface), dtype=bool)
         for other in others:
             if (found := self.met.get((unit, other))) is not None:

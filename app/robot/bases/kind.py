@@ -271,7 +271,7 @@ class TurningBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, ...]:
-        """Largest acceleration [m/s²] or angular acceleration [rad/s²], by the axis."""
+        """(n_b,) [m/s² or rad/s²] largest acceleration of each axis, by its kind."""
         v, w = self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
         return tuple(w if axis.angular else v for axis in self.axes)
 

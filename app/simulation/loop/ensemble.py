@@ -265,7 +265,7 @@ class Runner:
         self._angular = np.array([axis.angular for axis in session.model.description.base.axes])
 
     def let_go(self) -> None:
-        """Remove the driver; later steps do not change the score of the driven motion."""
+        """End the scenario's motion; later steps do not change its score."""
         self._complete = self._complete or self._driver is not None
         self._driver = None
 

@@ -156,7 +156,8 @@ class RobotSpec:
     def friction(self, limit: float) -> dict[str, Any]:
         """Options of a joint with dry friction up to `limit` [N or N m].
 
-        If the friction that stops the joint within one step is within the limit, the joint stops.
+        If a force up to `limit` can stop the joint within one step, the joint stops; otherwise the
+        force is `limit`.
         """
         return {
             "frictionloss": limit,

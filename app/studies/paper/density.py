@@ -236,8 +236,8 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Largest changes between two rows of the path, of the acting point and of the base's
-    acceleration, on both borders; for the acting point also on the finer path.
+    """Largest changes of the acting point and of the base's acceleration between successive rows of
+    the path, for the borders `points` and `surface`; for the acting point also on the finer path.
     """
     result: dict[str, Any] = {}
     for kind, along in found.items():

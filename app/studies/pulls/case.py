@@ -167,7 +167,7 @@ def draw_start(
 
 
 def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start:
-    """Draw a start in a sector; the arm may not be able to reach it."""
+    """Choose a random start of the end-effector in a sector; it can be out of the arm's reach."""
     lower, upper = sources.lower, sources.upper
     middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
     plan = middle + _INNER * half * rng.uniform(-1, 1, 2)

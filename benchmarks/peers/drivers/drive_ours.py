@@ -24,7 +24,7 @@ class Watch:
     """Records the motion at each step of the libraries, and the time of every control step."""
 
     def __init__(self, duration: float, every: int) -> None:
-        """Record a run of a duration [s]; the motion is recorded once in `every` control steps."""
+        """Record a run of `duration` [s]; one of every `every` control steps is stored."""
         self._every, self._last = every, round(duration / DT) - 1
         self._q: list[Array] = []
         self._times: list[float] = []
