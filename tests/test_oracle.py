@@ -259,7 +259,7 @@ def test_every_quantity_of_the_table_is_compared(border_data: BorderData) -> Non
 def test_a_step_reads_only_the_listed_quantities_of_the_last_step(border_data: BorderData) -> None:
     """A step reads only the memory and the quantities `listed`."""
     memory = {q.name for q in QUANTITIES if q.meaning.startswith("memory")}
-    listed = {"M", "h", "L_aa", "J_ee", "v_ee", "base_velocity", "a_base_meas"}
+    listed = {"M", "h", "L_aa", "J_ee", "v_ee", "p_ee", "base_pose", "base_velocity", "a_base_meas"}
     others = [q.name for q in QUANTITIES if q.name not in memory | listed]
     path = Path("dbb", "differential", "beside")
     robot = robot_of(path.base)

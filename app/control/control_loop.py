@@ -48,7 +48,7 @@ class Command(NamedTuple):
         Without this fault, the mass at the end-effector that best explains the external torques,
         including those of a person.
         """
-        return float(self.step.loaded if "load" in self.faults else self.step.load)
+        return float(self.step.unstated or self.step.load)
 
     @property
     def faults(self) -> tuple[str, ...]:

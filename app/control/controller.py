@@ -140,8 +140,10 @@ class Controller:
         added = load.mass - self._config.payload.mass
         self._config = config
         self.state.carry(load.mass, (load.x, load.y, load.z))
-        w.torques += added * w.lifts
-        w.loaded -= added * (w.loaded != 0.0)
+        if added != 0.0:
+            w.torques += added * w.lifts
+            w.loaded -= added
+            w.unstated[...] = 0.0
         if METHODS[self.name].get("hierarchy"):
             border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)

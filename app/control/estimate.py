@@ -38,9 +38,11 @@ RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless th
 _SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
-LEAST_LOAD = 0.3
-"""[kg] Smallest mass of a reported load."""
-_SAMPLED = 0.02  # [s] interval of a mean of the external torques
+_SETTLED = 20  # [-] samples of the noise before a load can be estimated
+_SOON = 0.005  # [s] largest age of readings with which these samples last so short that a load
+# which is then present counts as sudden
+_LEAST_LOAD = 0.3  # [kg] smallest reported load
+_SAMPLED = 0.02  # [s] shortest interval of a mean of the external torques
 _SIGNIFICANT = 3.0  # [-] smallest reported load in standard deviations of the estimate
 _FRICTION = 0.3  # [N m or N] standard deviation of changes of a joint's friction
 _EXPLAINED = 0.95  # [-] smallest share of a squared change that a load explains
@@ -330,14 +332,14 @@ def _follow(
 
 
 @compiled()
-def _torque_change(M: Array, P: Array, blind_time: float) -> Array:
-    """(n_m, n_m) covariance of the change of mean external torques between two intervals.
+def _torque_change(M: Array, P: Array, blind_time: float, interval: float) -> Array:
+    """(n_m, n_m) covariance of the change of mean external torques between two intervals [s].
 
     The error of an estimated acceleration lasts as long as the filter's response, `blind_time` [s]
     or longer, and its mean over an interval is smaller. `_FRICTION` is the part that no filter
     knows.
     """
-    share = 2.0 * min(1.0, max(RESPONSE, blind_time) / _SAMPLED)
+    share = 2.0 * min(1.0, max(RESPONSE, blind_time) / interval)
     C = np.zeros_like(M)
     for i in range(len(M)):
         for j in range(len(M)):
@@ -356,7 +358,7 @@ def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     compared in units of their standard deviation, so that noisy joints count less.
 
     Args:
-        torques: (8, n_m) mean external torques in intervals of 0.02 s; the newest is first.
+        torques: (8, n_m) mean external torques in intervals; the newest is first.
         lifts: (8, n_m) mean torques that move a load of 1 kg in these intervals.
         C: (n_m, n_m) covariance of the change from one row of `torques` to another.
     """
@@ -364,43 +366,54 @@ def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     lift, change = forward(L, lifts[1]), forward(L, torques[3] - torques[1])
     along, size = dot(change, lift), dot(lift, lift)
     total = dot(change, change) - n_m  # the expected square of the noise is n_m
-    if abs(along) <= max(LEAST_LOAD * size, _SIGNIFICANT * math.sqrt(size)):
+    if abs(along) <= max(_LEAST_LOAD * size, _SIGNIFICANT * math.sqrt(size)):
         return 0.0
     if along**2 < _EXPLAINED * total * size:
         return 0.0
-    mass = along / size
     for k in range(3, len(torques) - 1):
         before = forward(L, torques[k] - torques[k + 1])
         if dot(before, before) - n_m > _QUIET**2 * total:
             return 0.0
+    mass = along / size
     after = forward(L, torques[1] - torques[0] + mass * (lifts[1] - lifts[0]))
-    if dot(after, lift) / along > _QUIET or dot(after, after) - n_m > total:
+    growth = dot(after, lift) / along
+    if growth > _QUIET or dot(after, after) - n_m > total:
         return 0.0
-    return mass
+    begun = dot(forward(L, torques[3] - torques[2]), lift) / along  # share before interval 1
+    return mass if begun > 0.5 * _QUIET else mass * (1.0 + max(growth, 0.0))
 
 
 @compiled()
-def estimate_load(w: Any, dt: float, jumped: bool) -> None:
+def _mass(torque: Array, lift: Array) -> float:
+    """[kg] mass of a load that best explains external torques (n_m,); `lift` as in `w.lifts`."""
+    size = dot(lift, lift)
+    return -dot(torque, lift) / size if size > 0.0 else 0.0
+
+
+@compiled()
+def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
     """Estimate the mass of a load at the end-effector, and detect a load that begins or ceases.
 
     A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
     inertia. `w.load` is the mass that best explains the external torques; a force of a person
-    counts too. `w.loaded` is the sum of all sudden loads, as long as `w.load` is at least half of
-    this sum.
+    counts too. `w.loaded` is the sum of all sudden loads and changes of the payload's mass. It is
+    reported as `w.unstated` while the torques contain at least half of it, unless the mass at the
+    end-effector would be negative: a person pushes upwards.
 
     Args:
+        gains: `GAINS`.
         w: `STEP`.
-        dt: [s] control period.
         jumped: Whether the arm cannot have moved to the newest reading.
     """
-    n_b = len(w.g) - len(w.q_m)
-    if w.samples[()] < FEWEST:
+    n_b, dt = len(w.g) - len(w.q_m), gains.dt
+    if w.samples[()] < _SETTLED:
         return
-    corrected = w.samples[()] == FEWEST and w.corrected[()] + w.lag[()] > w.stated_lag[()]
-    restarted = jumped or corrected or w.known[()] == 0.0
+    begins, late = w.samples[()] == _SETTLED, w.blind_time[()] > _SOON
+    corrected = w.corrected[()] + w.lag[()] > w.stated_lag[()]
+    restarted = jumped or w.known[()] == 0.0 or (begins and (late or corrected))
     M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
     for k in range(3):
-        a = 0.0 if restarted else (w.v_ee[k] - w.v_tip[k]) / dt
+        a = 0.0 if begins or restarted else (w.v_ee[k] - w.v_tip[k]) / dt
         if k == 2:
             a += _GRAVITY
         for i in range(len(lift)):
@@ -416,16 +429,34 @@ def estimate_load(w: Any, dt: float, jumped: bool) -> None:
     for i in range(len(torque)):
         w.torques[0, i] += share * (torque[i] - w.torques[0, i])
         w.lifts[0, i] += share * (lift[i] - w.lifts[0, i])
-    if w.torques_age[()] <= _SAMPLED - 0.5 * dt:
-        return
-    size = dot(w.lifts[0], w.lifts[0])
-    w.load[()] = -dot(w.torques[0], w.lifts[0]) / size if size > 0.0 else 0.0
-    rest = w.torques + w.loaded[()] * w.lifts
-    sudden = _sudden_mass(rest, w.lifts, _torque_change(M, w.P_est, w.blind_time[()]))
-    w.loaded[()] += sudden
-    if sudden == 0.0 and w.load[()] * w.loaded[()] <= 0.5 * w.loaded[()] ** 2:
+    interval = max(_SAMPLED, 2.0 * w.blind_time[()])
+    if w.torques_age[()] > interval - 0.5 * dt:
+        _judge_load(gains, w, _torque_change(M, w.P_est, w.blind_time[()], interval))
+        w.torques_age[()] = 0.0
+        for k in range(len(w.torques) - 1, 0, -1):
+            put(w.torques[k], w.torques[k - 1])
+            put(w.lifts[k], w.lifts[k - 1])
+
+
+@compiled()
+def _judge_load(gains: Any, w: Any, C: Array) -> None:
+    """Update `w.load`, `w.loaded` and `w.unstated` at the end of an interval.
+
+    The intervals before a detected load are then changed, as if the load had been present, so that
+    no load counts twice. C as in `_sudden_mass`.
+    """
+    torques, lifts = w.torques, w.lifts
+    w.load[()] = _mass(torques[0], lifts[0])
+    sudden = _sudden_mass(torques + w.loaded[()] * lifts, lifts, C)
+    newest, older = w.load[()], _mass(torques[3], lifts[3])
+    before = _mass(torques[1], lifts[1])
+    if sudden != 0.0:
+        w.loaded[()] += sudden
+        for k in range(1, len(torques)):
+            put(torques[k], torques[0] + w.loaded[()] * (lifts[0] - lifts[k]))
+    half = 0.5 * w.loaded[()] ** 2
+    acts = max(newest * w.loaded[()], before * w.loaded[()]) > half
+    if abs(w.loaded[()]) < _LEAST_LOAD or not (acts or older * w.loaded[()] > half):
         w.loaded[()] = 0.0
-    w.torques_age[()] = 0.0
-    for k in range(len(w.torques) - 1, 0, -1):
-        put(w.torques[k], w.torques[k - 1])
-        put(w.lifts[k], w.lifts[k - 1])
+    possible = w.loaded[()] >= -gains.payload_mass - _LEAST_LOAD
+    w.unstated[()] = w.loaded[()] if acts and possible else 0.0

@@ -91,6 +91,7 @@ _GAINS: dict[str, Any] = {
     "least_noise": _FLOAT,
     "velocity_noise": _FLOAT,
     "noise_window": _FLOAT,
+    "payload_mass": _FLOAT,  # [kg]
     "delay": _FLOAT,
     "command_period": _FLOAT,  # [s] of the base's velocity command
     "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
@@ -191,6 +192,7 @@ def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any
         velocity_rate=c.limit.velocity_rate,
         torque_rate=c.limit.torque_rate,
         external_drift=c.estimate.external_drift,
+        payload_mass=c.payload.mass,
         least_noise=c.estimate.least_noise,
         velocity_noise=c.estimate.velocity_noise,
         noise_window=c.estimate.noise_window,

@@ -3,9 +3,9 @@
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
 them; logs, the explanation, studies and tests read them under the same names. The next step
 overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these.
-In addition, the estimate reads M, h, L_aa, J_ee, v_ee, base_velocity and a_base_meas of the last
-step. In a step without valid readings all kinematics are those of the last valid step. Two states
-are not in the table: the control period in use (`Controller.dt`) and the state of the drive
+In addition, a step reads M, h, L_aa, J_ee, v_ee, p_ee, base_pose, base_velocity and a_base_meas of
+the last step. In a step without valid readings all kinematics are those of the last valid step. Two
+states are not in the table: the control period in use (`Controller.dt`) and the state of the drive
 (`RobotState.drive`).
 
 Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
@@ -111,6 +111,8 @@ pose_moved | | 3 | m, m, rad | world | readings |
     memory: motion by the velocities since the newest pose of the base
 pose_error | | 3 | m, m, rad | world | readings |
     memory: recent changes of the pose minus motions by the velocities
+pose_jump | | 3 | m, m, rad | world | readings |
+    memory: difference of the newest pose from the expected one; 0 after the reference has used it
 pose_way | | 2 | m, rad | | readings | memory: recent length of these motions
 astray | | n_b | m/s, rad/s | axes | readings |
     memory: recent changes of the base's velocity that the model of its drive does not explain
@@ -129,10 +131,12 @@ travel | | 3 n_m | rad, rad/s | joints | readings |
 since | | | 1 | | readings | memory: number of readings in the integral of `travel`
 travel_time | | | s | | readings | memory: duration of this integral
 load | m | | kg | | readings |
-    memory: mass at the end-effector that best explains the external torques of the last 0.02 s
-loaded | | | kg | | readings | memory: sum of the loads that began suddenly; 0 without one
+    memory: mass at the end-effector that best explains the external torques of the last interval
+loaded | | | kg | | readings |
+    memory: sum of the loads that began suddenly, minus the additions to `payload.mass`
+unstated | | | kg | | readings | memory: mass of the reported load; 0 without one
 torques | | 8 n_m | N m, N | joints | readings |
-    memory: mean external torques in intervals of 0.02 s, the newest first
+    memory: mean external torques in intervals of 0.02 s or longer, the newest first
 lifts | | 8 n_m | N m/kg, N/kg | joints | readings |
     memory: mean torques that move a load of 1 kg at the end-effector, in these intervals
 v_tip | | 3 | m/s | world | readings | memory: velocity of the end-effector one period ago
@@ -194,6 +198,11 @@ way_time | | | s | | references | memory: time since the beginning of this polyn
 way_duration | | | s | | references | memory: duration of the polynomial; 0 without one
 way_continues | | | 1 | | references | memory: 1 if the polynomial does not end at rest
 way_capped | | | 1 | | references | memory: 1 if the polynomial ends before the newest sample
+shift | | 6 6 | m, rad | world | references |
+    memory: coefficients of the shift of the reference after a jump of the base's pose, by the power
+    of time
+shift_time | | | s | | references | memory: time since this jump
+shift_duration | | | s | | references | memory: duration of the shift; 0 without one
 since_sample | | | s | | references | memory: time since the newest sample of a planner
 sample_interval | | | s | | references | memory: mean time between the samples of a motion; else 0
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error

@@ -26,7 +26,6 @@ import numpy as np
 from app.compiled import compiled
 from app.control.estimate import (
     FEWEST,
-    LEAST_LOAD,
     advance,
     estimate_arm,
     estimate_load,
@@ -504,7 +503,7 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
     Odometry is often slower than the joints' readings: between its readings, the base moves at its
     velocity. The fault `localisation` is a reading that contradicts the velocity: a jump, or recent
-    motions that deviate by more than half.
+    motions that deviate by more than half. `w.pose_jump` is for `shift_reference`.
     """
     moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
     for i in range(3):
@@ -526,6 +525,8 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
         for i in range(3):
             w.pose_error[i] += jump[i] + w.pose_moved[i]
         fill(w.pose_moved, 0.0)
+        if w.known[()] > 0.0:  # after a gap, the motion is unknown
+            put(w.pose_jump, jump)
         put(w.pose_last, pose)
     if jumped or _differs(w.pose_error, w.pose_way[0], w.pose_way[1]):
         w.faults[LOCALISATION] = 1.0
@@ -722,8 +723,8 @@ def take_readings(
     if unseen:
         _store_reading(w, base_pose, base_velocity, q, qd)
     w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else 0.0
-    estimate_load(w, gains.dt, w.faults[JUMP] != 0.0)
-    w.faults[LOAD] = 1.0 if abs(w.loaded[()]) >= LEAST_LOAD else 0.0
+    estimate_load(gains, w, w.faults[JUMP] != 0.0)
+    w.faults[LOAD] = 1.0 if w.unstated[()] != 0.0 else 0.0
     _use_estimate(gains, w)
     put(w.base_pose, w.pose_last)
     _drive_on(robot, w, w.base_pose, (w.age[()] + w.lag[()]) * gains.dt)

@@ -12,6 +12,9 @@ can be the first sample after a pause, an outlier or noise. Then each polynomial
 way to the sample, and each step starts a new one. The first reference and references without jumps
 are used unchanged: the law itself limits the correction speed. A repeated reference is no sample,
 and counts as a reference at rest: a velocity is valid only while the poses move.
+
+If a reading of the base's pose jumps, the end-effector jumps in the world, but not the reference.
+Then the reference jumps with the end-effector, and returns on a polynomial (`shift_reference`).
 """
 
 import math
@@ -38,6 +41,8 @@ _STEEPEST = 3.0  # [-] ratio of a polynomial's largest acceleration to its top s
 _PEAK = 1.875  # [-] ratio of largest to mean speed of the polynomial from rest to rest
 _OWN_SPEED = 1.5  # [-] largest relative difference of a sample's own velocity from the mean one
 _ROUNDING = 1e-4  # [-] tolerance of a rotation matrix in single precision
+_LEAST_SHIFT = 1e-4  # [m or rad] smallest jump of the end-effector that shifts the reference
+_RETURN = 0.2  # [s] shortest duration of the return of a shifted reference
 
 _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 
@@ -203,6 +208,49 @@ def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T:
     put(way[5], (6.0 * rest - 3.0 * slope + 0.5 * bend) / T**5)
 
 
+@compiled()
+def shift_reference(gains: Any, w: Any) -> None:
+    """Shift the reference by the end-effector's motion at the last jump of the base's pose.
+
+    The shift returns to 0, not faster than the correction speed. The first reference has none.
+    """
+    moved, turn = np.zeros(6), w.pose_jump[2]
+    c, s = math.cos(turn), math.sin(turn)
+    x, y = w.p_ee[0] - w.base_pose[0], w.p_ee[1] - w.base_pose[1]
+    moved[0] = w.pose_jump[0] + x - c * x - s * y
+    moved[1] = w.pose_jump[1] + y + s * x - c * y
+    moved[5] = turn
+    fill(w.pose_jump, 0.0)
+    if w.tracking[()] == 0.0:
+        w.shift_duration[()] = 0.0
+        return
+    if not _largest(moved) > _LEAST_SHIFT:
+        return
+    at, v, a = np.zeros(6), np.zeros(6), np.zeros(6)
+    if w.shift_duration[()] > 0.0:
+        at, v, a = _state(w.shift, w.shift_time[()])
+    at += moved
+    far, top = _largest(at), gains.ee_speed
+    fast = max(_PEAK * far / top, math.sqrt(2.0 * _STEEPEST * far / _LEAP))
+    w.shift_duration[()] = max(_RETURN, fast, _STEEPEST * _largest(v) / _LEAP)
+    w.shift_time[()] = 0.0
+    _write_quintic(w.shift, v, a, -at, np.zeros(6), w.shift_duration[()])
+    put(w.shift[0], at)
+
+
+@compiled()
+def _add_shift(gains: Any, w: Any) -> None:
+    """Add the present shift to the reference of this step."""
+    w.shift_time[()] += gains.dt
+    if w.shift_time[()] > w.shift_duration[()]:
+        w.shift_duration[()] = 0.0
+        return
+    at, v, a = _state(w.shift, w.shift_time[()])
+    _put_moved(w.x_ref, w.x_ref.copy(), at)
+    w.v_ref += v
+    w.a_ref += a
+
+
 @compiled(Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.b1), None))
 def take_reference(
     gains: Any, w: Any, R: Array, p: Array, v: Array, a: Array, interpolate: bool
@@ -249,4 +297,7 @@ def take_reference(
         put_rows(w.x_ref, w.x_sent)
         put(w.v_ref, w.way[1])
         put(w.a_ref, 2.0 * w.way[2])
+    shift_reference(gains, w)
+    if w.shift_duration[()] > 0.0:
+        _add_shift(gains, w)
     return True
