@@ -6,10 +6,11 @@ Run it: python examples/load.py
 import numpy as np
 
 from app import Config, ControlLoop, RobotModel, load_robot
+from app.robot.state import RobotState
+from app.simulation.load import PointLoad
 from app.simulation.plants import make_physics
 
 DT = 0.001  # [s]
-WEIGHT = np.array([0.0, 0.0, -2.0 * 9.81])  # [N]
 
 
 def main() -> tuple[float, float]:
@@ -20,12 +21,14 @@ def main() -> tuple[float, float]:
     """
     model = RobotModel(load_robot("husky_panda"))
     loop, robot, found = ControlLoop(model), make_physics("kinematic", model), 0.0
+    load, state = PointLoad(model, 2.0, np.zeros(3), DT), RobotState(model)
     for _ in range(1500):
         command = loop.step(robot.measure())
+        state.update_kinematics(robot.measure())
         if "load" in command.faults and not found:
             found = command.load
             loop.configure(Config().changed({"payload.mass": round(found, 1)}))
-        robot.step(command.u_a, command.base_velocity, hand_force=WEIGHT)
+        robot.step(command.u_a, command.base_velocity, load.push(state).force)
     return found, float(np.linalg.norm(command.step.v_ee[:3]))
 
 
