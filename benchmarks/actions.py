@@ -205,7 +205,7 @@ class _Run:
         """Drag an arrow of the gizmo at its present place."""
         arrow = np.zeros(3)
         arrow[self._random.randrange(3)] = 0.8 * SCALE
-        at = tab.pixel(GIZMO, tuple(arrow.tolist()))
+        [at] = tab.pixels(GIZMO, arrow[None])
         self._drag(tab, at, at + np.array([self._random.gauss(0, 60) for _ in range(2)]))
 
     def _drag(self, tab: DashboardTab, a: np.ndarray, b: np.ndarray) -> None:
