@@ -263,7 +263,7 @@ _remove_abandoned_once = lru_cache(maxsize=256)(remove_abandoned)
 
 
 def temporary_folder() -> AbstractContextManager[Path]:
-    """A `unfinished_folder` in the folder for temporary files."""
+    """An `unfinished_folder` in the folder for temporary files."""
     return unfinished_folder(Path(tempfile.gettempdir()))
 
 

@@ -983,24 +983,36 @@ def test_stated_age_of_the_readings_can_change(robot: RobotModel, border_data: B
         assert not loop.reported
 
 
-def test_a_load_counts_once_whenever_it_begins(robot: RobotModel, border_data: BorderData) -> None:
+def reports_of_a_load(
+    robot: RobotModel, data: BorderData, begins: int, ends: int, stated_at: int | None = None
+) -> list[float]:
+    """The reported mass [kg] in each of 500 steps; 2 kg act from step `begins` to `ends`."""
+    ready, state = np.array(robot.description.arm.ready_position), RobotState(robot)
+    state.update_kinematics(at_rest(robot, ready))
+    still = Reference(state.T_world_ee.copy(), np.zeros(6), np.zeros(6))
+    loop, plant = ControlLoop(robot, data), Kinematic(robot)
+    plant.reset(np.zeros(3), ready)
+    carried, reported = PointLoad(robot, 2.0, np.zeros(3), plant.dt), []
+    for k in range(500):
+        if k == stated_at:
+            loop.configure(Config().changed({"payload.mass": 2.0}))
+        state.update_kinematics(plant.measure())
+        command = loop.step(plant.measure(), still)
+        reported.append(command.load if "load" in command.faults else 0.0)
+        force = carried.push(state).force if begins <= k < ends else np.zeros(3)
+        plant.step(command.u_a, command.base_velocity, force)
+    return reported
+
+
+@pytest.mark.parametrize("begins", range(200, 220, 4))
+def test_a_load_counts_once_whenever_it_begins(
+    robot: RobotModel, border_data: BorderData, begins: int
+) -> None:
     """The instant within an interval of the estimate does not matter; the end is no lost load."""
-    ready, model = np.array(robot.description.arm.ready_position), RobotState(robot)
-    model.update_kinematics(at_rest(robot, ready))
-    still = Reference(model.T_world_ee.copy(), np.zeros(6), np.zeros(6))
-    for begins in range(200, 220, 4):
-        loop, plant = ControlLoop(robot, border_data), Kinematic(robot)
-        plant.reset(np.zeros(3), ready)
-        carried, reported = PointLoad(robot, 2.0, np.zeros(3), plant.dt), []
-        for k in range(500):
-            model.update_kinematics(plant.measure())
-            command = loop.step(plant.measure(), still)
-            reported.append(command.load if "load" in command.faults else 0.0)
-            force = carried.push(model).force if begins <= k < 400 else np.zeros(3)
-            plant.step(command.u_a, command.base_velocity, force)
-        assert not np.any(reported[:begins])
-        assert reported[begins + 100 : 400] == pytest.approx([2.0] * (300 - begins), rel=0.04)
-        assert min(reported) == 0.0 == max(reported[490:]), "its end is no lost payload"
+    reported = reports_of_a_load(robot, border_data, begins, 400)
+    assert not np.any(reported[:begins])
+    assert reported[begins + 100 : 400] == pytest.approx([2.0] * (300 - begins), rel=0.04)
+    assert min(reported) == 0.0 == max(reported[490:]), "its end is no lost payload"
 
 
 @pytest.mark.parametrize("stated_at", [150, 200, 230, 300])
@@ -1008,20 +1020,7 @@ def test_a_load_is_not_reported_if_it_is_stated(
     robot: RobotModel, border_data: BorderData, stated_at: int
 ) -> None:
     """The load begins at 0.2 s; before, between and after, the report has the difference."""
-    ready, model = np.array(robot.description.arm.ready_position), RobotState(robot)
-    model.update_kinematics(at_rest(robot, ready))
-    still = Reference(model.T_world_ee.copy(), np.zeros(6), np.zeros(6))
-    loop, plant = ControlLoop(robot, border_data), Kinematic(robot)
-    plant.reset(np.zeros(3), ready)
-    carried, reported = PointLoad(robot, 2.0, np.zeros(3), plant.dt), []
-    for k in range(500):
-        if k == stated_at:
-            loop.configure(Config().changed({"payload.mass": 2.0}))
-        model.update_kinematics(plant.measure())
-        command = loop.step(plant.measure(), still)
-        reported.append(command.load if "load" in command.faults else 0.0)
-        force = carried.push(model).force if k >= 200 else np.zeros(3)
-        plant.step(command.u_a, command.base_velocity, force)
+    reported = reports_of_a_load(robot, border_data, 200, 500, stated_at)
     assert not np.any(reported[max(stated_at, 200) + 100 :])
     assert np.abs(reported).max() < 2.2
 

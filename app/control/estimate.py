@@ -13,6 +13,8 @@ effect.
 The estimate belongs to the newest reading, which can be several periods old; `advance` predicts
 the present state from this estimate, by the accelerations of torques and base since then.
 
+The external accelerations imply the external torques; `estimate_load` finds loads in these torques.
+
 Tasks do not use the external acceleration: a guided end-effector stays free. Limits do, so that
 joint speeds and distances respect their limits while a person pulls.
 """
