@@ -117,6 +117,8 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
         ee_speed=number(),
         people=int(rng.integers(3)),
         duration_us=float(rng.choice([np.nan, 198.7])),
+        physics="planar",
+        seed=7,
     )
 
 
@@ -129,8 +131,7 @@ def random_snapshots(seed: int, count: int) -> list[Snapshot]:
 
 def trace_of(snapshots: Sequence[Snapshot]) -> Trace:
     """The trace of a run of the paper's robot."""
-    about = {"scenario": "tracking", "physics": "planar", "seed": 7}
-    return Trace.of_snapshots(husky_panda(), snapshots, **about)
+    return Trace.of_snapshots(husky_panda(), snapshots)
 
 
 def difference(a: Any, b: Any, where: str = "") -> str:

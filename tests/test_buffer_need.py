@@ -250,6 +250,17 @@ def test_warning_lasts_3_s_and_maxima_are_permanent(led):
     assert rest[-1].approach_speed_max == pytest.approx(0.15, rel=0.1)
 
 
+def test_warning_names_the_approach_that_requires_the_most(led):
+    """A faster approach that requires less does not change speed or required d_b."""
+    watch = BufferWatch(changed(border__d_b=0.16, disturbance__base_delay=0.3))
+    worst = watched(watch, led, [0.12] * 60)[-1]
+    watch.config = changed(border__d_b=0.16)
+    faster = watched(BufferWatch(watch.config), led, [0.13] * 60)[-1]
+    assert faster.approach_speed > worst.approach_speed
+    assert 0.16 < faster.needed < worst.needed
+    assert watched(watch, led, [0.13] * 60)[-1] == worst
+
+
 def test_warning_ends_at_once_when_d_b_is_increased_as_recommended(led):
     watch = BufferWatch(changed(border__d_b=0.16))
     needed = watched(watch, led, [0.12] * 60)[-1].needed

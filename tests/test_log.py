@@ -25,7 +25,7 @@ from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from tests.logs import difference, random_snapshots, trace_of
 
 FORMATS = ("csv", "parquet")
-NOT_LOGGED = ("run", "busy", "refusal", "explanation", "case", "changing")
+NOT_LOGGED = ("run", "busy", "refusal", "explanation", "case", "changing", "physics", "seed")
 
 
 @pytest.mark.parametrize("ending", FORMATS)

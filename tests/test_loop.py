@@ -33,6 +33,7 @@ from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.trace import Trace
 
 START = LINES["guiding-lateral"].start
 PULL = Pull((START[0], START[1] - 0.25, START[2]))
@@ -46,7 +47,7 @@ def q_start(robot: RobotModel, border_data: BorderData) -> np.ndarray:
 
 @pytest.fixture
 def make_session(robot: RobotModel, border_data: BorderData) -> Callable[[], Session]:
-    return lambda: Session(robot, border_data, Config(), physics="kinematic")
+    return lambda: Session(robot, border_data, Config(), physics="kinematic", seed=3)
 
 
 @pytest.fixture
@@ -206,6 +207,12 @@ def test_history_is_ordered_at_50_hz_and_begins_after_a_time(loop):
     later = loop.history(cut)
     assert later[0].t == history[6].t
     assert loop.history(1e9) == []
+
+
+def test_files_of_free_motion_name_plant_and_seed(loop, robot):
+    until(loop, lambda s: s.t > 0.05)
+    meta = Trace.of_snapshots(robot, loop.history(-1.0)).meta
+    assert (meta.scenario, meta.physics, meta.seed) == ("", "kinematic", 3)
 
 
 def test_commands_are_executed_in_order(loop):

@@ -281,6 +281,22 @@ def test_friction_holds_the_door_at_rest(make, kind: str):
         assert plant.door.angle() == pytest.approx(angle, abs=2e-3)
 
 
+@pytest.mark.parametrize("kind", PLANTS_WITH_DOORS)
+@pytest.mark.parametrize("hinge", ["left", "right"])
+def test_closed_door_stops_at_the_cabinet(make, kind: str, hinge: str):
+    """A push of 40 N at the handle for 1 s turns a door without this stop by more than 1°."""
+    door = a_door(hinge=hinge, hinge_position=(1.0, 0.3 if hinge == "left" else -0.3))
+    plant, state, angles = make(kind, door), RobotState(MODEL), []
+    for _ in range(1000):
+        state.update(plant.measure())
+        plant.step(state.h[2:], STANDING, np.array([40.0, 0.0, 0.0]))
+        angles.append(plant.door.angle())
+    low, high = sorted(-door.side * math.degrees(stop) for stop in door.joint_range)
+    assert low < -0.4
+    assert high > 179.0
+    assert low - 0.15 < math.degrees(min(angles)) < 0.8 * low
+
+
 @pytest.fixture(params=["planar", "mujoco"])
 def at_handle(make, setting: Setting, request):
     """Makes a plant with the end-effector at the handle of a door with this friction [N m]."""

@@ -82,7 +82,7 @@ def test_a_replay_of_ten_seconds_is_smaller_than_ten_megabytes(tmp_path, replay,
     """The log repeats the same run seven times."""
     log = read_trace(replay.with_suffix(".parquet"))
     rows = [replace(s, t=s.t + 1.5 * k) for k in range(7) for s in log.snapshots]
-    again = Trace.of_snapshots(husky_panda(), rows, scenario=log.meta.scenario)
+    again = Trace.of_snapshots(husky_panda(), rows)
     write_trace(tmp_path / "long.csv", again)
     page = tmp_path / "long.html"
     capsys.readouterr()

@@ -27,14 +27,14 @@ class BufferReading(NamedTuple):
     """Whether d_b is sufficient."""
 
     approach_speed: float
-    """[m/s] largest speed of an approach in the last 3 s; 0 without an approach."""
+    """[m/s] speed of the approach in the last 3 s that requires the largest d_b; 0 without one."""
     needed: float
-    """[m] largest d_b required by an approach in the last 3 s; infinite if an approach was faster
-    than the base retreats; 0 without an approach."""
+    """[m] the d_b that this approach requires; infinite if the base does not retreat as fast; 0
+    without an approach."""
     approach_speed_max: float
-    """[m/s] largest speed of an approach since the reset."""
+    """[m/s] speed of the approach since the reset that requires the largest d_b."""
     needed_max: float
-    """[m] largest required d_b since the reset."""
+    """[m] the d_b that this approach requires."""
     too_small: bool
     """Whether `needed` exceeds the present d_b; False if the controller does not move the base."""
     too_small_ever: bool
@@ -61,8 +61,7 @@ class BufferWatch:
         self._steps = 0
         self._recent: deque[tuple[int, float, float]] = deque()
         self._speeds: dict[str, deque[tuple[float, float]]] = {}
-        self._speed = self._needed = 0.0  # largest recent values
-        self._speed_max = self._needed_max = 0.0
+        self._worst = 0.0, 0.0  # largest required d_b since the reset, and its speed
 
     def update(
         self, state: RobotState, control: ControlStep, dt: float, *, gives_way: bool
@@ -77,16 +76,15 @@ class BufferWatch:
                 self._sample(state, control, i, look=look)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
-            self._speed = max(map(itemgetter(1), self._recent), default=0.0)
-            self._needed = max(map(itemgetter(2), self._recent), default=0.0)
-            d_b = self.config.border.d_b
+            needed, speed = max(map(itemgetter(1, 2), self._recent), default=(0.0, 0.0))
+            (needed_max, speed_max), d_b = self._worst, self.config.border.d_b
             self._reading = BufferReading(
-                self._speed,
-                self._needed,
-                self._speed_max,
-                self._needed_max,
-                too_small=gives_way and self._needed > d_b,
-                too_small_ever=gives_way and self._needed_max > d_b,
+                speed,
+                needed,
+                speed_max,
+                needed_max,
+                too_small=gives_way and needed > d_b,
+                too_small_ever=gives_way and needed_max > d_b,
             )
         self._steps += 1
         return self._reading
@@ -114,9 +112,8 @@ class BufferWatch:
         needed = buffer_need(approach, base, self.config)
         if d > self.config.border.d_b and not d <= needed < float("inf"):
             return
-        self._recent.append((self._steps, approach.v, needed))
-        self._speed_max = max(self._speed_max, approach.v)
-        self._needed_max = max(self._needed_max, needed)
+        self._recent.append((self._steps, needed, approach.v))
+        self._worst = max(self._worst, (needed, approach.v))
 
 
 def approach_speeds(state: RobotState, pair: Pair, p_b: Array, n: Array) -> tuple[float, float]:
@@ -166,7 +163,7 @@ def buffer_warning(reading: BufferReading, config: Config) -> str | None:
     if not reading.too_small_ever:
         return None
     text = (
-        f"d_b = {config.border.d_b:.2f} m is too small: the arm approached at up to "
+        f"d_b = {config.border.d_b:.2f} m is too small: the arm approached at "
         f"{reading.approach_speed_max:.2f} m/s, and the base's command is up to "
         f"{config.admittance.period + config.disturbance.base_delay:.2f} s late: "
     )

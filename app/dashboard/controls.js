@@ -67,7 +67,7 @@ window.dbbControls = (box, ranges) => {
   button(row, "Clear marks", "Without marks, the last minute is saved", () => ask("unmark"));
   button(row, "−", "Zoom out: more time (mouse wheel, or two fingers)", () => zoom(2, middle())).setAttribute("aria-label", "Zoom out");
   button(row, "+", "Zoom in: less time (mouse wheel, or two fingers)", () => zoom(0.5, middle())).setAttribute("aria-label", "Zoom in");
-  const marked = make("span", row);
+  const marked = make("span", bar, "dbb-marked");
   strip.tabIndex = 0;
   strip.setAttribute("role", "slider");
   strip.setAttribute("aria-label", "Timeline");
@@ -129,6 +129,7 @@ window.dbbControls = (box, ranges) => {
       ink.fillStyle = "rgba(38, 132, 214, .25)";
       ink.fillRect(x(begin), 0, Math.max(x(end ?? now) - x(begin), 2), foot);
     }
+    marked.style.left = `${Math.max(Math.min(x(begin ?? 0), w - marked.offsetWidth), 0)}px`;
     const shown = rows.filter(([t]) => t > from() - 1 && t < until() + 1);
     ink.fillStyle = "rgba(142, 107, 216, .55)"; // β, drawn downwards
     shown.forEach(([t, , beta], i) => {

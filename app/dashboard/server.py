@@ -132,14 +132,14 @@ class DashboardServer:
     def _draw_picture(self) -> None:
         """Draw a frame of each page; a local name here must not keep the previous robot alive."""
         self.shared.watch(bool(self.viser.get_clients()))
-        self._switch_robot()
+        # Widgets are not removed soon after an update: a browser would report the update as an error.
+        if texts := time.monotonic() >= self._texts_due:
+            self._switch_robot()
+            self._texts_due = time.monotonic() + TEXTS_EVERY
         shared = self.shared
         shared.update()
         pages = [page for page in self.pages.values() if not page.closed]
         self._demonstration.update(pages, shared.loop.latest())
-        texts = time.monotonic() >= self._texts_due
-        if texts:
-            self._texts_due = time.monotonic() + TEXTS_EVERY
         for page in pages:
             if texts or not page.view.light or self.pictures % LIGHT_EVERY == 0:
                 self._draw_page(page, texts=texts)

@@ -155,9 +155,7 @@ class SavePanel(Panel):
         The libraries of logs and films use much memory, and a process returns all of it.
         """
         snapshots = self._viewer.timeline.interval()
-        model, case = self._viewer.shared.model, self._viewer.shared.course.case
-        about = {} if case is None else {"physics": case.physics, "seed": case.seed}
-        trace = Trace.of_snapshots(model, snapshots, scenario=snapshots[0].scenario, **about)
+        trace = Trace.of_snapshots(self._viewer.shared.model, snapshots)
         with temporary_folder() as folder:
             path = folder / name
             self._job.run(write, trace, path, *more)

@@ -108,7 +108,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
 class BulletDoor(HeldDoor):
     """The refrigerator in pybullet. Of the robot, only the links of the mobile base touch the door.
 
-    The hinge has dry friction and no angle limit. The cabinet stands on the floor and is not fixed.
+    The hinge has dry friction and two stops. The cabinet stands on the floor and is not fixed.
     """
 
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
@@ -276,10 +276,12 @@ def _part(element: Element, tag: str) -> Element:
 
 def _refrigerator_urdf(door: Door, cabinet: Cabinet) -> str:
     """The URDF of a box with a board on a hinge; the root's frame is at the box's centre."""
+    lower, upper = door.joint_range
     return f"""<robot name="refrigerator">
 <link name="body">{_box(cabinet.size, cabinet.inertia)}</link>
 <link name="door">{_box(door.size, cabinet.door_inertia)}</link>
-<joint name="hinge" type="continuous">
+<joint name="hinge" type="revolute">
+<limit lower="{lower!r}" upper="{upper!r}" effort="0" velocity="0"/>
 <parent link="body"/><child link="door"/>
 <origin xyz="{_words(cabinet.T_hinge.translation)}"/><axis xyz="0 0 1"/>
 </joint></robot>"""

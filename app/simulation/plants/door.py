@@ -79,6 +79,15 @@ class Door:
         """(3,) [m] centre of the board in the door's frame."""
         return np.array([0.0, -self.side * self.width / 2, self.bottom + self.height / 2])
 
+    @property
+    def joint_range(self) -> tuple[float, float]:
+        """[rad] limits of the hinge's joint, whose position is -side times the opening angle.
+
+        The closed door stops at the cabinet, the open one at its outer wall.
+        """
+        stops = self.side * _GAP / self.width, -self.side * math.pi
+        return min(stops), max(stops)
+
     def pose(self, angle: float) -> pin.SE3:
         """T_world_door at an opening angle [rad]."""
         turn = pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw - self.side * angle)

@@ -208,7 +208,7 @@ _press_once, _drive_once = direct(_press), direct(_drive)
 class MujocoDoor(HeldDoor):
     """The refrigerator in MuJoCo. Of the robot, only the links of the mobile base touch the door.
 
-    The hinge has dry friction and no angle limit. The end-effector is welded to a massless body on
+    The hinge has dry friction and two stops. The end-effector is welded to a massless body on
     the door; a sensor between this body and the door measures force and torque.
     """
 
@@ -228,6 +228,8 @@ class MujocoDoor(HeldDoor):
             name=_HINGE,
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=[0, 0, 1],
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=self.door.joint_range,
             **robot.friction(self.door.friction),
         )
         robot.add_geom(door, _DOOR, box, np.array(self.door.size) / 2, cabinet.T_centre)

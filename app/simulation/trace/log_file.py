@@ -140,7 +140,8 @@ def _snapshots(
             names = ", ".join(column.name for column in columns[:3])
             raise LogError(f"columns {names}: {error}") from None
     by_row = zip(*values.values(), strict=True)
-    return [Snapshot(**dict(zip(values, row, strict=True))) for row in by_row]
+    run = {"physics": meta.physics, "seed": meta.seed}
+    return [Snapshot(**dict(zip(values, row, strict=True)), **run) for row in by_row]
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:

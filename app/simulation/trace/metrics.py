@@ -301,10 +301,11 @@ FIGURES: dict[str, Figure] = {
         _clear_since,
     ),
     "approach_speed_max_mps": Figure(
-        "Largest approach speed of a body to the base.", lambda r: r.buffer.approach_speed_max
+        "Speed of the approach to the base that requires the largest d_b.",
+        lambda r: r.buffer.approach_speed_max,
     ),
     "buffer_needed_m": Figure(
-        "d_b required for the approach speeds of the run; null if no d_b is sufficient.",
+        "The d_b that this approach requires; null if no d_b is sufficient.",
         lambda r: _finite(r.buffer.needed_max),
     ),
     "solver_failures": Figure(

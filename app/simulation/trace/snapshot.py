@@ -452,6 +452,10 @@ class Snapshot:
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
     """[N] largest force of a person that the arm can resist; NaN if unknown."""
+    physics: str = ""
+    """Name of the plant; empty if unknown."""
+    seed: int | None = None
+    """Seed of all random numbers; None if unknown."""
     run: int = 0
     """Number of the run since the start of the loop."""
     busy: str = ""
@@ -543,6 +547,8 @@ def make_snapshot(
         realtime_factor=pacer.realtime_factor if pacer else NAN,
         overruns=pacer.overruns if pacer else 0,
         paused=paused,
+        physics=session.kind,
+        seed=session.seed,
         explanation=explain(*why) if explained else None,
         **fields,
     )

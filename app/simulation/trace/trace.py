@@ -81,13 +81,8 @@ class Trace:
         return tuple(dict.fromkeys(snapshot.controller for snapshot in self.snapshots))
 
     @classmethod
-    def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot], **about: Any) -> Self:
-        """Make a trace with a row for each snapshot.
-
-        Args:
-            model: The robot.
-            snapshots: The snapshots.
-            about: Further fields of `TraceMeta`.
+    def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
+        """Make a trace with a row for each snapshot; the first one determines the run's data.
 
         Raises:
             LogError: There are no snapshots, they are not in order of time, or their pairs
@@ -97,6 +92,7 @@ class Trace:
             raise LogError("there are no snapshots for a log")
         first = snapshots[0]
         pairs = {pair.name: pair.mobile for pair in first.pairs}
+        about = {"scenario": first.scenario, "physics": first.physics, "seed": first.seed}
         meta = TraceMeta.of(model, pairs, first.config, **about)
         columns = columns_of(meta)
         rows, last = [], -math.inf
