@@ -132,7 +132,7 @@ class DashboardServer:
     def _draw_picture(self) -> None:
         """Draw a frame of each page; a local name here must not keep the previous robot alive."""
         self.shared.watch(bool(self.viser.get_clients()))
-        # Widgets are not removed soon after an update: a browser would report the update as an error.
+        # Not soon after an update of widgets: a slow browser reports updates of removed ones.
         if texts := time.monotonic() >= self._texts_due:
             self._switch_robot()
             self._texts_due = time.monotonic() + TEXTS_EVERY
