@@ -25,7 +25,7 @@ from app.border.cache import BorderData
 from app.border.config import QUICK, SamplingConfig
 from app.cli import serve
 from app.dashboard import job
-from app.errors import AssetError, RobotFileError, UnreachableError
+from app.errors import AssetError, DescriptionError, RobotFileError, UnreachableError
 from app.jobs.pool import ALONE, Workers
 from app.onboarding import check as checks
 from app.onboarding import new_robot
@@ -806,6 +806,15 @@ def test_missing_line_error_lists_the_robots_lines() -> None:
         with pytest.raises(UnreachableError, match=f"no line for {name}.*it has lines for: none"):
             scenario_of(bare, name)
     assert scenario_of(bare, "guiding-front", start=start) == scenario
+
+
+def test_line_without_a_scenario_is_refused_by_name() -> None:
+    racecar = load_description(ASSETS / "racecar_panda" / "robot.toml")
+    lines = {"guiding-latral": racecar.lines["guiding-lateral"]}
+    with pytest.raises(
+        DescriptionError, match=r"\[lines.guiding-latral\] .*lines are for: guiding-"
+    ):
+        scenario_of(racecar.model_copy(update={"lines": lines}), "guiding-above")
 
 
 def test_each_missing_line_has_its_reason_and_a_shared_one_appears_once(

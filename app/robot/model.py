@@ -127,9 +127,12 @@ class RobotModel:
         """(n_m,) [kg m² or kg] inertia of each joint at pinocchio's configuration q, while the base
         and the other joints are free.
         """
-        M = pin.crba(self.pin, self.pin.createData(), q)
-        M = np.triu(M) + np.triu(M, 1).T
-        return 1.0 / np.diag(np.linalg.inv(M))[3:]
+        return 1.0 / np.diag(np.linalg.inv(self.mass_matrix(q, self.pin.createData())))[3:]
+
+    def mass_matrix(self, q: Array, data: pin.Data) -> Array:
+        """(3 + n_m, 3 + n_m) M at pinocchio's configuration q; `data` is the memory for it."""
+        M = pin.crba(self.pin, data, q)
+        return np.triu(M) + np.triu(M, 1).T
 
     @cached_property
     def ready_inertia(self) -> Array:

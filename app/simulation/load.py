@@ -1,7 +1,6 @@
 """A load that the end-effector carries in a plant."""
 
 import numpy as np
-import pinocchio as pin
 
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -29,8 +28,7 @@ class PointLoad:
         model, n_b = self._model, self._model.n_b
         p = state.p_ee + state.R_ee @ self._centre
         q = model.configuration(state.base_pose, state.q_m)
-        M = pin.crba(model.pin, self._data, q, pin.Convention.WORLD)
-        M = (np.triu(M) + np.triu(M, 1).T)[3:, 3:]
+        M = model.mass_matrix(q, self._data)[3:, 3:]
         J = state.point_jacobian(self._joint, p)[:, n_b:]
         mobility = J @ np.linalg.solve(M, J.T)  # [1/kg] of the arm without the load
         v = state.point_velocity(self._joint, p)

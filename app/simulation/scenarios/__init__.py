@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.errors import UnreachableError, check_name
+from app.errors import DescriptionError, UnreachableError, check_name
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
@@ -83,6 +83,7 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
         UnknownNameError: The scenario does not exist.
         UnreachableError: The scenario needs a line of the description, there is none, and `changes`
             has no start.
+        DescriptionError: A line of the description belongs to no scenario with a line.
         ConfigError: An option does not exist, or its value is invalid.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
@@ -113,24 +114,31 @@ def free_start(
 
     Raises:
         UnreachableError: The search has found no configuration.
+        DescriptionError: A line of the description belongs to no scenario with a line.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start
 
-    place = model.description.lines.get(_FREE)
-    at = place.start_m if start is None and place else start
+    at = _own_line(model.description, _FREE).get("start") if start is None else start
     if at is None:
         return np.array(model.description.arm.ready_position)
     x, y, z = at
     return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed)
 
 
-def _own_line(description: RobotDescription, name: str) -> dict[str, object]:
+def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
     """Start and move of a robot's own line for a scenario, as options of `Scenario.changed`.
 
     Empty if the robot has no line. A robot without a line for `tracking` uses that of
     `guiding-lateral`.
+
+    Raises:
+        DescriptionError: A line of the description belongs to no scenario with a line.
     """
     lines = description.lines
+    for unknown in lines.keys() - LINES.keys():
+        names = ", ".join(LINES)
+        where = f"{description.name}: [lines.{unknown}] in robot.toml"
+        raise DescriptionError(f"{where} belongs to no scenario; lines are for: {names}")
     place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))
     return {} if place is None else {"start": place.start_m, "move": place.move_m}
