@@ -75,6 +75,7 @@ from app.control.limits import (
 from app.control.qp import cholesky, solve_qp, solve_qp_step, times
 from app.control.quantities import STEP
 from app.control.readings import JUMP, LOCALISATION, take_readings
+from app.control.references import shift_reference
 from app.control.tasks import (
     add_base_rest_task,
     add_tracking,
@@ -160,6 +161,7 @@ def update_estimate(
     put(w.qd, qd)
     put(w.q_pin, q_pin)
     put(w.v_pin, v_pin)
+    shift_reference(gains, w)
     return w.faults.max() > 0.0
 
 

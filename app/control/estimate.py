@@ -39,7 +39,7 @@ _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that predict
 RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
 _SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
-_FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
+FARTHEST = 10.0  # [-] largest plausible ratio of a motion, or of a velocity, to that at top speed
 _SETTLED = 20  # [-] samples of the noise before a load can be estimated
 _SOON = 0.005  # [s] largest age of readings with which these samples last so short that a load
 # which is then present counts as sudden
@@ -58,7 +58,7 @@ def _jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
     """Whether the motion from x (3, n_m) to q (n_m,) is impossible in `steps` periods dt [s]."""
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
-        if way > (_FARTHEST + steps - 1) * dt * qd_max[i]:
+        if way > (FARTHEST + steps - 1) * dt * qd_max[i]:
             return True
     return False
 
@@ -453,7 +453,8 @@ def _judge_load(gains: Any, w: Any, C: Array) -> None:
     newest, older = w.load[()], _mass(torques[3], lifts[3])
     before = _mass(torques[1], lifts[1])
     if sudden != 0.0:
-        w.loaded[()] += sudden
+        pushed = w.loaded[()] < -gains.payload_mass - _LEAST_LOAD  # a person, who has let go
+        w.loaded[()] = 0.0 if pushed and w.loaded[()] + sudden > 0.0 else w.loaded[()] + sudden
         for k in range(1, len(torques)):
             put(torques[k], torques[0] + w.loaded[()] * (lifts[0] - lifts[k]))
     half = 0.5 * w.loaded[()] ** 2

@@ -113,7 +113,9 @@ pose_error | | 3 | m, m, rad | world | readings |
     memory: recent changes of the pose minus motions by the velocities
 pose_jump | | 3 | m, m, rad | world | readings |
     memory: difference of the newest pose from the expected one; 0 after the reference has used it
-pose_way | | 2 | m, rad | | readings | memory: recent length of these motions
+pose_way | | 2 | m, rad | | readings |
+    memory: recent length of these motions; infinite until a pose of the base is known
+pose_age | | | s | | readings | memory: time since the newest pose of the base
 astray | | n_b | m/s, rad/s | axes | readings |
     memory: recent changes of the base's velocity that the model of its drive does not explain
 history | | 128 n_m | rad/s² | joints | readings |

@@ -25,6 +25,7 @@ import numpy as np
 
 from app.compiled import compiled
 from app.control.estimate import (
+    FARTHEST,
     FEWEST,
     advance,
     estimate_arm,
@@ -32,7 +33,7 @@ from app.control.estimate import (
     predicted_joint_acceleration,
     process_noise,
 )
-from app.control.qp import dot, times
+from app.control.qp import backward, dot, forward, times
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
@@ -43,8 +44,8 @@ FAULTS = {
     "velocity": "velocities of joints or base are missing, impossible, or do not match the "
     "positions: positions and the model of the base's drive are used instead",
     "repeated": "the readings have not changed: the motion since the last new reading is predicted",
-    "stale": "there has been no new and valid reading for 0.1 s although the robot moves: the step "
-    "returns the fallback command",
+    "stale": "for 0.1 s, all readings were invalid, implausible, or repeated although the robot "
+    "moves: the step returns the fallback command",
     "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
     "lag": "the readings are older than stated: an age of up to 24 periods is compensated",
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
@@ -65,7 +66,6 @@ HISTORY = 128
 """Largest age of a reading in periods over which the motion can be predicted."""
 _MAX_AGE = 0.1  # [s] largest time without a new reading before the fallback command
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
-_FARTHEST = 10.0  # [-] multiple of a top speed above which a motion is impossible
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
@@ -79,6 +79,10 @@ _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] duration of a group of readings
 _FEWEST_GROUPS, _CUBIC = 5, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
 _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predicted motion
+_FRICTION = 0.03  # [-] friction of a joint, relative to its torque limit
+_REVERSAL = (
+    0.002  # [-] residual of a step of accelerations beside a cubic, relative to time² · step
+)
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
@@ -88,6 +92,7 @@ _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _RECENT = 2.0  # [s] time constant of the comparison of the base's pose with its velocity
 _NEAR = 0.02  # [m or rad] difference of the two that is always plausible
+_SELDOM = 0.21  # [s] largest period of the base's pose without a comparison in between
 
 
 @compiled()
@@ -187,7 +192,8 @@ def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -
     found = read.copy()
     for i in range(len(read)):
         if not abs(read[i]) <= 2.0 * robot.v_max[i]:  # NaN too
-            found[i] = 0.0 if first else w.base_velocity[i] + gains.dt * w.a_base_meas[i]
+            time = (1.0 + w.age[()]) * gains.dt  # since the last reading
+            found[i] = 0.0 if first else w.base_velocity[i] + time * w.a_base_meas[i]
             w.faults[VELOCITY] = 1.0
     return found
 
@@ -260,7 +266,7 @@ def _polynomials(ages: Array, count: int) -> Array:
 
 
 @compiled()
-def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
+def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
     """Estimate `w.lag`, the delay of the readings in periods.
 
     The mean of each group of successive readings counts: this reduces noise. Each possible lag
@@ -271,7 +277,7 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     for k in range(len(ages)):
         ages[k] += age + 1.0
     if ages[0] >= 0.5 * (_GROUP + 1.0):
-        _weigh_lags(w, gains)
+        _weigh_lags(robot, w, gains)
         for k in range(len(ages) - 1, 0, -1):
             put(w.group[k], w.group[k - 1])
             ages[k] = ages[k - 1]
@@ -315,8 +321,29 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
 
 
 @compiled()
-def _compare_lags(w: Any, ways: Array, n: int) -> tuple[Array, Array, float]:
-    """Compare the possible lags by the newest n groups.
+def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
+    """(n_m,) [rad] error of the motion predicted for n groups, because of unmodelled friction.
+
+    Friction is part of the external forces, which a polynomial describes, except where a joint
+    turns back: there its torque changes at once.
+    """
+    reversed_torque = np.zeros((len(w.q_m), len(w.q_m)))
+    for i in range(len(w.q_m)):
+        low = high = 0.0
+        for k in range(n - 1):
+            way = w.group[k, i] - w.group[k + 1, i]
+            low, high = min(low, way), max(high, way)
+        if min(high, -low) > 3.0 * math.sqrt(w.noise_var[0, i]) + _EXACT:
+            reversed_torque[i, i] = _REVERSAL * _FRICTION * robot.tau_max[i]
+    found = np.zeros(len(w.q_m))
+    for torque in reversed_torque:
+        found += np.abs(backward(w.L_aa, forward(w.L_aa, torque)))
+    return found * (w.group_age[n - 1] * dt) ** 2
+
+
+@compiled()
+def _compare_lags(robot: Any, w: Any, ways: Array, n: int, dt: float) -> tuple[Array, Array, float]:
+    """Compare the possible lags by the newest n groups; dt [s] is the period.
 
     Returns:
         (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
@@ -326,8 +353,10 @@ def _compare_lags(w: Any, ways: Array, n: int) -> tuple[Array, Array, float]:
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
     ratios, totals = np.ones(lags), np.zeros(lags + 1)
+    friction = _error_of_friction(robot, w, n, dt)
     for i in range(len(ways)):
         error = min(w.noise_var[0, i], _MOST_NOISE**2) / w.group_size[()] + _EXACT**2
+        error += friction[i] ** 2
         residuals = _residuals(w.group[:n, i], ways[i], w.group_age, basis, lags)
         for lag in range(lags + 1):
             residuals[lag] = max(residuals[lag], 0.0) + (n - len(basis)) * error
@@ -340,7 +369,7 @@ def _compare_lags(w: Any, ways: Array, n: int) -> tuple[Array, Array, float]:
 
 
 @compiled()
-def _weigh_lags(w: Any, gains: Any) -> None:
+def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     """Update the evidence with a new group, and change the lag if the evidence is sufficient.
 
     The evidence for a lag is the sum of its gains above a threshold (a CUSUM test). The gain is the
@@ -356,7 +385,7 @@ def _weigh_lags(w: Any, gains: Any) -> None:
     if n < _FEWEST_GROUPS:
         return
     ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
-    gain, totals, clear = _compare_lags(w, ways, n)
+    gain, totals, clear = _compare_lags(robot, w, ways, n, gains.dt)
     excess, lasting = 0.0, len(ages) * (_LARGEST_GAIN - _DOUBT)
     for lag in range(lags):
         if totals[lag] < clear:
@@ -368,7 +397,8 @@ def _weigh_lags(w: Any, gains: Any) -> None:
     known = np.argmin(totals) <= _MOST_LAG  # the residuals of longer lags are larger
     if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
         return
-    _, totals, clear = _compare_lags(w, ways, max(2 * n // 3, _FEWEST_GROUPS))
+    newest = max(2 * n // 3, _FEWEST_GROUPS)
+    _, totals, clear = _compare_lags(robot, w, ways, newest, gains.dt)
     if w.evidence[best] > lasting or totals[best] < clear:
         w.lag[()] = best
         w.samples[()] = 0.0
@@ -503,7 +533,8 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
     Odometry is often slower than the joints' readings: between its readings, the base moves at its
     velocity. The fault `localisation` is a reading that contradicts the velocity: a jump, or recent
-    motions that deviate by more than half. `w.pose_jump` is for `shift_reference`.
+    motions that deviate by more than half. Without a new reading for `_SELDOM`, the motion since
+    the last one is compared too. `w.pose_jump` is for `shift_reference`.
     """
     moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
     for i in range(3):
@@ -512,24 +543,40 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
         w.pose_error[i] = decay * (w.pose_error[i] - moved[i])
     w.pose_way[0] = decay * (w.pose_way[0] + math.hypot(moved[0], moved[1]))
     w.pose_way[1] = decay * (w.pose_way[1] + abs(moved[2]))
+    w.pose_age[()] += time
     if not math.isfinite(pose.sum()):
         for i in range(3):
             w.pose_error[i] = -w.pose_moved[i]
         return
-    jumped = False
+    jumped, compared = False, w.pose_age[()] > _SELDOM
     if not _same(pose, w.pose_read):
         jump = pose - w.pose_last
         jump[2] = (jump[2] + math.pi) % (2.0 * math.pi) - math.pi
         way, turn = math.hypot(w.pose_moved[0], w.pose_moved[1]), abs(w.pose_moved[2])
-        jumped = _differs(jump, way, turn)
+        jumped, compared = _differs(jump, way, turn), True
         for i in range(3):
             w.pose_error[i] += jump[i] + w.pose_moved[i]
         fill(w.pose_moved, 0.0)
-        if w.known[()] > 0.0:  # after a gap, the motion is unknown
-            put(w.pose_jump, jump)
+        w.pose_age[()] = 0.0
+        put(w.pose_jump, jump)
         put(w.pose_last, pose)
-    if jumped or _differs(w.pose_error, w.pose_way[0], w.pose_way[1]):
+    if jumped or (compared and _differs(w.pose_error, w.pose_way[0], w.pose_way[1])):
         w.faults[LOCALISATION] = 1.0
+
+
+@compiled()
+def _begin_pose(w: Any, pose: Array) -> None:
+    """Use a reading (3,) of the base's pose without a comparison.
+
+    At the start, and until a reading is finite, the pose is unknown.
+    """
+    known = math.isfinite(pose.sum())
+    if known:
+        put(w.pose_last, pose)
+    fill(w.pose_moved, 0.0)
+    fill(w.pose_error, 0.0)
+    fill(w.pose_way, 0.0 if known else math.inf)
+    w.pose_age[()] = 0.0
 
 
 @compiled()
@@ -540,10 +587,11 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
     explain: `w.astray` is a decaying sum of them.
     """
     time = (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
-    if not first:
+    unknown = w.known[()] == 0.0 or math.isinf(w.pose_way[0])  # after a gap, or without a pose
+    if first or (unknown and math.isfinite(pose.sum())):
+        _begin_pose(w, pose)
+    else:
         _take_pose(robot, w, pose, time)
-    elif math.isfinite(pose.sum()):
-        put(w.pose_last, pose)
     if not math.isnan(w.v_last[0]):
         decay = math.exp(-time / _FOLLOWS)
         for i in range(robot.n_b):
@@ -559,7 +607,7 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
     """Predict the arm's velocity without valid readings, for the fallback command's damping."""
     w.age[()] += 1.0
-    w.known[()] = 0.0
+    w.known[()] = w.unstated[()] = 0.0
     fill(w.v_last, math.nan)
     if not (math.isnan(w.q_posture[0]) or math.isnan(w.u_a[0])):
         known = np.empty((1, len(w.q_m)))
@@ -713,12 +761,12 @@ def take_readings(
     if lost:
         w.age[()] += 1.0
     else:
+        _take_base(robot, gains, w, base_pose.copy(), velocity, first)
         rested = _rested(w, q, qd, gains.dt, first)
         if rested > 0.0:
             _forget_groups(w)
         w.age[()] += rested
         _take_new(robot, gains, w, q, qd, first)
-        _take_base(robot, gains, w, base_pose.copy(), velocity, first)
         w.age[()] = 0.0
     if unseen:
         _store_reading(w, base_pose, base_velocity, q, qd)
@@ -740,10 +788,10 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     if first:
         _begin(w, q, qd)
     else:
-        _find_lag(w, q, age, gains)
+        _find_lag(robot, w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
     for i in range(len(qd)):
-        if w.no_velocity[()] != 0.0 or not abs(qd[i]) <= _FARTHEST * robot.qd_max[i]:
+        if w.no_velocity[()] != 0.0 or not abs(qd[i]) <= FARTHEST * robot.qd_max[i]:
             read[1, i] = math.nan
             w.faults[VELOCITY] = 1.0
     lag = int(w.lag[()])

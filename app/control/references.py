@@ -36,7 +36,7 @@ FASTEST, HARDEST = 20.0, 1000.0
 _LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
 _RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
-_LATE = 1.75  # [-] mean intervals after which no further sample is expected
+_OVERDUE = 1.75  # [-] mean intervals after which no further sample is expected
 _STEEPEST = 3.0  # [-] ratio of a polynomial's largest acceleration to its top speed per duration
 _PEAK = 1.875  # [-] ratio of largest to mean speed of the polynomial from rest to rest
 _OWN_SPEED = 1.5  # [-] largest relative difference of a sample's own velocity from the mean one
@@ -155,7 +155,7 @@ def _continue_way(gains: Any, w: Any) -> None:
     If no further sample arrives in time, a new polynomial comes to rest at the last sample. At the
     end of the polynomial, its duration becomes 0, and no reference is written.
     """
-    late = w.since_sample[()] > _LATE * w.sample_interval[()]
+    late = w.since_sample[()] > _OVERDUE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
         _aim(gains, w, np.zeros(6))
     w.way_time[()] += gains.dt
@@ -210,22 +210,28 @@ def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T:
 
 @compiled()
 def shift_reference(gains: Any, w: Any) -> None:
-    """Shift the reference by the end-effector's motion at the last jump of the base's pose.
+    """Shift the reference of this step by the end-effector's motion at jumps of the base's pose.
 
-    The shift returns to 0, not faster than the correction speed. The first reference has none.
+    The shift returns to 0, not faster than the correction speed. The first reference has none. The
+    jump is in `w.pose_jump`; the kinematics are still those before it.
     """
-    moved, turn = np.zeros(6), w.pose_jump[2]
-    c, s = math.cos(turn), math.sin(turn)
-    x, y = w.p_ee[0] - w.base_pose[0], w.p_ee[1] - w.base_pose[1]
-    moved[0] = w.pose_jump[0] + x - c * x - s * y
-    moved[1] = w.pose_jump[1] + y + s * x - c * y
+    x, y, turn = w.p_ee[0] - w.p_o[0], w.p_ee[1] - w.p_o[1], w.pose_jump[2]
+    c, s, moved = math.cos(turn), math.sin(turn), np.zeros(6)
+    moved[0] = w.pose_jump[0] + c * x - s * y - x
+    moved[1] = w.pose_jump[1] + s * x + c * y - y
     moved[5] = turn
     fill(w.pose_jump, 0.0)
     if w.tracking[()] == 0.0:
         w.shift_duration[()] = 0.0
-        return
-    if not _largest(moved) > _LEAST_SHIFT:
-        return
+    elif _largest(moved) > _LEAST_SHIFT:
+        _return_from(gains, w, moved)
+    if w.shift_duration[()] > 0.0:
+        _add_shift(gains, w)
+
+
+@compiled()
+def _return_from(gains: Any, w: Any, moved: Array) -> None:
+    """Continue the present shift by `moved` (6,) [m, rad], and plan its return to 0."""
     at, v, a = np.zeros(6), np.zeros(6), np.zeros(6)
     if w.shift_duration[()] > 0.0:
         at, v, a = _state(w.shift, w.shift_time[()])
@@ -297,7 +303,4 @@ def take_reference(
         put_rows(w.x_ref, w.x_sent)
         put(w.v_ref, w.way[1])
         put(w.a_ref, 2.0 * w.way[2])
-    shift_reference(gains, w)
-    if w.shift_duration[()] > 0.0:
-        _add_shift(gains, w)
     return True
