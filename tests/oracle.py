@@ -80,7 +80,7 @@ class Oracle:
         )
         self.configure(config)
         self._take(at_rest(model, np.array(model.description.arm.ready_position)))
-        M = self.pin_data.M  # of the ready pose
+        M = self.pin_data.M  # of the ready posture
         inertia = 1 / np.diag(np.linalg.inv(np.triu(M) + np.triu(M, 1).T))[3:]
         self.inertia = inertia
         self.blind_time, self.v_error = dt, np.zeros(self.n_m)

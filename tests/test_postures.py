@@ -29,7 +29,7 @@ INNER = 0.4 * D_B  # [m]
 
 @pytest.fixture(scope="module", autouse=True)
 def _few_guesses() -> Iterator[None]:
-    """Starts of lines are searched from fewer random poses."""
+    """Starts of lines are searched from fewer random postures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(postures, "_SAMPLES", 1000)
         yield

@@ -17,10 +17,10 @@ from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel, length_bound
 from app.strict import Array
 
-_TRIALS = 4  # [-] configurations that test the rank of a chain
+_TRIALS = 4  # [-] postures that test the rank of a chain
 _SINGULAR = 1e-6  # [m/rad or -] largest singular value that counts as a lost direction
 _MIN_JOINTS = 3  # [-] smallest number of joints that move a point within a volume
-_FREE_TRIALS = 20  # [-] configurations that test a choice of free joints
+_FREE_TRIALS = 20  # [-] postures that test a choice of free joints
 _LOST = 1e-9  # determinants below this value count as zero
 
 

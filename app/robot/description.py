@@ -57,7 +57,7 @@ class ArmDescription(Sourced):
     max_effort: tuple[Positive, ...] | None = None
     """[N m or N] joint torque limits; default: from the URDF."""
     ready_position: tuple[Finite, ...]
-    """[rad or m] joint positions of the ready pose, far from the limits and outside of all
+    """[rad or m] joint positions of the ready posture, far from the limits and outside of all
     buffers."""
     joint_damping: tuple[NonNegative, ...]
     """[N m s/rad or N s/m] damping D of the joints while a person guides the arm."""

@@ -1,4 +1,4 @@
-"""Postures of a new robot: the ready pose, and the lines for guiding."""
+"""Postures of a new robot: the ready posture, and the lines for guiding."""
 
 from bisect import bisect_left
 from collections import Counter
@@ -26,19 +26,20 @@ from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver, find_start
 from app.strict import Array
 
 RULE = (
-    "chosen: the best of random poses within the middle 80 % of each joint's range, by clearance "
-    "(up to 0.15 m beyond the buffer), manipulability (relative to the best), an end-effector in "
-    "front of or beside the base that points outwards or down, and joints near their middle"
+    "chosen: the best of random postures within the middle 80 % of each joint's range, by "
+    "clearance (up to 0.15 m beyond the buffer), manipulability (relative to the best), an "
+    "end-effector in front of or beside the base that points outwards or down, and joints near "
+    "their middle"
 )
-_SAMPLES = 6000  # [-] number of random poses
+_SAMPLES = 6000  # [-] number of random postures
 _KEPT = 0.1  # [-] margin to both limits, relative to a joint's range
 _ENOUGH = 0.15  # [m] clearance beyond the buffer above which more has no advantage
 _FLOOR = 0.1  # [m] smallest distance between the arm and the floor
-_BAD = 1e3  # [-] offset that makes every quality positive, so that a pose is always chosen
+_BAD = 1e3  # [-] offset that makes every quality positive, so that a posture is always chosen
 
 
 class Ready(NamedTuple):
-    """A pose with its smallest distance."""
+    """A posture with its smallest distance."""
 
     q_m: Array
     """(n_m,) [rad or m]"""
@@ -49,15 +50,16 @@ class Ready(NamedTuple):
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random poses according to `RULE`, with joint positions rounded to 0.01 rad or m.
+    """The best of random postures according to `RULE`, with joint positions rounded to 0.01 rad or
+    m.
 
     `pairs` are the monitored pairs.
     """
     rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
     search, middle = judge.search, judge.search.middle
-    span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready pose exceeds one turn
-    poses = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
-    best = max(map(judge.manipulability, poses)) or 1.0
+    span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready posture exceeds one turn
+    postures = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
+    best = max(map(judge.manipulability, postures)) or 1.0
 
     def worth(q_m: Array) -> float:
         ready = judge.look(q_m)
@@ -69,13 +71,13 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
             - 0.5 * float(np.mean(np.abs(q_m - middle) / span))
         )
 
-    found = search.best(poses, worth).q_m
+    found = search.best(postures, worth).q_m
     assert found is not None
     return judge.look(np.round(found, 2))
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The smallest distance of the monitored pairs in a pose q_m (n_m,)."""
+    """The smallest distance of the monitored pairs in a posture q_m (n_m,)."""
     return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
@@ -85,7 +87,7 @@ class _Judge:
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
-        """The smallest distance in a pose q_m (n_m,)."""
+        """The smallest distance in a posture q_m (n_m,)."""
         self.search.place(q_m)
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
@@ -93,7 +95,7 @@ class _Judge:
         return Ready(q_m, float(clearance), self.search.names[i] if distances else "")
 
     def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the end-effector in a pose; if n_m < 6, J has only the position's rows."""
+        """√det(J Jᵀ) of the end-effector in a posture; if n_m < 6, J has the position's rows."""
         self.search.place(q_m)
         return manipulability(self.search.J_ee if len(q_m) >= 6 else self.search.J_ee[:3])
 
