@@ -10,13 +10,13 @@ from app.robot.state import Measurement
 Array = np.ndarray
 
 FEWEST = 8  # samples of the noise before the filter starts
-CLEAR = 0.01  # share of the largest speed; before that, a larger change is an external acceleration
+CLEAR = 0.01  # share of the speed limit; before that, a larger change is an external acceleration
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
 SMALL = 1e-11  # [rad²] smallest variance for the outlier test
-SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the largest speed
+SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the speed limit
 RESPONSE = 0.004  # [s] response time of the filter
-SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
-FARTHEST = 10.0  # [-] in steps at a joint's largest speed
+SHAKE = 0.01  # [-] largest noise of a speed estimated so fast, relative to a speed limit
+FARTHEST = 10.0  # [-] in steps at a joint's speed limit
 
 
 class Estimate:

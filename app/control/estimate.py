@@ -31,15 +31,15 @@ from app.structs import fill, put
 
 FEWEST = 8
 """Samples of the noise before the filter starts."""
-_CLEAR = 0.01  # [-] share of a top speed beyond which a change from a reading to the next is clear
+_CLEAR = 0.01  # [-] share of a speed limit beyond which a change between readings is clear
 _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its variance
 _SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second, relative to a
-# joint's top speed: a person's force grows within milliseconds, the error of an old reading at once
+# speed limit: a person's force grows within milliseconds, the error of an old reading at once
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
 RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
-_SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
+_SHAKE = 0.01  # [-] largest noise of a speed estimated so fast, relative to a speed limit
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
-_FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
+_FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at the speed limit
 _SETTLED = 20  # [-] samples of the noise before a load can be estimated
 _SOON = 0.005  # [s] largest age of readings with which these samples last so short that a load
 # which is then present counts as sudden
@@ -109,10 +109,10 @@ def process_noise(
     """(n_m,) process noise of the external acceleration, in one second.
 
     It is at least so large that the filter responds within `RESPONSE`: a pull moves a light joint
-    beyond its top speed within 0.05 s. The response is slower than the blind time, because readings
-    that are older than assumed contradict the predicted motion. With noise above about 0.2 mrad at
-    1 kHz the response is slower too, so that the noise of estimated speeds is limited. The process
-    noise is also at least as large as the recent errors of predicted velocities imply.
+    beyond its speed limit within 0.05 s. The response is slower than the blind time, because
+    readings that are older than assumed contradict the predicted motion. With noise above about 0.2
+    mrad at 1 kHz the response is slower too, so that the noise of estimated speeds is limited. The
+    process noise is also at least as large as the recent errors of predicted velocities imply.
 
     Args:
         v_error: (n_m,) recent errors of velocities that were predicted over several periods.

@@ -65,15 +65,15 @@ HISTORY = 128
 """Largest age of a reading in periods over which the motion can be predicted."""
 _MAX_AGE = 0.1  # [s] largest time without a new reading before the fallback command
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
-_FARTHEST = 10.0  # [-] multiple of a top speed above which a motion is impossible
+_FARTHEST = 10.0  # [-] multiple of a speed limit above which a motion is impossible
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
-_DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a top speed and to the control
-# period, that does not cast doubt on the age of the readings
+_DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a speed limit and to the
+# control period, that does not cast doubt on the age of the readings
 _LATE = 0.024  # [s] additional age of the readings in case of doubt
 _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] duration of a group of readings

@@ -206,7 +206,7 @@ def base_numbers(
     mass, yaw = float(M[0, 0]), float(M[2, 2])
     fastest = wheels.joint_velocity * wheels.r if wheels.joint_velocity else np.inf
     v = min(_BASE_SPEED[0], fastest)
-    limit = "from the URDF: the wheels' velocity limit" if v == fastest else _AS_PAPERS
+    limit = "from the URDF: the wheels' speed limit" if v == fastest else _AS_PAPERS
     factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready posture"
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
     if wheels.steering:
@@ -225,7 +225,7 @@ def base_numbers(
     if kind != "car-like":  # the steering limits its angular velocity
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
         w = min(_BASE_SPEED[1], v / b if b else np.inf)
-        one_wheel = "assumed: one wheel is at rest, the other has its largest speed"
+        one_wheel = "assumed: one wheel is at rest, the other is at its speed limit"
         turning = _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel
         found["max_angular_velocity_radps"] = round(w, 3), turning
         found["max_angular_acceleration_radps2"] = _ACCELERATION[1], _AS_PAPERS

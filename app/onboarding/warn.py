@@ -297,7 +297,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
     if robot.request.kind == "holonomic":
         yield "the base's speed, acceleration and traction are assumed"
     elif wheels.joint_velocity is None:
-        yield "the wheels have no velocity limit: the base's speed is assumed"
+        yield "the wheels have no speed limit: the base's speed is assumed"
     joints = [tree.joints[name] for name in (*wheels.left, *wheels.right)]
     if any(not joint.effort for joint in joints):
         yield "the wheels have no torque limit: the base's traction is assumed"
@@ -377,7 +377,7 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
 def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
-    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' velocity
+    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' speed
     limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
     linear motion. The pose is lost if the position is, or if the linear or the angular residual of
     all rows exceeds a tenth of the larger one of linear and angular motion; a lever of 0.3 m
@@ -386,7 +386,7 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
         moved: (6,) [m/s, rad/s] J_base ν, velocity of the end-effector with the arm at rest.
-        qd_max: (n_m,) [rad/s or m/s] largest speeds of the joints.
+        qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
 
     Returns:
         Whether the position is lost, and whether the pose is lost.

@@ -53,7 +53,7 @@ class ArmDescription(Sourced):
     position_upper: tuple[Finite, ...] | None = None
     """[rad or m] upper joint limits; default: from the URDF."""
     max_velocity: tuple[Positive, ...] | None = None
-    """[rad/s or m/s] joint velocity limits; default: from the URDF."""
+    """[rad/s or m/s] speed limits of the joints; default: from the URDF."""
     max_effort: tuple[Positive, ...] | None = None
     """[N m or N] joint torque limits; default: from the URDF."""
     ready_position: tuple[Finite, ...]
