@@ -547,7 +547,7 @@ def test_robot_made_for_another_buffer_is_checked_with_that_buffer(
 
 
 def test_ready_posture_is_outside_the_buffer_and_within_the_limits(made: NewRobot) -> None:
-    assert made.ready.clearance > 0.05  # [m] beyond the buffer
+    assert made.ready.beyond_buffer > 0.05  # [m] beyond the buffer
     span = np.subtract(made.parsed.limits.upper, made.parsed.limits.lower)
     left = np.minimum(
         made.ready.q_m - made.parsed.limits.lower, made.parsed.limits.upper - made.ready.q_m

@@ -223,7 +223,7 @@ def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
             for name, r in robot.reach.items()
         },
         "ready_position": robot.ready.q_m.tolist(),
-        "ready_clearance_m": robot.ready.clearance if data.pairs.all else None,
+        "ready_clearance_m": robot.ready.beyond_buffer if data.pairs.all else None,
         "lines": {name: list(place.start) for name, place in robot.places.items()},
         "border_points": {name: len(cloud) for name, cloud in data.clouds.items()},
         "warnings": robot.warnings,

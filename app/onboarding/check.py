@@ -331,10 +331,10 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
     span = model.q_upper - model.q_lower
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
     ready = judge_ready(model, data.pairs, q_m)
-    numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
-    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer; the smallest "
+    numbers = {"beyond_buffer_m": ready.beyond_buffer, "least_joint_margin": left}
+    text = f"{ready.nearest} is {ready.beyond_buffer:+.3f} m from its buffer; the smallest "
     text += f"distance of a joint from its limits is {left:.0%} of its range"
-    good = ready.clearance >= 0 and left >= _MARGIN
+    good = ready.beyond_buffer >= 0 and left >= _MARGIN
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 
 

@@ -131,10 +131,10 @@ def _verdict(robot: NewRobot) -> list[str]:
         "random postures",
     ]
     if ready.nearest:
-        where = "outside of" if ready.clearance >= 0.0 else "inside"
+        where = "outside of" if ready.beyond_buffer >= 0.0 else "inside"
         points.append(
             f"in the ready posture, the nearest pair {ready.nearest} is "
-            f"{abs(ready.clearance):.3f} m {where} its buffer"
+            f"{abs(ready.beyond_buffer):.3f} m {where} its buffer"
         )
     return points
 

@@ -35,7 +35,7 @@ _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
 _TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
 _FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
 _POSTURES, _SAMPLES = 100, 2000  # [-] number of postures near the base, and of random ones
-_NEAR = 0.30  # [m] largest distance of the arm to the base in a posture near the base
+_NEAR = 0.30  # [m] largest distance between arm and base in a posture near the base
 _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not compensate
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
@@ -86,12 +86,12 @@ def _places(robot: NewRobot) -> Iterator[str]:
 
 def _postures(robot: NewRobot) -> Iterator[str]:
     d_b, ready, near = robot.request.buffer, robot.ready, robot.verdict.near
-    if ready.clearance < 0:
-        most = np.floor(100 * (d_b + ready.clearance)) / 100
+    if ready.beyond_buffer < 0:
+        most = np.floor(100 * (d_b + ready.beyond_buffer)) / 100
         smaller = f" or a --buffer-distance of at most {most:g}" if most >= _LEAST_D_B else ""
         yield (
-            f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
-            f"posture; set another posture by --ready{smaller}"
+            f"the pair {ready.nearest} is {-ready.beyond_buffer:.3f} m inside its buffer in the "
+            f"ready posture; set another posture by --ready{smaller}"
         )
     for name in robot.verdict.always:
         yield (
@@ -328,7 +328,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
             f"{mesh_paths} meshes are not in an installed package, so the URDF has their absolute "
             "paths: this description works only on this machine"
         )
-    if not np.isfinite(robot.ready.clearance):
+    if not np.isfinite(robot.ready.beyond_buffer):
         yield "no monitored pair of bodies can meet, so the arm avoids nothing"
 
 

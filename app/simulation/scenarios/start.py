@@ -45,8 +45,8 @@ class StartSolver:
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its limits. If the
-    search finds no such direction, and the arm cannot choose its direction freely, any direction is
-    accepted.
+    search finds no such direction, and the arm cannot choose the end-effector's direction freely,
+    any direction is accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -185,8 +185,8 @@ class StartSolver:
             return "out of reach with the end-effector pointing away from the mount"
         if flaw := search.flaw(_FLOOR_MARGIN, _BUFFER_MARGIN):
             return flaw
-        clearance = min(search.distances(), default=np.inf) - search.d_b
-        return self._room(q, along) + min(clearance, 0.1)
+        beyond_buffer = min(search.distances(), default=np.inf) - search.d_b
+        return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
         """[-] quality of a posture: smallest joint margin and manipulability, also on the path.
@@ -359,18 +359,21 @@ class _GraspSearch:
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
-    def _room(self, target: pin.SE3, q_m: Array, tolerance: float, clearance: float) -> float:
-        """[-] margins of a posture, below one; zero if the posture is invalid."""
+    def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float:
+        """[-] margins of a posture, below one; zero if the posture is invalid.
+
+        `least` [m] is the required distance of each pair beyond its buffer.
+        """
         search = self._search
         search.place(q_m)
         if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:
             return 0.0
-        beyond = min(search.distances()) - search.d_b
+        beyond_buffer = min(search.distances()) - search.d_b
         joints = search.joint_room(q_m)
-        if beyond < clearance or joints < _GRASP_MARGIN:
+        if beyond_buffer < least or joints < _GRASP_MARGIN:
             return 0.0
         bending = manipulability(search.J_ee)
-        return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
+        return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond_buffer - least, 0.1)
 
 
 def _frozen(q_m: Array) -> Array:
