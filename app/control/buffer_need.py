@@ -72,7 +72,7 @@ def _bound(
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] the largest d_* - x(d_*) of the module; −∞ if the base does not reach v at any d_*.
+    """[m] the largest d_* - x(d_*), see above; −∞ if the base does not reach v at any d_*.
 
     Args:
         d_b: [m] buffer distance.
@@ -134,7 +134,7 @@ class Approach(NamedTuple):
 
 
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
-    """[m] the required d_b: the smallest one that ensures the reserve between arm and base.
+    """[m] the smallest d_b that ensures a distance between arm and base of at least the reserve.
 
     The docstring of the module lists the assumptions. Delay and slip are those of the
     configuration; the configured d_b has no influence.

@@ -7,9 +7,9 @@ readings, impossible readings, and readings with a known delay are the same case
 are estimated from the readings themselves:
 
 - **The lag**: a delay that begins during a motion is the age at which the predicted state equals
-  the reading. Any delay is the number of periods until accelerations by the torques and by the base
-  appear in the measured positions. The readings of the last 50 to 100 periods count, so that noise
-  hides the delay as little as possible.
+  the reading. Any delay is the number of periods until accelerations due to the torques and the
+  base appear in the measured positions. The readings of the last 50 to 100 periods count, so that
+  noise hides the delay as little as possible.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
@@ -492,7 +492,9 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _differs(error: Array, way: float, turn: float) -> bool:
-    """Whether an error (3,) of a motion of the base exceeds half its length [m] or angle [rad]."""
+    """Whether the error (3,) of a base motion exceeds `_NEAR` plus half of the motion's length
+    `way` [m], or plus half of its angle `turn` [rad].
+    """
     far = math.hypot(error[0], error[1]) > _NEAR + 0.5 * way
     return far or abs(error[2]) > _NEAR + 0.5 * turn
 
@@ -503,7 +505,8 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
     Odometry is often slower than the joints' readings: between its readings, the base moves at its
     velocity. The fault `localisation` is a reading that contradicts the velocity: a jump, or recent
-    motions that deviate by more than half. `w.pose_jump` is for `shift_reference`.
+    changes of the pose that differ from the integral of the velocity by more than half of this
+    integral. `w.pose_jump` is for `shift_reference`.
     """
     moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
     for i in range(3):
