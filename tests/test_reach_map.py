@@ -1,4 +1,4 @@
-"""The reachability map: the density of inverse-kinematics solutions, and its scale."""
+"""The reachability map: the mean number of inverse kinematics solutions, and its scale."""
 
 from __future__ import annotations
 

@@ -234,7 +234,7 @@ def base_numbers(
 
 def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, tuple[Any, str]]:
     """The wheel radius, and the half track or the steering; none for a holonomic base."""
-    how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
+    how = wheels.how if wheels.how.startswith("from --") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
         return {}

@@ -70,7 +70,8 @@ class Request:
     """Seed of all random postures."""
     d_b: float | None = None
     """[m] buffer distance d_b of this robot; the bodies and the ready posture depend on it.
-    Default: 0.15, or less if two links of a pair are nearer than this at all joint positions."""
+    Default: 0.15, or less if a link of the arm is nearer than this to the base in most postures,
+    and no joint limit prevents their contact."""
     file: str | None = None
     """Path of the URDF within the zip, if the zip contains several."""
     source: str | None = None
