@@ -29,7 +29,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
-    """Compile a function for the given types when its module is first imported.
+    """Compile a function for the types in `signatures` when its module is first imported.
 
     Thus a control loop never waits for a compiler, and a call with an array of a different
     dtype fails. If no folder is writable, each process compiles the kernels that it imports.

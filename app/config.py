@@ -164,12 +164,12 @@ class LimitConfig(Strict):
     position_rate: Annotated[float, Shown("Position-limit rate", advanced=True)] = Field(
         default=30.0, ge=1.0, le=100.0
     )
-    """[1/s] approach rate of position limits: largest joint speed divided by the remaining
+    """[1/s] approach rate of position limits: permitted joint speed divided by the remaining
     distance."""
-    velocity_rate: Annotated[float, Shown("Velocity-limit rate", advanced=True)] = Field(
+    velocity_rate: Annotated[float, Shown("Speed-limit rate", advanced=True)] = Field(
         default=70.0, ge=1.0, le=200.0
     )
-    """[1/s] approach rate of velocity limits: largest joint acceleration divided by the remaining
+    """[1/s] approach rate of speed limits: permitted joint acceleration divided by the remaining
     speed."""
     torque_rate: Annotated[float, Shown("Torque slew rate")] = Field(
         default=1000.0, ge=50.0, le=1e6

@@ -57,7 +57,7 @@ class ConfigError(DbbError):
 
 
 class UnreachableError(DbbError):
-    """No configuration of the arm brings the end-effector to the specified start."""
+    """No posture of the arm brings the end-effector to the specified start."""
 
     def __init__(self, message: str, flaws: Mapping[str, int] | None = None) -> None:
         super().__init__(message)

@@ -1,8 +1,9 @@
 """Robots without manual tuning: `python -m benchmarks.gallery --robots all|NAME,... [--quick]`.
 
-`dbb new-robot` creates each robot, with options only, and `dbb check-robot` checks it. Both run in
-separate processes, so a crash is a row of the table. With `--quick` the rows are those of the
-documentation's table; if the program is ended, the next call continues after the finished rows.
+`dbb new-robot` creates each robot from its options alone, and `dbb check-robot` checks it. Both run
+in separate processes, so a crash is a row of the table. With `--quick` and without `--json`, the
+rows are those of the documentation's table: finished rows are stored, and the next call measures
+only the missing ones.
 """
 
 from __future__ import annotations

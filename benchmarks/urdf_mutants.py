@@ -46,7 +46,7 @@ ROBOTS = {
 """Delivered robots with their links `base` and `tip`."""
 AGREE = 1e-3
 """[m] largest accepted deviation of a link's hull."""
-_POSES = 3
+_POSTURES = 3
 _DIRECTIONS = np.asarray(trimesh.creation.icosphere(subdivisions=1).vertices)
 
 
@@ -86,8 +86,8 @@ def copied(name: str, folder: Path) -> Original:
     return Original(path, base, tip)
 
 
-def supports(urdf: Path, base: str, poses: int = _POSES) -> dict[str, Array]:
-    """(poses, K) [m] extent of each link's hull along K directions, in the base's frame."""
+def supports(urdf: Path, base: str, postures: int = _POSTURES) -> dict[str, Array]:
+    """(postures, K) [m] extent of each link's hull along K directions, in the base's frame."""
     robot = ElementTree.parse(urdf).getroot()
     bare = ElementTree.fromstring(ElementTree.tostring(robot))
     for link in bare.findall("link"):
@@ -97,8 +97,8 @@ def supports(urdf: Path, base: str, poses: int = _POSES) -> dict[str, Array]:
     model = pin.buildModelFromXML(ElementTree.tostring(bare, encoding="unicode"))
     data, found = model.createData(), {}
     clouds = {str(link.get("name")): _cloud(link, urdf.parent) for link in robot.findall("link")}
-    for pose in range(poses):
-        _place(model, data, pose)
+    for posture in range(postures):
+        _place(model, data, posture)
         T_base = data.oMf[model.getFrameId(base, pin.BODY)]
         for name, points in clouds.items():
             if len(points):
@@ -108,15 +108,15 @@ def supports(urdf: Path, base: str, poses: int = _POSES) -> dict[str, Array]:
     return {name: np.array(rows) for name, rows in found.items()}
 
 
-def _place(model: pin.Model, data: pin.Data, pose: int) -> None:
-    """Compute placements: in pose 0 all joints are at zero, otherwise joints have random angles.
+def _place(model: pin.Model, data: pin.Data, posture: int) -> None:
+    """Compute placements: in posture 0 all joints are at zero, otherwise joints have random angles.
 
-    The random angle of a joint depends only on the joint's name and the number of the pose.
+    The random angle of a joint depends only on the joint's name and the number of the posture.
     """
     v = np.zeros(model.nv)
     for name, joint in zip(model.names, model.joints, strict=True):
-        if pose and joint.nv == 1 and _is_arm(name):
-            rng = random.Random(f"{name.removesuffix('_joint')}{pose}")
+        if posture and joint.nv == 1 and _is_arm(name):
+            rng = random.Random(f"{name.removesuffix('_joint')}{posture}")
             v[joint.idx_v] = rng.uniform(-0.4, 0.4)
     pin.framesForwardKinematics(model, data, pin.integrate(model, pin.neutral(model), v))
 

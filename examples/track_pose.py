@@ -10,7 +10,7 @@ from app import ControlLoop, Reference, RobotModel, load_robot
 from app.simulation.plants import make_physics
 
 DT = 0.001  # [s]
-MOVE = np.array([-0.15, 0.0, -0.10])  # [m] from the ready pose, in the world
+MOVE = np.array([-0.15, 0.0, -0.10])  # [m] from the start in the ready posture, in the world
 STILL = np.zeros(6)  # velocity and acceleration of a target at rest
 
 

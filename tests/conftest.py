@@ -149,7 +149,7 @@ def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return _models.setdefault(fresh.description.model_dump_json(), fresh)
 
     def border_of(model: RobotModel, **how: Any) -> BorderData:
-        if how:  # sampled with the given options
+        if how:  # sampled with options
             return load_border(model, **how)
         if model not in _borders:
             _borders[model] = load_border(model)

@@ -117,7 +117,7 @@ class ScriptedLoop:
         self.commands.clear()
 
     def place(self, base_pose: Sequence[float] | None = None, q_m: Array | None = None) -> None:
-        """Set the pose of the base or the arm; the next step starts from there."""
+        """Set the base's pose or the arm's posture; the next step starts from there."""
         with self._lock:
             if base_pose is not None:
                 self._base[:] = base_pose

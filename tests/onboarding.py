@@ -146,16 +146,16 @@ FAST_LINES = {name: line.changed(duration=3.0) for name, line in LINES.items()}
 def line_without_a_run(
     _: object, job: tuple[str, RobotModel, BorderData, bool], on_progress: OnProgress
 ) -> Place | str:
-    """`line_from` with few poses, and without runs in which the base must move away."""
+    """`line_from` with few postures, and without runs in which the base must move away."""
     name, model, data, _anyway = job
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(postures, "_SAMPLES", 800)
         return postures.find_place(model, data.pairs, name, on_progress=on_progress)
 
 
-def few_poses(patch: pytest.MonkeyPatch) -> None:
-    """Let bodies be fitted and judged with a third of the product's random poses."""
-    patch.setattr(grouping, "TEST_POSES", 1300)
+def few_postures(patch: pytest.MonkeyPatch) -> None:
+    """Let bodies be fitted and judged with a third of the product's random postures."""
+    patch.setattr(grouping, "TEST_POSTURES", 1300)
     for module in (new_robot, grouping, bodies):
         patch.setattr(module, "ENOUGH", 200)
 
@@ -167,12 +167,12 @@ def few_samples(cache: Path) -> Iterator[SamplingConfig]:
     Yields the configuration of the sampling.
     """
     with pytest.MonkeyPatch.context() as patch:
-        few_poses(patch)
+        few_postures(patch)
         patch.setattr(assets, "cache_folder", lambda: cache)
         patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
         patch.setattr(postures, "_SAMPLES", 800)
         patch.setattr(postures, "LINES", FAST_LINES)
-        patch.setattr(numbers, "COUNTED_POSES", 3000)
+        patch.setattr(numbers, "COUNTED_POSTURES", 3000)
         yield SamplingConfig(
             pair_samples=2000,
             cloud_samples=2000,

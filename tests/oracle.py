@@ -80,7 +80,7 @@ class Oracle:
         )
         self.configure(config)
         self._take(at_rest(model, np.array(model.description.arm.ready_position)))
-        M = self.pin_data.M  # of the ready pose
+        M = self.pin_data.M  # of the ready posture
         inertia = 1 / np.diag(np.linalg.inv(np.triu(M) + np.triu(M, 1).T))[3:]
         self.inertia = inertia
         self.blind_time, self.v_error = dt, np.zeros(self.n_m)
@@ -460,7 +460,7 @@ class Oracle:
         return np.sort([np.max(lower, axis=0), np.min(upper, axis=0)], axis=0)
 
     def _reachable(self, lower: Array, upper: Array, pushed: Array) -> Array:
-        """Limit the bounds by each joint's torque, and by its torque rate up to the top speed."""
+        """Limit the bounds by each joint's torque, and by its torque rate up to the speed limit."""
         w, n_b, qd_max = self.w, self.n_b, self.model.qd_max - self._margin
         inverse = np.linalg.inv(w.M[n_b:, n_b:])
         moved = np.diag(inverse)

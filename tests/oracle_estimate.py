@@ -10,13 +10,13 @@ from app.robot.state import Measurement
 Array = np.ndarray
 
 FEWEST = 8  # samples of the noise before the filter starts
-CLEAR = 0.01  # share of the largest speed; before that, a larger change is an external acceleration
+CLEAR = 0.01  # share of the speed limit; before that, a larger change is an external acceleration
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
 SMALL = 1e-11  # [rad²] smallest variance for the outlier test
-SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the largest speed
+SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the speed limit
 RESPONSE = 0.004  # [s] response time of the filter
-SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
-FARTHEST = 10.0  # [-] in steps at a joint's largest speed
+SHAKE = 0.01  # [-] largest noise of a speed estimated so fast, relative to a speed limit
+FARTHEST = 10.0  # [-] in steps at a joint's speed limit
 
 
 class Estimate:
@@ -39,20 +39,20 @@ class Estimate:
         self.v_last = np.full_like(self.v_last, np.nan)
 
     def update(
-        self, m: Measurement, known: Array, blind_time: float, config: EstimateConfig
+        self, m: Measurement, predicted: Array, blind_time: float, config: EstimateConfig
     ) -> None:
-        """A measurement; `known` (n_m,) is the acceleration by torques and base, or NaN."""
+        """A measurement; `predicted` (n_m,) is the acceleration due to torques and base, or NaN."""
         q, qd, dt = m.q_m, m.qd_m, self._dt
         way = np.abs(q - self.x[0] - dt * self.x[1])
-        self.jumped = bool(np.isfinite(known[0]) and (way > FARTHEST * dt * self._qd_max).any())
-        continued = np.isfinite(known[0]) and not self.jumped
+        self.jumped = bool(np.isfinite(predicted[0]) and (way > FARTHEST * dt * self._qd_max).any())
+        continued = np.isfinite(predicted[0]) and not self.jumped
         if self.jumped:
             self.x[2] = 0.0
         sigma = np.sqrt(self.variances[0] * dt)
         time = np.maximum(max(RESPONSE, blind_time), np.cbrt(sigma / (SHAKE * self._qd_max)) ** 2)
         response = sigma / time**3
         if continued:
-            self._learn(q, qd, known, config.noise_window)
+            self._learn(q, qd, predicted, config.noise_window)
         else:
             self.last = np.array([qd, q, np.full_like(q, np.nan)])
         least, ratio = config.least_noise, config.velocity_noise
@@ -62,11 +62,11 @@ class Estimate:
             [noise, np.max([of_qd, ratio**2 * of_q, np.full_like(q, (least / dt) ** 2)], axis=0)]
         )
         if continued and self.samples >= FEWEST:
-            self._filter(q, qd, known, noise, np.maximum(config.external_drift, response))
+            self._filter(q, qd, predicted, noise, np.maximum(config.external_drift, response))
         else:
             external = self.x[2]
             if continued:
-                unexplained = (qd - self.x[1]) / dt - known - external
+                unexplained = (qd - self.x[1]) / dt - predicted - external
                 clear = np.abs(unexplained) * dt > CLEAR * self._qd_max
                 external = external + np.where(clear, unexplained / FEWEST, 0.0)
             self.x = np.array([q, qd, external])
@@ -74,12 +74,12 @@ class Estimate:
             self.P = np.array([np.diag(each) for each in np.array([*noise, drift]).T])
         self.v_last = m.base_velocity.copy()
 
-    def _learn(self, q: Array, qd: Array, known: Array, window: float) -> None:
+    def _learn(self, q: Array, qd: Array, predicted: Array, window: float) -> None:
         """Noise of positions from third differences, of velocities from two positions."""
-        speed_before, now, unknown_before = self.last
+        speed_before, now, unexplained_before = self.last
         speed = (q - now) / self._dt
-        unknown = self._dt * (speed - speed_before) - self._dt**2 * known
-        of_q, of_qd = (unknown - unknown_before) ** 2 / 20, (qd - speed) ** 2
+        unexplained = self._dt * (speed - speed_before) - self._dt**2 * predicted
+        of_q, of_qd = (unexplained - unexplained_before) ** 2 / 20, (qd - speed) ** 2
         counted = np.isfinite(of_q)
         self.samples += int(counted[0])
         share = max(1 / max(self.samples, 1), -np.expm1(-self._dt / window))
@@ -90,14 +90,14 @@ class Estimate:
             weights[of_q > largest] = -np.expm1(-self._dt / window)
             of_q = np.minimum(of_q, largest)
         self.variances[0, counted] += (weights * (of_q - self.variances[0]))[counted]
-        self.last = np.array([speed, q, unknown])
+        self.last = np.array([speed, q, unexplained])
 
-    def _filter(self, q: Array, qd: Array, known: Array, noise: Array, drift: Array) -> None:
+    def _filter(self, q: Array, qd: Array, predicted: Array, noise: Array, drift: Array) -> None:
         """Predict over dt, then correct by the position, then by the velocity."""
         dt = self._dt
         F, G = np.array([[1, dt, dt**2], [0, 1, dt], [0, 0, 1]]), np.array([dt**2, dt, 0])
         for i in range(len(q)):
-            x = F @ self.x[:, i] + G * known[i]
+            x = F @ self.x[:, i] + G * predicted[i]
             P = F @ self.P[i] @ F.T + np.diag([0, 0, drift[i] ** 2 * dt])
             for k, reading in enumerate((q[i], qd[i])):
                 gain, error = P[:, k] / (P[k, k] + noise[k, i]), reading - x[k]

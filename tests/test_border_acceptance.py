@@ -75,15 +75,15 @@ class Arm:
         return result.min_distance, np.array(result.getNearestPoint2())
 
     def beside(self, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points beside the base and their poses, by plain random sampling."""
+        """Points beside the base and their postures, by plain random sampling."""
         rng = np.random.default_rng(seed)
-        points, poses = [], []
+        points, postures = [], []
         for q_m in rng.uniform(self.model.q_lower, self.model.q_upper, (samples, 7)):
             d, p = self.witness(q_m)
             if 0.04 < d < 0.31 and 0 < p[2] < TOP:
                 points.append(p)
-                poses.append(q_m)
-        return np.array(points), np.array(poses)
+                postures.append(q_m)
+        return np.array(points), np.array(postures)
 
     def reach(self, target: np.ndarray, starts: np.ndarray) -> float:
         """[m] the smallest distance of the closest point to a target that least squares finds."""
@@ -132,7 +132,7 @@ def contour(d_b: float, step: float = 0.005) -> np.ndarray:
 @pytest.mark.parametrize("d_b", [0.06, 0.15, 0.25])
 def test_border_has_no_gap_over_20_mm_where_a_contour_is_reachable(sampled, d_b):
     """An optimiser reaches no point of the contour without a point of the border within 10 mm."""
-    pair, cloud, arm, points, poses = sampled
+    pair, cloud, arm, points, postures = sampled
     border, ring = construct_dbb(cloud, d_b, 0.01), contour(d_b)
     rng, tree = np.random.default_rng(1), cKDTree(points)
     covered, bare = [], []  # points of the border, and of the contour in its gaps
@@ -150,14 +150,14 @@ def test_border_has_no_gap_over_20_mm_where_a_contour_is_reachable(sampled, d_b)
     if not covered:
         assert (pair, d_b) == ("lm-l3", 0.25)  # the forearm does not reach so low
         return
-    reached = [_reach(arm, target, tree, poses) for target in rng.permutation(bare)[:20]]
+    reached = [_reach(arm, target, tree, postures) for target in rng.permutation(bare)[:20]]
     assert min(reached) > 0.003, "reachable, but without a point of the border"
-    control = [_reach(arm, target, tree, poses) for target in rng.permutation(covered)[:10]]
+    control = [_reach(arm, target, tree, postures) for target in rng.permutation(covered)[:10]]
     assert np.mean(np.array(control) < 0.003) >= 0.8, "the optimiser of this test is too weak"
 
 
-def _reach(arm: Arm, target: np.ndarray, tree: cKDTree, poses: np.ndarray) -> float:
-    return arm.reach(target, poses[tree.query(target, k=6)[1]])
+def _reach(arm: Arm, target: np.ndarray, tree: cKDTree, postures: np.ndarray) -> float:
+    return arm.reach(target, postures[tree.query(target, k=6)[1]])
 
 
 def test_the_wheel_axis_is_covered_on_both_sides(clouds):

@@ -143,7 +143,7 @@ def test_the_first_call_samples_and_later_calls_read_the_file(folder, monkeypatc
 
 
 def test_the_border_of_another_robot_with_equal_inputs_is_used(folder):
-    """An example is a robot that was saved under a new name with another ready pose."""
+    """An example is a robot that was saved under a new name with another ready posture."""
     first = load()
     (file,) = (folder / "cache").glob("*.npz")
     file.rename(file.with_name(file.name.replace("husky_panda", "another")))

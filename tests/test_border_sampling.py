@@ -70,7 +70,7 @@ def test_each_voxel_has_one_point_with_its_distance_above_the_floor(clouds):
 
 
 def test_the_flood_reaches_voxels_that_random_sampling_alone_leaves_empty(clouds):
-    """40,000 random configurations fill less than half as many voxels beside the base."""
+    """40,000 random postures fill less than half as many voxels beside the base."""
     reader = PairReader(husky_panda(), PAIRS[0])
     rng = np.random.default_rng(9)
     model = husky_panda()

@@ -27,7 +27,7 @@ def test_stretch_gets_a_warning_for_forward_motion() -> None:
         pytest.skip("pip install '.[robots]'")
     row = holding_row(RobotModel(load_robot("stretch_se3")))
     assert row.outcome == "warned"
-    for stated in ("forward", "0.5 m/s", "100% of the poses"):
+    for stated in ("forward", "0.5 m/s", "100% of the postures"):
         assert stated in row.text
     assert row.numbers["place_lost_v_share"] > 0.9
 

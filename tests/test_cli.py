@@ -320,7 +320,7 @@ REFUSED = {
     "served too far": (["serve", "--start", "3", "0", "1", "--port", "0"], ["arm's reach"]),
     "below the floor": ([*QUICK, "--start", "0.7", "0", "-0.1"], ["above the floor"]),
     "start nan": ([*QUICK, "--start", "nan", "0", "1"], ["--start", "nan"]),
-    "in the base": ([*QUICK, "--start", "0.3", "0.2", "0.2"], ["no configuration"]),
+    "in the base": ([*QUICK, "--start", "0.3", "0.2", "0.2"], ["no posture"]),
     "led below": ([*QUICK, "--move", "0", "0", "-1"], ["below the floor"]),
     "tracked below": (
         ["run", "tracking", "--duration", "0.1", "--move", "0", "0", "-1"],

@@ -403,7 +403,7 @@ def test_the_command_does_not_depend_on_the_base_pose_in_the_world(
 def test_no_torque_changes_faster_than_its_limit(
     robot: RobotModel, controller: Controller, border_data: BorderData
 ) -> None:
-    """After a jump between two poses, the torques change at the limit of their rate and settle."""
+    """After a jump between two postures, the torques change at the limit of their rate."""
     slow = Controller(robot, border_data, Config())
     ready = measured(robot, np.array(robot.description.arm.ready_position))
     other = measured(robot, np.array([0.5, 0.5, 0.3, -1.5, 0.2, 2.0, 0.1]))

@@ -76,7 +76,7 @@ def test_the_panel_lists_every_kind_of_unsaved_change() -> None:
         "end-effector: box",
         "end-effector – shoulder: not monitored",
         "forearm – base: monitored",
-        "ready pose 0, -0.5",
+        "ready posture 0, -0.5",
     ):
         assert change in text
     assert "Not saved" not in changes_html(HandMade({}, before, None), robot)
@@ -167,7 +167,7 @@ def test_a_body_is_dragged_resized_and_saved_in_the_page(
     tab.drag_gizmo(f"{gizmo}/{SIZE}", 2, 0.05, 0.09)
     tab.page.get_by_text("Monitored pairs").click()
     tab.check("end-effector – upper arm", on=False)
-    tab.click("Use this posture as ready pose")
+    tab.click("Use this posture as ready posture")
     wait_for(lambda: panel.edit.changes.ready and panel.edit.changes.unwatched, what="changes")
     shared = served.server.shared
     tab.click("Save and use")

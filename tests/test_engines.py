@@ -37,7 +37,7 @@ def installed(name: str) -> RobotModel:
 
 @pytest.mark.parametrize("name", robot_names())
 def test_engines_agree_on_pictures_and_contacts(name: str):
-    found = compare_engines(installed(name), poses=100, pictures=2)
+    found = compare_engines(installed(name), postures=100, pictures=2)
     assert found.picture < SAME_PICTURE
     assert found.depth < SAME_DEPTH  # [m] depth of contacts in one engine alone
     assert found.contacts > 0

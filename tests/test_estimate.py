@@ -92,7 +92,7 @@ class PushedArm:
 
 @pytest.fixture
 def ready(robot: RobotModel) -> PushedArm:
-    """The arm at rest in its ready pose."""
+    """The arm at rest in its ready posture."""
     return PushedArm(robot, np.array(robot.description.arm.ready_position))
 
 

@@ -66,7 +66,7 @@ def test_base_motion_reaches_the_end_effector_by_the_singular_value_formula(seed
     np.testing.assert_allclose(uncompensated(state, SPEED), expected, atol=1e-9)
 
 
-def test_paper_arm_compensates_base_motion_in_its_ready_pose() -> None:
+def test_paper_arm_compensates_base_motion_in_its_ready_posture() -> None:
     state = ready(husky_panda())
     moved = state.J_ee[:3, :2] @ state.model.J_m_inv
     assert np.abs(uncompensated(state, SPEED)).max() < 0.05 * np.abs(moved).max()

@@ -18,7 +18,7 @@ from benchmarks.law.curves import Curve
 from benchmarks.law.draws import named_pull, random_pull, side
 from benchmarks.law.motions import random_motion
 from benchmarks.law.options import Options
-from benchmarks.law.poses import pose_in_buffer
+from benchmarks.law.postures import posture_in_buffer
 from benchmarks.law.robot import load
 from benchmarks.law.starts import posture
 from benchmarks.law.work import played
@@ -33,7 +33,7 @@ CURVES = (
 
 def test_a_motions_velocities_and_accelerations_are_its_derivatives() -> None:
     robot, rng = load(ROBOT), np.random.default_rng(0)
-    motion = random_motion(robot.model, pose_in_buffer(robot, rng), 0.3, rng, 1.0)
+    motion = random_motion(robot.model, posture_in_buffer(robot, rng), 0.3, rng, 1.0)
     at, vd, qdd = motion.at(0.4)
     np.testing.assert_allclose(derivative(lambda h: motion.at(0.4 + h)[0].q_m), at.qd_m, atol=1e-8)
     np.testing.assert_allclose(derivative(lambda h: motion.at(0.4 + h)[0].qd_m), qdd, atol=1e-8)
@@ -42,18 +42,18 @@ def test_a_motions_velocities_and_accelerations_are_its_derivatives() -> None:
     )
 
 
-def test_a_motion_passes_its_pose_at_half_its_time() -> None:
+def test_a_motion_passes_its_posture_at_half_its_time() -> None:
     robot, rng = load(ROBOT), np.random.default_rng(1)
-    q = pose_in_buffer(robot, rng)
+    q = posture_in_buffer(robot, rng)
     motion = random_motion(robot.model, q, 0.3, rng, 0.6)
     np.testing.assert_allclose(motion.at(0.3)[0].q_m, q, atol=1e-12)
 
 
-def test_pose_in_the_buffer_is_inside_of_it_without_contact() -> None:
+def test_posture_in_the_buffer_is_inside_of_it_without_contact() -> None:
     robot = load(ROBOT)
     reader = PairDistances(robot.model, robot.data.pairs.all)
     for seed in range(5):
-        q = pose_in_buffer(robot, np.random.default_rng(seed))
+        q = posture_in_buffer(robot, np.random.default_rng(seed))
         reader.update(robot.model.configuration((0.0, 0.0, 0.0), q))
         d = [reader.distance(i) for i in range(len(reader.pairs))]
         assert min(d) > 0.0

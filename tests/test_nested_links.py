@@ -1,6 +1,7 @@
 """Links that are built into one another, like a shoulder into a torso, are not a contact pair.
 
-An example is Baxter, whose shoulder overlaps its torso in 87 % of all poses and in the ready pose.
+An example is Baxter, whose shoulder overlaps its torso in 87 % of all postures and in the ready
+posture.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def test_only_links_that_touch_when_their_units_touch_are_nested(toy: Toy) -> No
     for far in (4, 5, 6, 7):
         assert (toy.meetings.random.distances[:, column(toy, far)] <= 0.0).any()
         assert nested_links(toy.bare, toy.meetings, 0, far) == []
-    watched = replace(toy.meetings, close=frozenset())  # the pair leaves the buffer in free poses
+    watched = replace(toy.meetings, close=frozenset())  # the pair leaves the buffer
     assert nested_links(toy.bare, watched, 0, UPPER) == []
 
 
@@ -116,9 +117,9 @@ def test_a_plant_reports_the_collisions_that_the_fit_finds(toy: Toy, engine: str
     free, hit = q_m[others > 0.01][:40], q_m[others < -0.01][:40]
     assert len(free) == len(hit) == 40
     plant, state = planar_plant(engine, toy.model), RobotState(toy.model)
-    for poses, expected in ((free, False), (hit, True)):
-        for pose in poses:
-            plant.reset(np.zeros(3), pose)
+    for postures, expected in ((free, False), (hit, True)):
+        for posture in postures:
+            plant.reset(np.zeros(3), posture)
             state.update(plant.measure())
             plant.step(state.g[toy.model.n_b :], np.zeros(toy.model.n_b), np.zeros(3))
             assert plant.contacts().arm_base is expected

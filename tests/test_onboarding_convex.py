@@ -137,7 +137,7 @@ def test_sweep_through_a_joint_is_computed_once(
 
 
 def test_sweep_encloses_the_links_in_all_positions_of_the_joints_between() -> None:
-    """Points on links 5, 6 and 7 of the Panda, seen from link 6, in random poses."""
+    """Points on links 5, 6 and 7 of the Panda, seen from link 6, in random postures."""
     model = husky_panda()
     rng = np.random.default_rng(1)
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}  # joints 5, 6, 7

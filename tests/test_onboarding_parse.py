@@ -722,7 +722,7 @@ def test_an_error_of_a_library_becomes_one_line(
 
     monkeypatch.setattr(new_robot, "make_units", broken)
     reported = refused(tmp_path, TOY)
-    assert "random poses: a library cannot read this robot" in reported
+    assert "random postures: a library cannot read this robot" in reported
     assert "ValueError: Several frames match the filter" in reported
 
 
@@ -733,7 +733,7 @@ def test_an_error_of_a_library_becomes_one_line(
         ((0.0, 0.0, 9.0, 0.0, 0.0, 0.0), "--ready: elbow at 9 is outside of its limits"),
     ],
 )
-def test_an_invalid_ready_pose_is_refused_before_sampling(
+def test_an_invalid_ready_posture_is_refused_before_sampling(
     tmp_path: Path, ready: tuple[float, ...], why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(new_robot, "sample_meetings", None)
@@ -824,4 +824,4 @@ def test_each_group_of_an_obj_has_a_separate_hull(tmp_path: Path) -> None:
     shapes = [shape for shape in collision_shapes(model).shapes if shape.part == "hand"]
     middles = sorted(float(shape.T.act(shape.geometry.min(axis=0))[1]) for shape in shapes)
     assert middles == pytest.approx([-0.07, 0.05])
-    assert compare_engines(model, poses=3).picture < SAME_PICTURE
+    assert compare_engines(model, postures=3).picture < SAME_PICTURE

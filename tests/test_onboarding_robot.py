@@ -40,7 +40,7 @@ from app.onboarding.check import (
 )
 from app.onboarding.fit import grouping, stops
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.fit.collision_sampling import Meetings, Poses, _close_pairs, sample_meetings
+from app.onboarding.fit.collision_sampling import Meetings, Postures, _close_pairs, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
 from app.onboarding.fit.stops import with_stops
@@ -66,7 +66,7 @@ from tests.onboarding import (
     arm,
     cart,
     cube,
-    few_poses,
+    few_postures,
     few_samples,
     line_without_a_run,
     robot,
@@ -80,9 +80,9 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _few_poses() -> Iterator[None]:
+def _few_postures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        few_poses(patch)
+        few_postures(patch)
         yield
 
 
@@ -236,7 +236,7 @@ def test_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
     for row in (*engines, limits_row(model), base_row(model)):
         without = row.name == "pybullet" and find_spec("pybullet") is None
         assert row.outcome == ("warned" if without else "passed"), row
-    row = arm_row(model)  # with few samples the bodies may miss a few of the new poses
+    row = arm_row(model)  # with few samples the bodies may miss a few of the new postures
     assert row.numbers["missed"] <= 0.01 * row.numbers["collisions"], row
 
 
@@ -264,7 +264,7 @@ def test_new_robot_and_check_robot_report_the_same_undetected_collisions(made: N
     row = arm_row(written(made))
     assert row.numbers["colliding_poses"] > 100
     assert row.numbers["unseen_share"] == pytest.approx(made.detection.share, abs=2e-3)
-    assert row.numbers["colliding_poses"] == pytest.approx(made.detection.poses, rel=5e-3)
+    assert row.numbers["colliding_poses"] == pytest.approx(made.detection.postures, rel=5e-3)
     assert row.numbers["collisions"] == pytest.approx(made.detection.watched, rel=5e-3)
 
 
@@ -272,8 +272,8 @@ def test_collision_is_undetected_if_no_watched_pair_of_bodies_overlaps(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With fewer monitored pairs, more collisions are undetected; without any pair, all are."""
-    monkeypatch.setattr(grouping, "TEST_POSES", 500)
-    # With more poses, only the hulls would overlap in a few of them.
+    monkeypatch.setattr(grouping, "TEST_POSTURES", 500)
+    # With more postures, only the hulls would overlap in a few of them.
     monkeypatch.setattr(grouping, "ENOUGH", 0)
     pairs = [pair.name for pair in candidate_pairs(written(made))]
     rows = [
@@ -286,8 +286,8 @@ def test_collision_is_undetected_if_no_watched_pair_of_bodies_overlaps(
     assert rows[-1].numbers["missed"] == 0
 
 
-def test_rare_collisions_are_sampled_with_more_poses(made: NewRobot) -> None:
-    """A Stretch has only 114 collisions in 6,000 poses: too few for the undetected share."""
+def test_rare_collisions_are_sampled_with_more_postures(made: NewRobot) -> None:
+    """A Stretch has only 114 collisions in 6,000 postures: too few for the undetected share."""
     units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
@@ -338,9 +338,9 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
     units = tuple(u for each in units_of_links(model, geometry).values() for u in each)
     base, hand = units[0], units[-1]
     met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, points=False)
-    pose = met.random.q_m
+    posture = met.random.q_m
     hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
-    meshes = meshes_meet(model, base, hand, geometry, pose)
+    meshes = meshes_meet(model, base, hand, geometry, posture)
     assert hulls.sum() > 10
     assert not (meshes & ~hulls).any()
     assert meshes.sum() > 0.7 * hulls.sum()  # otherwise inside the base
@@ -350,14 +350,14 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
         for link, each in geometry.items()
     }
     hollow |= {link: geometry[link] for link in hand.links}
-    assert not meshes_meet(model, base, hand, hollow, pose).any()
+    assert not meshes_meet(model, base, hand, hollow, posture).any()
 
 
 def test_arm_without_collisions_has_nothing_to_show(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each joint stays within 1e-3 rad of the ready pose, where no body is near."""
-    monkeypatch.setattr(grouping, "ENOUGH", 0)  # more poses would have no collision either
+    """Each joint stays within 1e-3 rad of the ready posture, where no body is near."""
+    monkeypatch.setattr(grouping, "ENOUGH", 0)  # more postures would have no collision either
     arm = written(made).description.arm
     ready = np.array(arm.ready_position)
     held = {"position_lower": tuple(ready - 1e-3), "position_upper": tuple(ready + 1e-3)}
@@ -383,7 +383,7 @@ def test_bodies_that_do_not_enclose_their_links_are_rejected(
 @pytest.mark.parametrize(
     ("counts", "fits", "chosen"), [((0,), 1, 0), ((3, 0), 2, 0), ((3, 1, 2), 3, 1)]
 )
-def test_bodies_are_fitted_again_if_new_poses_show_a_gap(
+def test_bodies_are_fitted_again_if_new_postures_show_a_gap(
     made: NewRobot,
     monkeypatch: pytest.MonkeyPatch,
     counts: tuple[int, ...],
@@ -546,8 +546,8 @@ def test_robot_made_for_another_buffer_is_checked_with_that_buffer(
     assert beyond(0.10) - beyond(0.15) == pytest.approx(0.05)
 
 
-def test_ready_pose_is_outside_the_buffer_and_within_the_limits(made: NewRobot) -> None:
-    assert made.ready.clearance > 0.05  # [m] beyond the buffer
+def test_ready_posture_is_outside_the_buffer_and_within_the_limits(made: NewRobot) -> None:
+    assert made.ready.beyond_buffer > 0.05  # [m] beyond the buffer
     span = np.subtract(made.parsed.limits.upper, made.parsed.limits.lower)
     left = np.minimum(
         made.ready.q_m - made.parsed.limits.lower, made.parsed.limits.upper - made.ready.q_m
@@ -719,8 +719,8 @@ def test_collision_of_a_fixed_part_counts_where_its_watched_pair_overlaps() -> N
     pairs = tuple(combinations(range(5), 2))
     touching = np.where([pair == (1, 3) for pair in pairs], -0.01, 1.0)[None]
     ready = np.array([model.description.arm.ready_position])
-    rare = Poses(ready, touching, np.ones(1, dtype=bool))
-    random = Poses(ready, np.ones((1, len(pairs))), np.ones(1, dtype=bool))
+    rare = Postures(ready, touching, np.ones(1, dtype=bool))
+    random = Postures(ready, np.ones((1, len(pairs))), np.ones(1, dtype=bool))
     meetings = Meetings((), pairs, frozenset(), frozenset(), random, rare)
     both = ("lm-lEE", "l1-lEE")
     for radius, unwatched, seen in ((0.01, (), False), (2.0, (), True), (2.0, both, False)):
@@ -759,7 +759,7 @@ def test_coarse_border_is_used_at_once_and_then_refined(
 
 
 def test_paper_robot_made_from_its_urdf_has_the_same_dynamics(husky: RobotModel) -> None:
-    """Equal mass matrices of the rebased and the shipped URDF in random poses."""
+    """Equal mass matrices of the rebased and the shipped URDF in random postures."""
     import pinocchio as pin
 
     ours = husky_panda()
@@ -828,7 +828,7 @@ def test_each_missing_line_has_its_reason_and_a_shared_one_appears_once(
         for each in warnings_of(replace(made, lacking=lacking, verdict=verdict))
         if "no line" in each
     }
-    both = ", ".join(lacking), "inside the buffer in most poses: lm-lEE"
+    both = ", ".join(lacking), "inside the buffer in most postures: lm-lEE"
     assert found == {*lacking.items(), both}
 
 

@@ -12,7 +12,7 @@ import trimesh
 
 from app.onboarding.fit import units
 from app.onboarding.fit.bodies import ArmFitter
-from app.onboarding.fit.collision_sampling import Meetings, Poses, _grazing
+from app.onboarding.fit.collision_sampling import Meetings, Postures, _grazing
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.grouping import _ranked
 from app.onboarding.fit.units import Part, Unit, neighbours, shape_distances, units_of_links
@@ -59,8 +59,8 @@ def test_links_without_shapes_are_no_body_of_their_own() -> None:
     """An example is the mount of Baxter's arm, which has no shape."""
     part = Part("link", np.zeros((0, 3)), np.zeros(0))
     units = tuple(unit(k)._replace(parts=() if k == 1 else (part,)) for k in range(5))
-    poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
-    meetings = Meetings(units, (), frozenset(), frozenset(), poses, poses)
+    postures = Postures(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
+    meetings = Meetings(units, (), frozenset(), frozenset(), postures, postures)
     cuts = [groups for _, groups in _ranked((1, 2, 3, 4), (2, 3), meetings, (0,), frozenset())]
     assert cuts
     assert all([1] not in groups for groups in cuts)
@@ -80,8 +80,8 @@ def test_links_fixed_to_the_base_are_never_grouped_with_a_slide() -> None:
     """A common body of a mast and its lift would wrongly move the mast up and down."""
     part = Part("link", np.zeros((0, 3)), np.zeros(0))
     units = tuple(unit(k)._replace(parts=(part,)) for k in range(5))
-    poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
-    meetings = Meetings(units, (), frozenset(), frozenset(), poses, poses)
+    postures = Postures(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
+    meetings = Meetings(units, (), frozenset(), frozenset(), postures, postures)
     cuts = [groups for _, groups in _ranked((1, 2, 3, 4), (2, 3), meetings, (0,), frozenset({3}))]
     assert cuts
     assert not any({1, 3} <= set(group) for groups in cuts for group in groups)
@@ -91,7 +91,7 @@ def test_links_fixed_to_the_base_are_never_grouped_with_a_slide() -> None:
     ("depths", "a", "expected"),
     [
         (np.full(30, 0.002), 2, True),
-        (np.full(29, 0.002), 2, False),  # too few poses to bound the depth
+        (np.full(29, 0.002), 2, False),  # too few postures to bound the depth
         (np.append(np.full(29, 0.002), 0.01), 2, False),
         (np.full(30, 0.002), 1, False),  # of the base
     ],
@@ -122,8 +122,8 @@ def test_body_with_too_few_reached_points_encloses_whole_links(met: int) -> None
     )
     empty = np.zeros((0, 3))
     reached = {(2, 0): np.arange(len(corners)) < met}
-    poses = Poses(empty, empty, np.zeros(0, dtype=bool))
-    meetings = Meetings(units, (), frozenset(), frozenset(), poses, poses, reached)
+    postures = Postures(empty, empty, np.zeros(0, dtype=bool))
+    meetings = Meetings(units, (), frozenset(), frozenset(), postures, postures, reached)
     body = ArmFitter(chain([TURN(), TURN()]), meetings).bodies([[1], [2]])[1]
     assert body.links == ("link2",)
     assert body.fits[0].volume == pytest.approx(0.2**3, rel=0.02)

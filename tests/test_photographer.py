@@ -99,7 +99,7 @@ def test_framing_fills_the_picture_with_the_points(photographer):
     assert (np.ptp(at, axis=0) / size).max() == pytest.approx(0.8, abs=0.02)
 
 
-def test_the_same_pose_gives_the_same_picture(photographer, ready):
+def test_the_same_posture_gives_the_same_picture(photographer, ready):
     first, second = (photographer.take(ORIGIN, ready, CAMERA).rgb for _ in range(2))
     np.testing.assert_array_equal(first, second)
 

@@ -132,7 +132,7 @@ def test_kinematic_plant_reports_every_contact_of_the_planar_plant():
     state, on_floor = RobotState(MODEL), pulled("planar", UNDERGROUND)[1][-1].q_m
     for k in range(1500):
         q = rng.uniform(MODEL.q_lower, MODEL.q_upper)
-        if k % 10 == 0:  # hardly any random pose reaches the floor
+        if k % 10 == 0:  # hardly any random posture reaches the floor
             q = on_floor + rng.normal(0, 0.05, MODEL.n_m)
         planar.reset(np.zeros(3), q)
         state.update(planar.measure())

@@ -29,7 +29,7 @@ INNER = 0.4 * D_B  # [m]
 
 @pytest.fixture(scope="module", autouse=True)
 def _few_guesses() -> Iterator[None]:
-    """Starts of lines are searched from fewer random poses."""
+    """Starts of lines are searched from fewer random postures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(postures, "_SAMPLES", 1000)
         yield
@@ -225,7 +225,7 @@ def figures_of_run(data: BorderData, place: Place, d_b: float) -> dict[str, Any]
 def test_a_base_gives_way_if_it_moves_and_the_clearance_suffices(
     move: float, least: float, d_b: float, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The paper's line, a line that ends outside the buffer, and a too large clearance."""
+    """The paper's line, a line that ends outside the buffer, and a too large required distance."""
     monkeypatch.setattr(postures, "CLEARANCE", least)
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
     place = Place((0.3, 0.72, 0.3), (0.0, move, 0.0), 0.0, "")

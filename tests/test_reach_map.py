@@ -1,4 +1,4 @@
-"""The reachability map: the density of inverse-kinematics solutions, and its scale."""
+"""The reachability map: the mean number of inverse kinematics solutions, and its scale."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def found_by_newton(
 def solutions(
     model: RobotModel, chain: Chain, targets: list[pin.SE3], rng: np.random.Generator
 ) -> list[int]:
-    """Number of distinct solutions that a search from 40 random configurations finds per pose.
+    """Number of distinct solutions that a search from 40 random postures finds per pose.
 
     The free joints have random positions. Only solutions within the joint limits and without
     self-collision count.

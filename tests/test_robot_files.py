@@ -528,5 +528,5 @@ def test_check_fails_on_an_unmonitored_collision_and_reports_exclusions(
     monkeypatch.setattr(check, "_geometry", lambda _: {})
     row = check.arm_row(husky_panda())
     assert row.outcome == outcome
-    assert "a rule excludes 287 poses" in row.text
+    assert "a rule excludes 287 postures" in row.text
     assert "link5 and hand (7.2%)" in row.text

@@ -93,7 +93,7 @@ def least_signed_distance(p: np.ndarray, shapes: list, placements: list) -> floa
 
 
 @pytest.mark.parametrize("name", husky_panda().body_names)
-def test_body_covers_the_meshes_of_its_links_in_every_pose(name):
+def test_body_covers_the_meshes_of_its_links_in_every_posture(name):
     """Links of one body may move relative to each other, so joint positions are random."""
     model, rng = husky_panda(), np.random.default_rng(0)
     body = model.description.body(name)

@@ -85,7 +85,7 @@ def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
     For a UR10e the named buffer distance is 0.06 m, and a pair then detects all these contacts. For
     a UR5 it is below the range of d_b.
     """
-    monkeypatch.setattr(grouping, "TEST_POSES", 2000)
+    monkeypatch.setattr(grouping, "TEST_POSTURES", 2000)
     monkeypatch.setattr(stops, "parameter", lambda _: SimpleNamespace(low=0.01))
     description = load_robot("husky_ur5")
     row = arm_row(RobotModel(description))

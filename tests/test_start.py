@@ -37,7 +37,7 @@ def solver(robot: RobotModel, border_data: BorderData) -> StartSolver:
 
 @pytest.fixture(scope="module", params=PLACES)
 def solved(request, solver):
-    """A place and the arm configuration for it."""
+    """A place and the posture for it."""
     return np.array(PLACES[request.param]), solver.solve(PLACES[request.param])
 
 

@@ -138,11 +138,11 @@ def step_files() -> list[str]:
     from app.control import controller
     from app.control.control_loop import ControlLoop
     from app.robot.state import Measurement
-    from benchmarks.law.poses import pose_in_buffer
+    from benchmarks.law.postures import posture_in_buffer
     from benchmarks.law.robot import load
 
     robot = load("husky_panda")
-    q_m = pose_in_buffer(robot, np.random.default_rng(0))
+    q_m = posture_in_buffer(robot, np.random.default_rng(0))
     at_rest = Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(len(q_m)))
     loop = ControlLoop(robot.model, robot.data)
     loop.step(at_rest)

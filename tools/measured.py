@@ -226,7 +226,9 @@ def law_table(found: Figures) -> str:
         speed = number(summary["speed_after_10s_max_mmps"], "mm/s after 10 s")
         rows.append([what, "release", f"{metres(summary['path_max_m'])}, {speed}"])
     if summary := found.get("pulls", {}).get("summary"):
-        what = f"{summary['pulls']} hard pulls of up to 100 N: smallest distance of arm and base"
+        what = (
+            f"{summary['pulls']} hard pulls of up to 100 N: smallest distance between arm and base"
+        )
         met = f"overlap in {summary['overlaps']}, contact in {summary['with_contact']}"
         rows.append([what, "pulls", f"{metres(summary['least_distance_m'])}, {met}"])
         what = "these pulls: largest ratio of a joint's speed to its limit"
@@ -234,7 +236,7 @@ def law_table(found: Figures) -> str:
     if summary := found.get("wander", {}).get("summary"):
         what = f"{summary['runs']} runs: two people with up to 50 N pull the arm to random places"
         met = f"{metres(summary['least_distance_m'])}, contact in {summary['with_contact']}"
-        rows.append([f"{what}: smallest distance of arm and base", "wander", met])
+        rows.append([f"{what}: smallest distance between arm and base", "wander", met])
     if summary := found.get("continuity", {}).get("summary"):
         what = "largest jump of the base's commanded acceleration, extrapolated to a step of 0"
         jump = number(summary["jump_mps2"], "m/s²", 1)

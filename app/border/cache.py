@@ -173,8 +173,8 @@ def kept_border_data(
     """Load the pairs and clouds of a robot, or return None if they are not stored.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is used too, for example that of a robot with another ready pose. A damaged file, or a file
-    with a key other than that in its name, is ignored with a warning.
+    key is used too, for example that of a robot with another ready posture. A damaged file, or a
+    file with a key other than that in its name, is ignored with a warning.
 
     Raises:
         AssetError: The URDF or a mesh is missing.

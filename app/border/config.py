@@ -28,7 +28,7 @@ class SamplingConfig(Strict):
     """[-] number of floods of a sector; the second and later floods start at the borders to the
     neighbouring sectors."""
     retries: int = Field(default=6, ge=0, le=16)
-    """[-] number of further rounds in which a batch of poses makes steps into open voxels."""
+    """[-] number of further rounds in which a batch of postures makes steps into open voxels."""
 
 
 QUICK = SamplingConfig(

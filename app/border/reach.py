@@ -1,4 +1,4 @@
-"""§2.3.2: reachability map of a body: the density of inverse kinematics solutions at each position.
+"""§2.3.2: reachability map of a body: the mean number of inverse kinematics solutions by position.
 
 No inverse kinematics is solved: joint positions are drawn at random. By the area formula, the
 integral of |det J| over the joint positions that lead into a region of poses is the number of
@@ -17,10 +17,10 @@ from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel, length_bound
 from app.strict import Array
 
-_TRIALS = 4  # [-] configurations that test the rank of a chain
+_TRIALS = 4  # [-] postures that test the rank of a chain
 _SINGULAR = 1e-6  # [m/rad or -] largest singular value that counts as a lost direction
 _MIN_JOINTS = 3  # [-] smallest number of joints that move a point within a volume
-_FREE_TRIALS = 20  # [-] configurations that test a choice of free joints
+_FREE_TRIALS = 20  # [-] postures that test a choice of free joints
 _LOST = 1e-9  # determinants below this value count as zero
 
 
@@ -167,12 +167,12 @@ class ReachMap:
     """(N, 3) [m] positions of the body's point in the base's frame: the end-effector for the body
     that carries it, the centre of the first shape for other bodies."""
     found: Array
-    """(N,) [-] mean number of solutions of a pose at each position, within the joint limits and
-    without self-collision; it is the mean over orientations and fixed joints."""
+    """(N,) [-] mean number of inverse kinematics solutions at each position, within the joint
+    limits and without self-collision; it is the mean over orientations and fixed joints."""
     samples: int
     """Number of joint positions."""
     reach: Array
-    """(N,) [-] density of solutions, scaled to a mean of 100 in the best shell."""
+    """(N,) [-] `found`, scaled to a mean of 100 in the best shell."""
     p_base: Array
     """(3,) [m] the arm's mount in the base's frame."""
     spacing_m: float
@@ -191,7 +191,7 @@ class ReachMap:
 def sample_reach_map(
     model: RobotModel, body: str, *, samples: int = 20_000, spacing: float = 0.08, seed: int = 0
 ) -> ReachMap:
-    """Compute the density of solutions of a body's pose in the arm's whole workspace.
+    """Compute the mean number of inverse kinematics solutions for a body in the whole workspace.
 
     The positions form a lattice in a ball around the mount that contains the whole workspace. In
     the area formula, J has a column for each joint of the chain that is not fixed.

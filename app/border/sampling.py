@@ -1,6 +1,6 @@
 """Sampling of P_i for all pairs of L_m: random joint positions, then a flood of each sector.
 
-In a flood, the arm's closest point moves from known poses into empty neighbouring voxels. Worker
+In a flood, the arm's closest point moves from known postures into empty neighbouring voxels. Worker
 processes execute both stages.
 """
 
@@ -32,7 +32,7 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 _SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the number of cores
-_BATCH = 2048  # [-] smallest number of poses in a batch, if there are enough poses
+_BATCH = 2048  # [-] smallest number of postures in a batch, if there are enough postures
 _DAMPING = 0.03  # [m] damping of the pseudo-inverse; entries of an arm's Jacobian are around 0.5 m
 _FREE_STEP = 0.10  # [rad] random self-motion of the first retry; it grows with each retry
 _MAX_STEP = 0.25  # [rad or m] largest step of a joint; the Jacobian is valid up to about this step
@@ -50,9 +50,9 @@ def sample_clouds(
     """Sample P_i of Algorithm 1 for each pair: closest points on the arm's body, one per voxel.
 
     Random sampling alone finds almost no points at the base's sides. Therefore a flood follows:
-    from known poses, the arm moves such that its closest point enters an empty neighbouring voxel.
-    A pose must satisfy the joint limits, and its distance must be in the sampled range; collisions
-    of other pairs are allowed. The result does not depend on the number of processes.
+    from known postures, the arm moves such that its closest point enters an empty neighbouring
+    voxel. A posture must satisfy the joint limits, and its distance must be in the sampled range;
+    collisions of other pairs are allowed. The result does not depend on the number of processes.
 
     Args:
         model: The robot.
@@ -121,14 +121,14 @@ class _Sampler:
         return starts
 
     def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
-        """One job for each sector that has a starting pose, which is from another sector after the
-        first round.
+        """One job for each sector that has a starting posture, which is from another sector after
+        the first round.
         """
         taken = self._voxels.keys(self._voxels.cells(kept.points))
         free = np.ones(self._voxels.count, dtype=bool)
         free[taken] = False
         sectors = self._voxels.leads_to(given.points, free)
-        if len(taken):  # a sector has already used its own poses
+        if len(taken):  # a sector has already used its own postures
             home = self._voxels.sectors(self._voxels.keys(self._voxels.cells(given.points)))
             sectors[sectors == home[:, None]] = -1
         owner = self._voxels.sectors(taken)
@@ -142,12 +142,12 @@ class _Sampler:
 
 
 class Kept(NamedTuple):
-    """Known poses of one pair."""
+    """Known postures of one pair."""
 
     q_m: Array
     """(N, n_m) float32 [rad or m] joint positions."""
     points: Array
-    """(N, 3) int16 points of the poses, as in `Cloud`."""
+    """(N, 3) int16 points of the postures, as in `Cloud`."""
     distances: Array
     """(N,) uint16 distances of the points, as in `Cloud`."""
 
@@ -179,13 +179,13 @@ class SectorJob(NamedTuple):
     sector: int
     """Number of the sector."""
     sources: Array
-    """(N, n_m) float32 [rad or m] starting poses."""
+    """(N, n_m) float32 [rad or m] starting postures."""
     taken: Array
     """(M,) indices of the sector's filled voxels."""
 
 
 def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> Kept:
-    """Draw random poses for a pair, and return those whose points are in the shell around l_m."""
+    """Draw random postures, and return those whose closest points are in the shell around l_m."""
     (pair, seed), config = job, context.config
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
@@ -199,7 +199,7 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
-    """Find poses for the open voxels of a sector; d_m is computed at the rounded points."""
+    """Find postures for the open voxels of a sector; d_m is computed at the rounded points."""
     q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
     found, points = _Flood(context, job).run(q_m)
     distances = context.body.distance(points * POINT_UNIT)
@@ -207,10 +207,10 @@ def flood_sector(context: Context, job: SectorJob) -> Kept:
 
 
 class Witnesses(NamedTuple):
-    """Closest points of many poses."""
+    """Closest points of many postures."""
 
     q_m: Array
-    """(N, n_m) [rad or m] the poses."""
+    """(N, n_m) [rad or m] the postures."""
     d: Array
     """(N,) [m] signed distance of the pair."""
     p_b: Array
@@ -220,7 +220,7 @@ class Witnesses(NamedTuple):
 
 
 class PairReader:
-    """Computes closest points of one pair for many poses of the arm; the base is at the origin."""
+    """Computes closest points of a pair for many postures of the arm; the base is at the origin."""
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         self._model = model
@@ -229,19 +229,19 @@ class PairReader:
         self._q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
 
     def witnesses(self, q_m: Array) -> Witnesses:
-        """The closest points at poses q_m (N, n_m) [rad or m]."""
+        """The closest points at postures q_m (N, n_m) [rad or m]."""
         d = np.empty(len(q_m))
         p_b, normal = np.empty((len(q_m), 3)), np.empty((len(q_m), 3))
         q, reader = self._q, self._distances
-        for i, pose in enumerate(q_m):
-            q[4:] = pose
+        for i, posture in enumerate(q_m):
+            q[4:] = posture
             reader.update(q)
             result = reader.nearest_result(0)
             d[i], p_b[i], normal[i] = result.min_distance, result.getNearestPoint2(), result.normal
         return Witnesses(q_m, d, p_b, normal)
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
-        """(N, 3, n_m) Jacobians of body points at p_b (N, 3) [m] in poses q_m (N, n_m).
+        """(N, 3, n_m) Jacobians of body points at p_b (N, 3) [m] in postures q_m (N, n_m).
 
         The points are fixed to the body, but the closest point also moves on the body. A step that
         uses these Jacobians is therefore only an estimate.
@@ -249,8 +249,8 @@ class PairReader:
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
         J = np.empty((len(q_m), 6, model.nv))
         origin = np.empty((len(q_m), 3))
-        for i, pose in enumerate(q_m):
-            self._q[4:] = pose
+        for i, posture in enumerate(q_m):
+            self._q[4:] = posture
             pin.computeJointJacobians(model, data, self._q)
             J[i] = pin.getJointJacobian(model, data, self._joint, axes)
             origin[i] = data.oMi[self._joint].translation
@@ -274,13 +274,14 @@ class _Flood:
         self._scale = np.minimum(travel, 2 * np.pi) / (2 * np.pi)
 
     def run(self, sources: Array) -> tuple[Array, Array]:
-        """Flood the open voxels from starting poses (N, n_m) [rad or m].
+        """Flood the open voxels from starting postures (N, n_m) [rad or m].
 
-        As long as voxels next to a batch of poses are open, the batch makes steps into them in up
-        to `retries` + 1 rounds; in each round, one pose makes a step into each of these voxels.
+        As long as voxels next to a batch of postures are open, the batch makes steps into them in
+        up to `retries` + 1 rounds; in each round, one posture makes a step into each of these
+        voxels.
 
         Returns:
-            The accepted poses (N, n_m) float32 [rad or m], including sources in open voxels, and
+            The accepted postures (N, n_m) float32 [rad or m], including sources in open voxels, and
             their points (N, 3) int16 as in `Cloud`.
         """
         found = self._reader.witnesses(sources)
@@ -298,7 +299,7 @@ class _Flood:
         return found.q_m.astype(np.float32), quantise_points(found.p_b)
 
     def _accepted(self, found: Witnesses) -> Witnesses:
-        """Select one pose for each open voxel, and close these voxels."""
+        """Select one posture for each open voxel, and close these voxels."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
         fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
@@ -308,9 +309,9 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Make one step into each open voxel that is a neighbour of the closest point of a pose.
+        """Make one step into each open voxel that is a neighbour of the closest point of a posture.
 
-        If several poses are next to a voxel, the first of them makes the step.
+        If several postures are next to a voxel, the first of them makes the step.
         """
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
         keys = self._voxels.keys(cells)
@@ -318,7 +319,7 @@ class _Flood:
         ahead = found.d[:, None] + (step * found.normal[:, None]).sum(axis=2)
         useful = (keys >= 0) & self._open[keys] & (ahead > self._low) & (ahead < self._high)
         source, side = np.nonzero(useful)
-        # Without this selection, two poses would try the same voxel in nearly half of all tries.
+        # Without this selection, two postures would try the same voxel in nearly half of all tries.
         _, first = np.unique(keys[source, side], return_index=True)
         source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
@@ -327,9 +328,9 @@ class _Flood:
         return self._reader.witnesses(tried)
 
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
-        """Compute poses (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
+        """Compute postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
 
-        J (N, 3, n_m) are the closest points' Jacobians at the poses q. Retries add random
+        J (N, 3, n_m) are the closest points' Jacobians at the postures q. Retries add random
         self-motion, which grows with the round. Joints that would leave their limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
@@ -353,7 +354,7 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
 
 
 def _take(queue: list[Witnesses]) -> Witnesses:
-    """Remove poses from the end of a queue: at least a batch, or all poses if there are fewer."""
+    """Remove postures from the end of a queue: at least a batch, or all if there are fewer."""
     taken, count = [], 0
     while queue and count < _BATCH:
         taken.append(queue.pop())

@@ -79,7 +79,8 @@ def sweep(
     along the wheel axis start with the arm's closest point at x = 0, ±1, ±10 and ±50 mm.
 
     Args:
-        out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed.
+        out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed; with
+            --above, also one for each speed.
     """
     if "controllers" in plan:
         plan["controllers"] = [

@@ -133,15 +133,15 @@ def reach(
     the end-effector's origin, and the pose is the end-effector's pose. For another body, p is the
     centre of the body's first shape, and the pose is this point with the direction of the shape's
     axis. If fewer than six joints move the body, the pose has fewer coordinates: position and
-    direction for five joints, only the position for three or four joints. R is the density of
-    inverse kinematics solutions within the joint limits and without self-collision. It is computed
-    from random joint positions by the area formula: R is the sum of |det J| over the joint
-    positions that lead to a cell of the lattice. J is the square Jacobian of the pose; joints
-    beyond its number of coordinates stay fixed. Then the mean of R is computed in spherical shells
-    around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of
-    these means is 100, and (9) is fitted to the shells with a mean of at least 5. The fitted A
-    depends on the end-effector's frame, on this scale, and on the lower bound 5; the paper does not
-    state these.
+    direction for five joints, only the position for three or four joints. R is the mean
+    number of inverse kinematics solutions within the joint limits and without self-collision, up to
+    a constant factor. It is computed from random joint positions by the area formula: R is the sum
+    of |det J| over the joint positions that lead to a cell of the lattice. J is the square Jacobian
+    of the pose; joints beyond its number of coordinates stay fixed. Then the mean of R is computed
+    in spherical shells around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so
+    that the largest of these means is 100, and (9) is fitted to the shells with a mean of at least
+    5. The fitted A depends on the end-effector's frame, on this scale, and on the lower bound 5;
+    the paper does not state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.

@@ -114,8 +114,8 @@ def new_robot(
     """Make a robot's description and border from its URDF or xacro.
 
     The command finds the wheels, groups the arm's links into bodies, fits convex shapes to them,
-    samples the pairs, chooses a ready pose, computes the reachability, and writes each number with
-    its source. It writes all files or none.
+    samples the pairs, chooses a ready posture, computes the reachability, and writes each number
+    with its source. It writes all files or none.
 
     Args:
         quick: Sample a coarse border in seconds. The first `dbb serve` refines this border in the
@@ -164,7 +164,7 @@ def _print_made(made: dict[str, Any]) -> None:
     base = ", ".join([f"{made['base']}, {made['mass_kg']:.4g} kg", *geometry])
     bodies = (f"{body} ({', '.join(each['links'])})" for body, each in made["bodies"].items())
     rates = made["collision_rate"]
-    pairs = ", ".join(f"{pair} ({rates[pair]:.1%} of all poses)" for pair in made["pairs"])
+    pairs = ", ".join(f"{pair} ({rates[pair]:.1%} of all postures)" for pair in made["pairs"])
     reach = (
         f"{body} A {each['A_per_m2']:.4g} /m², B {each['B_m']:.3g} m, C {each['C']:.3g}"
         + ("" if each.get("r_squared") is None else f" (R² {each['r_squared']:.2f})")
@@ -223,7 +223,7 @@ def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
             for name, r in robot.reach.items()
         },
         "ready_position": robot.ready.q_m.tolist(),
-        "ready_clearance_m": robot.ready.clearance if data.pairs.all else None,
+        "ready_clearance_m": robot.ready.beyond_buffer if data.pairs.all else None,
         "lines": {name: list(place.start) for name, place in robot.places.items()},
         "border_points": {name: len(cloud) for name, cloud in data.clouds.items()},
         "warnings": robot.warnings,

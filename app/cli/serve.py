@@ -45,7 +45,7 @@ class Serving:
     [server] allow_host = ["NAME"]."""
     start: Point | None = None
     """[m] start of the end-effector, in the world; default: the start of guiding-front, or the
-    ready position of a robot without a line for that scenario."""
+    ready posture of a robot without a line for that scenario."""
     case: Path | None = None
     """File of a case, saved in the dashboard or in the folder `failures` of a study. The robot, its
     start, the parameters and the seed are those of the case, and a button repeats the case."""

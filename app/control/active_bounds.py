@@ -86,7 +86,7 @@ def met(w: ControlStep) -> tuple[Array, Array]:
 def _joint_kind(
     model: RobotModel, w: ControlStep, config: Config, joint: int, upper: bool
 ) -> BoundKind:
-    """Whether the position limit or the velocity limit causes the tighter acceleration bound."""
+    """Whether the position limit or the speed limit causes the tighter acceleration bound."""
     at, rates = int(upper), config.limit
     q, qd = w.q_m[joint], w.qd_m[joint]
     position = position_bound(q, qd, model.q_limits[at, joint], rates.position_rate)

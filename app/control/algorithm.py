@@ -701,7 +701,7 @@ def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
             put(w.a_base_meas, w.a_base_cmd)
         fill(w.qdd, math.nan)
     put(w.u_cmd, clip(u, w.u_min, w.u_max))
-    if not math.isnan(w.q_posture[0]):  # without a measured pose the torques are not stored
+    if not math.isnan(w.q_posture[0]):  # without a measured posture the torques are not stored
         put(w.u_a, w.u_cmd)
     update_command(robot, gains, w)
 

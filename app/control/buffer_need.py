@@ -22,9 +22,9 @@ then the end-effector has approached the base by no more than
     x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
 
 (without damping, the bracket is v_k²/(2 a_k)). The smallest distance is therefore at least the
-largest d_* - x(d_*). This bound grows with d_b, and the required d_b is the smallest d_b at which
-the bound is the reserve. If the sum of the speeds a_k T_k stays below v at every d_*, no d_b
-suffices.
+largest d_* - x(d_*). This bound grows with d_b. The required d_b is the smallest d_b for which this
+bound is at least 0.02 m, the reserve; it is not below `activation.d_full`. If the sum of the speeds
+a_k T_k stays below v at every d_*, no d_b suffices.
 
 The bound has two simplifications. The end-effector does not move along the base, and the lever
 of ω at the side is at least 0.25 m: near the wheel axis the tangential part of the force first
@@ -67,12 +67,12 @@ def _bound(
     channels: Array,
     v: float,
     late: float,
-    kept: float,
+    traction: float,
     f_max: float,
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] the largest d_* - x(d_*) of the module's docstring; −∞ if the base reaches v at no d_*.
+    """[m] the largest d_* - x(d_*), see above; −∞ if the base does not reach v at any d_*.
 
     Args:
         d_b: [m] buffer distance.
@@ -80,7 +80,7 @@ def _bound(
             the same length, m_k [kg], upper bounds of a_k and w_k along n, and T_k [s].
         v: [m/s] approach speed.
         late: [s] t_0.
-        kept: [-] share of a speed that is not lost to slip.
+        traction: [-] share of a speed that is not lost to slip.
         f_max: [N] upper bound of the avoidance force.
         alpha_min: [m] smallest step size.
         d_full: [m] distance of full activation.
@@ -100,8 +100,8 @@ def _bound(
             for k in range(count):
                 J, J_t, mass, a_max, w_max, T = channels[k]
                 demand = f * J / mass * (below * J + side * alpha_min * J_t) / aside
-                a[k] = kept * min(max(demand, -a_max), a_max)
-                w[k] = min(max(a[k] * T, -kept * w_max), kept * w_max)
+                a[k] = traction * min(max(demand, -a_max), a_max)
+                w[k] = min(max(a[k] * T, -traction * w_max), traction * w_max)
             if w.sum() <= least:
                 least = w.sum()
                 put(a_worse, a)
@@ -134,7 +134,7 @@ class Approach(NamedTuple):
 
 
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
-    """[m] the smallest d_b with which the distance of arm and base stays at least the reserve.
+    """[m] the smallest d_b that ensures a distance between arm and base of at least the reserve.
 
     The docstring of the module lists the assumptions. Delay and slip are those of the
     configuration; the configured d_b has no influence.
@@ -170,7 +170,7 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 
 
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(k,) [m] lower bound of the arm's smallest distance to the base, for each d_b (k,) [m].
+    """(k,) [m] lower bound of the smallest distance between arm and base, for each d_b (k,) [m].
 
     Each d_b must be larger than d_full. The bound is −∞ if the base cannot retreat as fast as the
     arm approaches (`approach.v`) at any distance.

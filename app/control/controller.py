@@ -199,7 +199,7 @@ class Controller:
             The quantities of this step, which the next step overwrites. They always contain a
             command. If there is no valid reading for 0.1 s, or the arm's QP has no solution, this
             command is the fallback command: gravity compensation and damping at the last valid
-            state (before the first valid state, at the ready pose), and a base that brakes.
+            state (before the first valid state, at the ready posture), and a base that brakes.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong number of entries, or the

@@ -2,16 +2,16 @@
 
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
 Torques and the base's motion predict a joint's acceleration; the rest is a random walk. The noise
-of the readings is estimated from the readings themselves: the third differences of the unpredicted
-motion are due to the noise of the positions, and have 20 times the variance of this noise. The
-weight of a velocity depends on its agreement with the difference of the last two positions. The
-noise of velocities has a lower bound in proportion to the noise of positions, because drives
-compute velocities from the same positions. Thus the filter follows readings without noise at once,
-noisy readings do not shake the arm, and velocities that are late, wrongly scaled or missing have no
-effect.
+of the readings is estimated from the readings themselves. The predicted accelerations leave an
+unexplained second difference of the positions. Its changes are due to the noise of the positions,
+and have 20 times the variance of this noise. The weight of a velocity depends on its agreement with
+the difference of the last two positions. The noise of velocities has a lower bound in proportion to
+the noise of positions, because drives compute velocities from the same positions. Thus the filter
+follows readings without noise at once, noisy readings do not shake the arm, and velocities that are
+late, wrongly scaled or missing have no effect.
 
 The estimate belongs to the newest reading, which can be several periods old; `advance` predicts
-the present state from this estimate, by the accelerations of torques and base since then.
+the present state from this estimate, with the accelerations due to torques and base since then.
 
 The external accelerations imply the external torques; `estimate_load` finds loads in these torques.
 
@@ -31,15 +31,15 @@ from app.structs import fill, put
 
 FEWEST = 8
 """Samples of the noise before the filter starts."""
-_CLEAR = 0.01  # [-] share of a top speed beyond which a change from a reading to the next is clear
+_CLEAR = 0.01  # [-] share of a speed limit beyond which a change between readings is clear
 _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its variance
 _SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second, relative to a
-# joint's top speed: a person's force grows within milliseconds, the error of an old reading at once
+# speed limit: a person's force grows within milliseconds, the error of an old reading at once
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
 RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
-_SHAKE = 0.01  # [-] largest noise of an estimated speed by this response, relative to a top speed
+_SHAKE = 0.01  # [-] largest noise of a speed estimated so fast, relative to a speed limit
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
-FARTHEST = 10.0  # [-] largest plausible ratio of a motion, or of a velocity, to that at top speed
+FARTHEST = 10.0  # [-] largest plausible ratio of a motion, or of a velocity, to the speed limit
 _SETTLED = 20  # [-] samples of the noise before a load can be estimated
 _SOON = 0.005  # [s] largest age of readings with which these samples last so short that a load
 # which is then present counts as sudden
@@ -78,7 +78,7 @@ def _begin_at(
     P: Array,
     trusted: Array,
     last: Array,
-    known: Array,
+    predicted: Array,
     q: Array,
     qd: Array,
     qd_max: Array,
@@ -88,11 +88,11 @@ def _begin_at(
 
     `estimate_arm` explains the arguments; `trusted` (2, n_m) are noise variances.
     """
-    steps, dt = len(known), gains.dt
+    steps, dt = len(predicted), gains.dt
     for i in range(len(q)):
         speed = last[0, i] if math.isnan(qd[i]) else qd[i]
         if steps > 0:
-            gained = speed - x[1, i] - steps * dt * x[2, i] - dt * known[:, i].sum()
+            gained = speed - x[1, i] - steps * dt * x[2, i] - dt * predicted[:, i].sum()
             if abs(gained) > _CLEAR * qd_max[i]:
                 x[2, i] += gained / (max(FEWEST, steps) * dt)
         x[0, i], x[1, i] = q[i], speed
@@ -109,10 +109,10 @@ def process_noise(
     """(n_m,) process noise of the external acceleration, in one second.
 
     It is at least so large that the filter responds within `RESPONSE`: a pull moves a light joint
-    beyond its top speed within 0.05 s. The response is slower than the blind time, because readings
-    that are older than assumed contradict the predicted motion. With noise above about 0.2 mrad at
-    1 kHz the response is slower too, so that the noise of estimated speeds is limited. The process
-    noise is also at least as large as the recent errors of predicted velocities imply.
+    beyond its speed limit within 0.05 s. The response is slower than the blind time, because
+    readings that are older than assumed contradict the predicted motion. With noise above about 0.2
+    mrad at 1 kHz the response is slower too, so that the noise of estimated speeds is limited. The
+    process noise is also at least as large as the recent errors of predicted velocities imply.
 
     Args:
         v_error: (n_m,) recent errors of velocities that were predicted over several periods.
@@ -140,7 +140,7 @@ def estimate_arm(
     variances: Array,
     last: Array,
     samples: Array,
-    known: Array,
+    predicted: Array,
     read: Array,
     qd_max: Array,
     drift: Array,
@@ -149,7 +149,7 @@ def estimate_arm(
     """Update the estimate (x, P) by one reading of positions and velocities.
 
     After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading;
-    in the second case the external acceleration is unknown, and 0 again.
+    in the second case the external acceleration is reset to 0, because it is unknown.
     Until the estimate of the noise has enough samples, position and velocity are copied from the
     reading, and only a clear change of the velocity changes the external acceleration.
 
@@ -159,7 +159,7 @@ def estimate_arm(
         variances: (2, n_m) noise variances of positions and velocities; updated.
         last: (3, n_m) as in `_learn`; updated.
         samples: () number of samples of the noise; updated.
-        known: (k, n_m) accelerations by `predicted_joint_acceleration` in each of the k periods
+        predicted: (k, n_m) `predicted_joint_acceleration` in each of the k periods
             since the last reading; no rows after a gap.
         read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN without a velocity.
         qd_max: (n_m,) joint speed limits.
@@ -169,14 +169,14 @@ def estimate_arm(
     Returns:
         Whether the arm cannot have moved to the reading.
     """
-    steps, dt, q, qd = len(known), gains.dt, read[0], read[1]
+    steps, dt, q, qd = len(predicted), gains.dt, read[0], read[1]
     jumped = steps > 0 and _jumped(x, q, qd_max, steps, dt)
     continued = steps > 0 and not jumped
     if jumped:
         fill(x[2], 0.0)
     if continued:
         samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
-        _learn(variances, last, samples, known, q, qd, gains.noise_window, dt)
+        _learn(variances, last, samples, predicted, q, qd, gains.noise_window, dt)
     else:
         for i in range(len(q)):
             last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
@@ -184,18 +184,18 @@ def estimate_arm(
     trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
     if continued and samples[()] >= FEWEST:
         sudden = _SUDDEN * steps * dt * qd_max
-        _follow(x, P, known, q, qd, trusted, drift, sudden, dt)
+        _follow(x, P, predicted, q, qd, trusted, drift, sudden, dt)
         return jumped
-    _begin_at(x, P, trusted, last, known if continued else known[:0], q, qd, qd_max, gains)
+    _begin_at(x, P, trusted, last, predicted if continued else predicted[:0], q, qd, qd_max, gains)
     return jumped
 
 
 @compiled()
-def advance(x: Array, known: Array, dt: float) -> None:
-    """Predict x (3, n_m) over the periods dt [s] of the known accelerations (k, n_m)."""
-    for k in range(len(known)):
+def advance(x: Array, predicted: Array, dt: float) -> None:
+    """Predict x (3, n_m) over the periods dt [s] of the predicted accelerations (k, n_m)."""
+    for k in range(len(predicted)):
         for i in range(x.shape[1]):
-            x[1, i] += dt * (known[k, i] + x[2, i])
+            x[1, i] += dt * (predicted[k, i] + x[2, i])
             x[0, i] += dt * x[1, i]
 
 
@@ -204,7 +204,7 @@ def _learn(
     variances: Array,
     last: Array,
     samples: Array,
-    known: Array,
+    predicted: Array,
     q: Array,
     qd: Array,
     window: float,
@@ -212,34 +212,35 @@ def _learn(
 ) -> None:
     """Include one more reading in the noise estimate.
 
-    The mean velocity since the last reading and the known accelerations imply the velocities at
+    The mean velocity since the last reading and the predicted accelerations imply the velocities at
     both readings. For the reading between two intervals, each interval implies a velocity; the
-    difference of the two, times the duration, is the unexplained second difference of the
-    positions. An outlier counts only as the largest plausible sample of one period: it is a delay,
-    a stop, or an external force during a gap, not noise.
+    difference of the two, times the duration of the newer interval, is the unexplained second
+    difference of the positions. An outlier is replaced by the largest plausible sample and has the
+    weight of one period only: it comes from a delay, a stop, or an external force during a gap, not
+    from noise.
 
     Args:
         variances: (2, n_m) noise variances of positions and velocities; updated.
-        last: (3, n_m) velocity at the last reading by the positions, the last position,
-            and the last unexplained second difference, or NaN; updated.
+        last: (3, n_m) velocity at the last reading, from the positions; the last position; and the
+            last unexplained second difference, or NaN; updated.
         samples: () number of samples, including this one.
-        known: (k, n_m) accelerations in the periods since the last reading.
+        predicted: (k, n_m) accelerations in the periods since the last reading.
         q: (n_m,) positions.
         qd: (n_m,) velocities, or NaN.
         window: [s] time window of the variances.
         dt: [s] control period.
     """
-    steps = len(known)
+    steps = len(predicted)
     share = max(1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / window))
     for i in range(len(q)):
         gained = way = 0.0
         for k in range(steps):
-            gained += dt * known[k, i]
+            gained += dt * predicted[k, i]
             way += dt * gained
         begin = (q[i] - last[1, i] - way) / (steps * dt)
-        unknown = steps * dt * (begin - last[0, i])
-        of_q = (unknown - last[2, i]) ** 2 / 20.0
-        last[0, i], last[1, i], last[2, i] = begin + gained, q[i], unknown
+        unexplained = steps * dt * (begin - last[0, i])
+        of_q = (unexplained - last[2, i]) ** 2 / 20.0
+        last[0, i], last[1, i], last[2, i] = begin + gained, q[i], unexplained
         if not math.isnan(qd[i]):
             variances[1, i] += share * ((qd[i] - last[0, i]) ** 2 - variances[1, i])
         if not math.isnan(of_q):
@@ -294,7 +295,7 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden
 def _follow(
     x: Array,
     P: Array,
-    known: Array,
+    predicted: Array,
     q: Array,
     qd: Array,
     variances: Array,
@@ -309,7 +310,7 @@ def _follow(
     Args:
         x: (3, n_m) position, velocity and external acceleration; updated.
         P: (n_m, 3, 3) covariances; updated.
-        known: (k, n_m) predicted accelerations, in each period.
+        predicted: (k, n_m) predicted accelerations, in each period.
         q: (n_m,) positions.
         qd: (n_m,) velocities; NaN has no effect.
         variances: (2, n_m) noise variances of positions and velocities.
@@ -317,10 +318,10 @@ def _follow(
         sudden: (n_m,) largest change of the external acceleration.
         dt: [s] control period.
     """
-    advance(x, known, dt)
+    advance(x, predicted, dt)
     for i in range(len(q)):
         p = P[i]
-        for _ in range(len(known)):
+        for _ in range(len(predicted)):
             for j in range(3):
                 p[1, j] += dt * p[2, j]
                 p[0, j] += dt * p[1, j]

@@ -16,7 +16,7 @@ from app.control.qp import backward, cholesky, forward, inverse_diagonal, times
 from app.strict import Array
 
 _MARGIN = 3.0  # [-] margin of all limits of speeds, in recent errors of used velocities
-_MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's top speed: a larger one would let
+_MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a larger one would let
 # the constraints throw the arm away from an obstacle that it hardly approaches
 
 
@@ -48,7 +48,7 @@ def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
 
 @compiled()
 def velocity_bound(qd: float, limit: float, rate: float) -> float:
-    """κ (q̇_limit − q̇) [rad/s² or m/s²], the bound from a velocity limit of a joint."""
+    """κ (±q̇_max − q̇) [rad/s² or m/s²], the bound from a speed limit `limit` = ±q̇_max."""
     return rate * (limit - qd)
 
 
@@ -159,9 +159,9 @@ def torque_reachable_bounds(
     No joint demands more than its own torque achieves in this step with the other torques in the
     middle of their ranges. If one joint demanded more, the other torques would switch between their
     limits, and an arm that needs more than its torque limits would become unstable. The
-    acceleration towards a velocity limit is bounded too: if a joint's torque changes at the rate r,
+    acceleration towards a speed limit is bounded too: if a joint's torque changes at the rate r,
     its acceleration q̈_i changes at the rate (M⁻¹)_ii r. A joint whose speed is lower than the
-    velocity limit by v can therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
+    speed limit by v can therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
 
     Args:
         M: (n, n) inertia matrix.
@@ -171,7 +171,7 @@ def torque_reachable_bounds(
         u_max: (n_m,) largest torques.
         torque_rate: [N m/s or N/s] r.
         bounds: (2, n_m) bounds on q̈_m.
-        room: (2, n_m) lower and upper velocity limit minus q̇_m.
+        room: (2, n_m) lower and upper speed limit minus q̇_m: −q̇_max − q̇_m and q̇_max − q̇_m.
         qdd_b: (n_b,) acceleration of the base's coordinates.
         qdd_ext: (n_m,) external acceleration of the joints.
     """
@@ -208,8 +208,8 @@ def torque_rows(
 def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u: Array) -> None:
     """Write the bounds (2, n_m) on q̈_m into rows of C (n_m, n), in units (n_m,) of each joint.
 
-    The unit is the largest joint speed, so that a violation costs the same for every joint. The
-    bounds apply to the sum of q̈_m and the external acceleration `qdd_ext` (n_m,).
+    The unit is the speed limit of the joint, so that a violation costs the same for every joint.
+    The bounds apply to the sum of q̈_m and the external acceleration `qdd_ext` (n_m,).
     """
     n_m = len(unit)
     n_b = C.shape[1] - n_m

@@ -108,13 +108,13 @@ pose_read | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
 pose_last | | 3 | m, m, rad | world | readings | memory: pose of the base at the last used reading
 pose_moved | | 3 | m, m, rad | world | readings |
-    memory: motion by the velocities since the newest pose of the base
+    memory: integral of the velocities since the newest pose of the base
 pose_error | | 3 | m, m, rad | world | readings |
-    memory: recent changes of the pose minus motions by the velocities
+    memory: recent changes of the pose minus the integrals of the velocities
 pose_jump | | 3 | m, m, rad | world | readings |
     memory: difference of the newest pose from the expected one; 0 after the reference has used it
 pose_way | | 2 | m, rad | | readings |
-    memory: recent length of these motions; infinite until a pose of the base is known
+    memory: recent length and angle of these integrals; infinite until a pose is known
 pose_age | | | s | | readings | memory: time since the newest pose of the base
 astray | | n_b | m/s, rad/s | axes | readings |
     memory: recent changes of the base's velocity that the model of its drive does not explain
@@ -151,8 +151,8 @@ P_est | P | n_m 3 3 | | joints | estimate | memory: covariance of the Kalman sta
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: estimated noise variance of positions and velocities
 q_last |  | 3 n_m | rad | joints | estimate |
-    memory: last velocity from positions, last position, and their second difference minus the
-    prediction
+    memory: last velocity from positions, last position, and the unexplained second difference of
+    the positions
 v_error | | n_m | rad/s, m/s | joints | readings |
     memory: recent error of the velocities that the law used; 0 while all readings are new
 qd_used | | 32 n_m | rad/s, m/s | joints | readings |

@@ -7,9 +7,9 @@ readings, impossible readings, and readings with a known delay are the same case
 are estimated from the readings themselves:
 
 - **The lag**: a delay that begins during a motion is the age at which the predicted state equals
-  the reading. Any delay is the number of periods until accelerations by the torques and by the base
-  appear in the measured positions. The readings of the last 50 to 100 periods count, so that noise
-  hides the delay as little as possible.
+  the reading. Any delay is the number of periods until accelerations due to the torques and the
+  base appear in the measured positions. The readings of the last 50 to 100 periods count, so that
+  noise hides the delay as little as possible.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
@@ -72,8 +72,8 @@ _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
-_DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a top speed and to the control
-# period, that does not cast doubt on the age of the readings
+_DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a speed limit and to the
+# control period, that does not cast doubt on the age of the readings
 _LATE = 0.024  # [s] additional age of the readings in case of doubt
 _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] duration of a group of readings
@@ -522,7 +522,9 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _differs(error: Array, way: float, turn: float) -> bool:
-    """Whether an error (3,) of a motion of the base exceeds half its length [m] or angle [rad]."""
+    """Whether the error (3,) of a base motion exceeds `_NEAR` plus half of the motion's length
+    `way` [m], or plus half of its angle `turn` [rad].
+    """
     far = math.hypot(error[0], error[1]) > _NEAR + 0.5 * way
     return far or abs(error[2]) > _NEAR + 0.5 * turn
 
@@ -533,8 +535,9 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
     Odometry is often slower than the joints' readings: between its readings, the base moves at its
     velocity. The fault `localisation` is a reading that contradicts the velocity: a jump, or recent
-    motions that deviate by more than half. Without a new reading for `_SELDOM`, the motion since
-    the last one is compared too. `w.pose_jump` is for `shift_reference`.
+    changes of the pose that differ from the integral of the velocity by more than half of this
+    integral. Without a new reading for `_SELDOM`, the motion since the last one is compared too.
+    `w.pose_jump` is for `shift_reference`.
     """
     moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
     for i in range(3):

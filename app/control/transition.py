@@ -86,12 +86,13 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
     that lacks a joint for that, or is at full stretch, cannot do so: the base drags the
     end-effector along, the distance stays the same, and the base would continue. Our extension: R =
     (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the end-effector's
-    linear Jacobian, Q the largest joint speeds and v a speed. Along a direction in which the joints
-    can move the end-effector at v, half of the base's motion remains; at 2 v, one seventeenth.
+    linear Jacobian, Q the speed limits of the joints and v a speed. Along a direction in which the
+    joints can move the end-effector at v, half of the base's motion remains; at 2 v, one
+    seventeenth.
 
     Args:
         J_ee: (6, n) end-effector Jacobian.
-        qd_max: (n_m,) [rad/s or m/s] largest joint speeds.
+        qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
         J_m_inv: (n_b, n_b) from the base's axes to q̇_b.
         speed: [m/s] v.
     """

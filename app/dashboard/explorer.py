@@ -20,7 +20,7 @@ CLOSE = 0.002  # [m] tolerance of the end-effector's position
 
 
 class Posture(NamedTuple):
-    """Pose of the base and joint positions of the arm."""
+    """Posture of the arm, together with the pose of the base."""
 
     base_pose: Array
     """(3,) x, y [m] and heading [rad] of the base."""

@@ -20,7 +20,7 @@ from app.onboarding.fit.grouping import MAX_UNDETECTED, detection_of
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import units_of_links
-from app.onboarding.numbers import gravity_load, largest_of_poses
+from app.onboarding.numbers import gravity_load, largest_of_postures
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
@@ -39,10 +39,10 @@ _STATES = 20  # [-] number of random states for comparing the dynamics
 _AGREE = 1e-6  # [-] largest difference of the dynamics, relative to the largest entry
 _FASTEST = 20.0  # [rad/s or m/s] largest plausible speed of a joint
 _STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m], [N] largest plausible effort of a joint
-_MARGIN = 0.02  # [-] smallest margin of the ready pose to a limit, relative to the joint's range
+_MARGIN = 0.02  # [-] smallest margin of the ready posture to a limit, relative to the joint's range
 _OUT_OF_BASE = 0.01  # [m] largest distance by which a mesh of the base may extend beyond l_m
 _LAYER = 0.05  # [m] height of a layer of the border
-_NEAR_POSES = 1000  # [-] number of random poses for the share inside of a buffer
+_NEAR_POSTURES = 1000  # [-] number of random postures for the share inside of a buffer
 _MANY = 500  # [-] smallest number of points inside the border in a layer that the arm reaches
 _FEW = 10  # [-] smallest number of border points in a layer that does not count as empty
 _TOUCHED = {
@@ -163,7 +163,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 
 def engines_row(model: RobotModel) -> Row:
-    """Compare depth images and contacts of pybullet and MuJoCo in random poses."""
+    """Compare depth images and contacts of pybullet and MuJoCo in random postures."""
     if not find_spec("pybullet"):
         text = "pybullet is not installed, so there is no second engine for a comparison"
         return Row("engines", "warned", text, {})
@@ -172,8 +172,8 @@ def engines_row(model: RobotModel) -> Row:
     found = compare_engines(model)
     good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH
     text = (
-        f"pictures differ in {found.picture:.1%} of their rays; in {found.poses} poses the deepest "
-        f"contact of one engine alone is {1e3 * found.depth:.1f} mm"
+        f"pictures differ in {found.picture:.1%} of their rays; in {found.postures} postures the "
+        f"deepest contact of one engine alone is {1e3 * found.depth:.1f} mm"
     )
     numbers = {"picture_difference": found.picture, "contact_difference_m": found.depth}
     return Row("engines", "passed" if good else "failed", text, numbers)
@@ -183,7 +183,7 @@ def limits_row(model: RobotModel) -> Row:
     """Check the motors' limits, the torques against gravity, and the inertias."""
     names, data = model.description.arm.joints, model.pin.createData()
     load = gravity_load(model)
-    least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
+    least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
     strongest = [_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units]
     limits = zip(names, model.qd_max, model.tau_max, strongest, strict=True)
     wrong = [
@@ -202,19 +202,20 @@ def limits_row(model: RobotModel) -> Row:
     if wrong:
         text = "; ".join(wrong)
     elif weak:
-        text = f"some joints cannot hold the arm's weight in all poses: {'; '.join(weak)}"
+        text = f"some joints cannot hold the arm's weight in all postures: {'; '.join(weak)}"
     outcome: Outcome = "failed" if wrong else "warned" if weak else "passed"
     return Row("limits", outcome, text, {"gravity_share": share})
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Check that nested links touch in many random poses, because plants ignore their contacts."""
+    """Check that nested links touch in many postures, because plants ignore their contacts."""
     touches = nested_touches(model, _geometry(model))
     least = min(touches.values())
     seldom = [f"{a} and {b} in {share:.0%}" for (a, b), share in touches.items() if share < NESTED]
-    text = f"each pair of nested links touches in at least {least:.0%} of random poses"
+    text = f"each pair of nested links touches in at least {least:.0%} of random postures"
     if seldom:
-        text = f"plants ignore the contacts of links that touch in few poses: {', '.join(seldom)}"
+        links = ", ".join(seldom)
+        text = f"plants ignore the contacts of links that touch in few postures: {links}"
     numbers = {"least_touching_share": least}
     return Row("nested links", "warned" if seldom else "passed", text, numbers)
 
@@ -236,7 +237,7 @@ def arm_row(model: RobotModel) -> Row:
     """Check that bodies overlap when their links collide and that a pair detects each collision."""
     found = detection_of(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
-        "colliding_poses": float(found.poses),
+        "colliding_poses": float(found.postures),
         "unseen_poses": float(found.undetected),
         "collisions": float(found.watched),
         "missed": float(found.missed),
@@ -245,7 +246,7 @@ def arm_row(model: RobotModel) -> Row:
         "left_out_poses": float(found.left_out),
     }
     text = (
-        f"links collide in {found.poses} of {found.looked_at:,} random poses; in all but "
+        f"links collide in {found.postures} of {found.looked_at:,} random postures; in all but "
         f"{found.undetected} of these, bodies of a pair meet"
     )
     if found.undetected:
@@ -254,11 +255,11 @@ def arm_row(model: RobotModel) -> Row:
         text += f"; bodies do not enclose their links in {found.missed} of {found.watched} "
         text += f"collisions, by at most {found.deepest:.3f} m"
     if found.left_out:
-        text += f"; a rule excludes {found.left_out} poses where only links meet that are "
+        text += f"; a rule excludes {found.left_out} postures where only links meet that are "
         text += f"neighbours or close by design: {found.rule}"
     if found.blind:
         text += f"; the bodies of {', '.join(found.blind)} do not enclose their colliding links"
-    outcome: Outcome = "passed" if found.poses else "nothing to show"
+    outcome: Outcome = "passed" if found.postures else "nothing to show"
     if found.blind or found.undetected or found.missed > MAX_UNDETECTED * found.watched:
         outcome = "failed"
     elif found.missed:
@@ -282,7 +283,7 @@ def holding_row(model: RobotModel) -> Row:
         for what in ("place", "pose")
     }
     worst = max(each.place for each in carried)
-    text = f"the arm can hold its end-effector in place in {1 - worst:.0%} of the poses"
+    text = f"the arm can hold its end-effector in place in {1 - worst:.0%} of the postures"
     warning = holding_warning(carried)
     return Row("end-effector in place", "warned" if warning else "passed", warning or text, numbers)
 
@@ -292,47 +293,48 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
-    text = f"in all poses near the base, the joint torques resist a push of {borne.min():.0f} N"
+    text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
     warning, numbers = push_warning(borne), {"least_push_borne_n": float(borne.min())}
     return Row("push", "warned" if warning else "passed", warning or text, numbers)
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
     """Check that each body that is paired with l_m has a reachability, and that no pair is inside
-    its buffer in most poses without a collision.
+    its buffer in most postures without a collision.
     """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no monitored part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
-    poses = sample_joints(model, _NEAR_POSES, np.random.default_rng(1))
-    d = PairDistances(model, pairs.all).sampled(poses)
+    postures = sample_joints(model, _NEAR_POSTURES, np.random.default_rng(1))
+    d = PairDistances(model, pairs.all).sampled(postures)
     free = (d > 0.0).all(axis=1)
     near = (d[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
     names = [pair.name for pair in pairs.all]
     numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
     always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]
-    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free poses"
+    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free postures"
     if missing:
         text = f"{', '.join(missing)} can meet the base, but has no reachability"
     elif always:
-        text = f"{', '.join(always)}: inside the buffer in more than {ALWAYS:.0%} of the free poses"
+        most = f"{ALWAYS:.0%} of the free postures"
+        text = f"{', '.join(always)}: inside the buffer in more than {most}"
     outcome: Outcome = "failed" if missing else "warned" if always else "passed"
     return Row("pairs", outcome, text, numbers)
 
 
 def ready_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that the ready pose is away from the joint limits and outside of every buffer."""
+    """Check that the ready posture is away from the joint limits and outside of every buffer."""
     if not data.pairs.all:
         return Row("ready pose", "passed", "no bodies can meet", {})
     q_m = np.array(model.description.arm.ready_position)
     span = model.q_upper - model.q_lower
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
     ready = judge_ready(model, data.pairs, q_m)
-    numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
-    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer; the smallest "
+    numbers = {"beyond_buffer_m": ready.beyond_buffer, "least_joint_margin": left}
+    text = f"{ready.nearest} is {ready.beyond_buffer:+.3f} m from its buffer; the smallest "
     text += f"distance of a joint from its limits is {left:.0%} of its range"
-    good = ready.clearance >= 0 and left >= _MARGIN
+    good = ready.beyond_buffer >= 0 and left >= _MARGIN
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 
 

@@ -38,8 +38,8 @@ from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
 
 MEETING_SAMPLES = 6000
-"""[-] smallest number of random poses in which the distances between hulls are computed."""
-_MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random poses
+"""[-] smallest number of random postures in which the distances between hulls are computed."""
+_MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random postures
 _URDF = "robot.urdf"  # name of the new URDF in the robot's folder
 _DAMPING = (
     "chosen: as for the paper's robot, but smaller for a light joint, so that steps of 1 ms are "
@@ -123,7 +123,7 @@ def _make_robot(
     counted = find_reach(model, workers)
     tell("sampling the border")
     data = border(model)
-    tell("choosing the ready pose")
+    tell("choosing the ready posture")
     if request.ready is None:
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
@@ -202,18 +202,18 @@ def _embodied(
     """Fit bodies around groups of links, up to three times if the bodies miss a collision.
 
     The result is the fit with the fewest pairs that miss more than half of the collisions of their
-    links in new random poses, and among equals the one that misses the fewest collisions.
+    links in new random postures, and among equals the one that misses the fewest collisions.
 
     Raises:
         RobotFileError: In each fit, a pair misses more than half of its links' collisions.
     """
-    tell("sampling random poses")
+    tell("sampling random postures")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     found: list[_Embodied] = []
     while not found or (found[-1].detection.undetected and len(found) < _MAX_FITS):
         if found:
-            tell("sampling other random poses")
+            tell("sampling other random postures")
         meetings = sample_meetings(
             bare,
             units,
@@ -294,7 +294,7 @@ def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
-    """Refuse a ready pose with a wrong number of joints, or outside of their limits."""
+    """Refuse a ready posture with a wrong number of joints, or outside of their limits."""
     if request.ready is None:
         return
     if len(request.ready) != len(arm.joints):

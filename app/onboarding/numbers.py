@@ -33,7 +33,7 @@ _MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 _STRONG = 30.0  # [N m] smallest effort of a strong joint
 _STEP = 1e-3  # [s] time step for which the damping is stable
-_SAMPLES = 400  # [-] number of random poses for gravity loads and inertias
+_SAMPLES = 400  # [-] number of random postures for gravity loads and inertias
 
 
 def with_source(
@@ -96,7 +96,7 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
         round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     ]
-    text = _origin(missing, "2.5 times the largest gravity load in random poses")
+    text = _origin(missing, "2.5 times the largest gravity load in random postures")
     return limits._replace(effort=tuple(effort), source=limits.source | {"max_effort": text})
 
 
@@ -104,9 +104,9 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     """(n_m,) [N m s/rad or N s/m] damping D of the joints while a person guides the arm.
 
     It is the damping of the paper's robot, but at most m/(3 dt), which pybullet simulates stably. m
-    is the smallest inertia of the joint in random poses, with the other joints free, and dt = 1 ms.
+    is the smallest inertia of the joint in random postures, with the other joints free; dt = 1 ms.
     """
-    least = 1.0 / largest_of_poses(model, lambda q: 1.0 / model.joint_inertia(q))
+    least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
     for joint, effort, m in zip(arm.joints, limits.effort, least, strict=True):
         strength = "strong" if effort >= _STRONG else "weak"
@@ -116,17 +116,18 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
 
 
 def gravity_load(model: RobotModel) -> Array:
-    """(n_m,) [N m or N] largest torques that gravity requires in random poses."""
+    """(n_m,) [N m or N] largest torques that gravity requires in random postures."""
     data = model.pin.createData()
-    return largest_of_poses(
+    return largest_of_postures(
         model, lambda q: np.abs(pin.computeGeneralizedGravity(model.pin, data, q)[3:])
     )
 
 
-def largest_of_poses(model: RobotModel, values: Callable[[Array], Array]) -> Array:
-    """(n_m,) maximum over random poses of `values`, a function of pinocchio's configuration."""
-    poses = sample_joints(model, _SAMPLES, np.random.default_rng(0))
-    return np.max([values(model.configuration((0.0, 0.0, 0.0), pose)) for pose in poses], axis=0)
+def largest_of_postures(model: RobotModel, values: Callable[[Array], Array]) -> Array:
+    """(n_m,) maximum over random postures of `values`, a function of pinocchio's configuration."""
+    postures = sample_joints(model, _SAMPLES, np.random.default_rng(0))
+    q = (model.configuration((0.0, 0.0, 0.0), posture) for posture in postures)
+    return np.max([values(each) for each in q], axis=0)
 
 
 def _range(joint: Joint) -> tuple[float, float] | None:
@@ -196,7 +197,7 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 def base_numbers(
     model: RobotModel, wheels: Wheels, q_m: Array, half_track: float | None
 ) -> Sourced:
-    """Numbers of the base with their sources; q_m (n_m,) is the ready pose.
+    """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
 
     `half_track` [m] is the stated half track; None means the measured one.
     """
@@ -205,8 +206,8 @@ def base_numbers(
     mass, yaw = float(M[0, 0]), float(M[2, 2])
     fastest = wheels.joint_velocity * wheels.r if wheels.joint_velocity else np.inf
     v = min(_BASE_SPEED[0], fastest)
-    limit = "from the URDF: the wheels' velocity limit" if v == fastest else _AS_PAPERS
-    factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready pose"
+    limit = "from the URDF: the wheels' speed limit" if v == fastest else _AS_PAPERS
+    factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready posture"
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
     if wheels.steering:
         factor, inertia = 1.0, f"measured: {about}, about the rear axle"
@@ -224,7 +225,7 @@ def base_numbers(
     if kind != "car-like":  # the steering limits its angular velocity
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
         w = min(_BASE_SPEED[1], v / b if b else np.inf)
-        one_wheel = "assumed: one wheel is at rest, the other has its largest speed"
+        one_wheel = "assumed: one wheel is at rest, the other is at its speed limit"
         turning = _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel
         found["max_angular_velocity_radps"] = round(w, 3), turning
         found["max_angular_acceleration_radps2"] = _ACCELERATION[1], _AS_PAPERS
@@ -233,7 +234,7 @@ def base_numbers(
 
 def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, tuple[Any, str]]:
     """The wheel radius, and the half track or the steering; none for a holonomic base."""
-    how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
+    how = wheels.how if wheels.how.startswith("from --") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
         return {}
@@ -250,8 +251,8 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
 
 
 SHARE = 0.5  # [-] share of the peak above which (9) is fitted, because the tails are not parabolic
-COUNTED_POSES = 20_000  # [-] random joint positions for counting a reachability
-_REACH_SAMPLES = 2000  # [-] number of random poses for an assumed reachability
+COUNTED_POSTURES = 20_000  # [-] random joint positions for counting a reachability
+_REACH_SAMPLES = 2000  # [-] number of random postures for an assumed reachability
 _WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
 _MIN_WIDTH = 0.1  # [m] smallest half width of an assumed reachability
 
@@ -291,7 +292,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
     if body not in reach_bodies(model):
         return _assumed(model, body, "fewer than three joints move it")
     try:
-        counted = sample_reach_map(model, body, samples=COUNTED_POSES)
+        counted = sample_reach_map(model, body, samples=COUNTED_POSTURES)
         fit = fit_reachability(counted, SHARE)
     except DescriptionError as error:
         return _assumed(model, body, str(error))
@@ -304,7 +305,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
     """Assumed coefficients: a parabola whose peak is at the mean distance of the body's first shape
-    from the mount in random poses.
+    from the mount in random postures.
     """
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
@@ -314,5 +315,5 @@ def _assumed(model: RobotModel, body: str, why: str) -> Reach:
         at = state.data.oMi[shape.parentJoint] * shape.placement
         rho.append(float(np.linalg.norm(at.translation - mount)))
     B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _MIN_WIDTH)
-    source = f"assumed: a parabola about the body's mean distance in random poses; {why}"
+    source = f"assumed: a parabola about the body's mean distance in random postures; {why}"
     return Reach(PEAK / width**2, B, PEAK, source, None, None)

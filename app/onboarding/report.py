@@ -69,7 +69,7 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
     parts = [
         Part("Warnings", points=robot.warnings or ["none"]),
         Part(
-            "Bodies over meshes, in the ready pose",
+            "Bodies over meshes, in the ready posture",
             png=pictures.bodies,
             tables=[_bodies(robot)],
             points=_bare(pictures.bare),
@@ -125,15 +125,16 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
 def _verdict(robot: NewRobot) -> list[str]:
     ready, share = robot.ready, robot.detection.share
     points = [
-        f"links collide, but no pair of bodies overlaps: {share:.1%} of the colliding random poses",
+        f"links collide, but no pair of bodies overlaps: {share:.1%} of the colliding random "
+        "postures",
         f"a pair of bodies overlaps, but no links collide: {robot.verdict.false:.1%} of the free "
-        "random poses",
+        "random postures",
     ]
     if ready.nearest:
-        where = "outside of" if ready.clearance >= 0.0 else "inside"
+        where = "outside of" if ready.beyond_buffer >= 0.0 else "inside"
         points.append(
-            f"in the ready pose, the nearest pair {ready.nearest} is {abs(ready.clearance):.3f} m "
-            f"{where} its buffer"
+            f"in the ready posture, the nearest pair {ready.nearest} is "
+            f"{abs(ready.beyond_buffer):.3f} m {where} its buffer"
         )
     return points
 
@@ -173,7 +174,7 @@ _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
 def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
-    """The bodies over the hulls of the links in the ready pose, from three sides.
+    """The bodies over the hulls of the links in the ready posture, from three sides.
 
     The links have the colours of `COLOURS`.
     """
@@ -259,7 +260,7 @@ def reach_png(robot: NewRobot) -> bytes | None:
 
 
 def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
-    """The poses of the joints in a pose q_m (n_m,), with the base at the origin."""
+    """The poses of the joint frames in a posture q_m (n_m,), with the base at the origin."""
     data = model.pin.createData()
     pin.forwardKinematics(model.pin, data, model.configuration(_ORIGIN, q_m))
     return [T.copy() for T in data.oMi]
@@ -289,7 +290,8 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
     """Names of the links that extend beyond their body, and whether by design or by mistake.
 
     By design means that no link of a body that is not a neighbour can reach the part beyond the
-    body. `placed` are the poses of the joints in the ready pose, by pinocchio's indices.
+    body. `placed` are the poses of the joint frames in the ready posture, by pinocchio's
+    indices.
     """
     found: dict[str, Bare] = {}
     for k, body in enumerate(robot.bodies):

@@ -57,7 +57,7 @@ class Request:
     steering_rate: float | None = None
     """[rad/s] steering rate; default: from the URDF, or 1.5."""
     ready: tuple[float, ...] | None = None
-    """(n_m,) [rad or m] joint positions of the ready pose; default: the best of random poses."""
+    """(n_m,) [rad or m] the ready posture; default: the best of random postures."""
     bodies: int | None = None
     """Number of bodies of the arm; default: four, or two to six if four are not sufficient."""
     assume_inertia: bool = False
@@ -67,10 +67,11 @@ class Request:
     licence: str | None = None
     """Licences of the files that the URDF refers to."""
     seed: int = 0
-    """Seed of all random poses."""
+    """Seed of all random postures."""
     d_b: float | None = None
-    """[m] buffer distance d_b of this robot; the bodies and the ready pose depend on it. Default:
-    0.15, or less if two links of a pair are nearer than this at all joint positions."""
+    """[m] buffer distance d_b of this robot; the bodies and the ready posture depend on it.
+    Default: 0.15, or less if a link of the arm is nearer than this to the base in most postures,
+    and no joint limit prevents their contact."""
     file: str | None = None
     """Path of the URDF within the zip, if the zip contains several."""
     source: str | None = None

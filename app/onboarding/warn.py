@@ -34,15 +34,15 @@ _IN_FLOOR = 0.005  # [m] largest depth below the floor
 _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
 _TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
 _FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
-_POSES, _SAMPLES = 100, 2000  # [-] number of poses near the base, and of random poses to find them
-_NEAR = 0.30  # [m] largest distance of the arm to the base in a pose near the base
+_POSTURES, _SAMPLES = 100, 2000  # [-] number of postures near the base, and of random ones
+_NEAR = 0.30  # [m] largest distance between arm and base in a posture near the base
 _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not compensate
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
 _LIMIT = "limit the joints between them by position_lower and position_upper of robot.toml"
 _LEAST_D_B = parameter("border.d_b").low  # [m]
-_OFTEN = 0.25  # [-] share of poses above which there is a warning
+_OFTEN = 0.25  # [-] share of postures above which there is a warning
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
@@ -50,7 +50,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
     return [
         *_scale(robot),
         *_places(robot),
-        *_poses(robot),
+        *_postures(robot),
         *filter(None, [robot.held]),
         *_bodies(robot),
         *_reaches(robot),
@@ -64,7 +64,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
 
 
 def _places(robot: NewRobot) -> Iterator[str]:
-    """Parts of the arm that are below the floor or inside the base in the ready pose."""
+    """Parts of the arm that are below the floor or inside the base in the ready posture."""
     base, state = MobileBody(robot.model), RobotState(robot.model)
     own = robot.request.arm_urdf is None
     look = f"check {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
@@ -75,32 +75,32 @@ def _places(robot: NewRobot) -> Iterator[str]:
         T = state.data.oMi[unit.joint]
         corners = np.vstack([moved(part.corners, T) for part in unit.parts])
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
-        fixed = unit.index == 1  # no pose moves it
+        fixed = unit.index == 1  # no posture moves it
         if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
-            yield f"links {deep:.3g} m below the floor in the ready pose: {names}; {look}"
+            yield f"links {deep:.3g} m below the floor in the ready posture: {names}; {look}"
         elif (base.distance(corners) <= 0.0).all():
             where = "the base's body" + ", so no link can meet them" * fixed
-            advice = "" if fixed and own else f", in the ready pose; {look}"
+            advice = "" if fixed and own else f", in the ready posture; {look}"
             yield f"links completely inside of {where}: {names}{advice}"
 
 
-def _poses(robot: NewRobot) -> Iterator[str]:
+def _postures(robot: NewRobot) -> Iterator[str]:
     d_b, ready, near = robot.request.buffer, robot.ready, robot.verdict.near
-    if ready.clearance < 0:
-        most = np.floor(100 * (d_b + ready.clearance)) / 100
+    if ready.beyond_buffer < 0:
+        most = np.floor(100 * (d_b + ready.beyond_buffer)) / 100
         smaller = f" or a --buffer-distance of at most {most:g}" if most >= _LEAST_D_B else ""
         yield (
-            f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
-            f"pose; set another pose by --ready{smaller}"
+            f"the pair {ready.nearest} is {-ready.beyond_buffer:.3f} m inside its buffer in the "
+            f"ready posture; set another posture by --ready{smaller}"
         )
     for name in robot.verdict.always:
         yield (
             f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of the free "
-            f"random poses (limit {ALWAYS:.0%}): its task is active in most poses; try a smaller "
-            "--buffer-distance, or another number of --bodies"
+            f"random postures (limit {ALWAYS:.0%}): its task is active in most postures; try a "
+            "smaller --buffer-distance, or another number of --bodies"
         )
     always = ", ".join(robot.verdict.always)
-    always = f"inside the buffer in most poses: {always}" if always else ""
+    always = f"inside the buffer in most postures: {always}" if always else ""
     whys = {name: always or why for name, why in robot.lacking.items()}
     for why in dict.fromkeys(whys.values()):
         names = ", ".join(name for name, each in whys.items() if each == why)
@@ -111,25 +111,25 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     verdict, meetings, found = robot.verdict, robot.meetings, robot.detection
     if found.undetected:
         yield (
-            f"no pair detects the collision in {found.share:.1%} of the colliding random poses; "
+            f"no pair detects the collision in {found.share:.1%} of the colliding random postures; "
             f"mostly {found.worst}; bodies that are neighbours or close by design are not a "
             f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
     if found.left_out:
         yield (
-            f"in {found.left_out} of {found.looked_at:,} random poses links meet "
+            f"in {found.left_out} of {found.looked_at:,} random postures links meet "
             "that no pair can monitor, because they are neighbours or close by design: "
             f"{found.rule}; {_LIMIT}"
         )
     for name, why in verdict.unwatched.items():
         if why == BY_BODIES:
             yield (
-                f"{name} is not monitored: its bodies are within d_b of each other in most poses, "
-                "although its links are not"
+                f"{name} is not monitored: its bodies are within d_b of each other in most "
+                "postures, although its links are not"
             )
     for pair in sorted(meetings.nested):
         a, b = (meetings.units[unit].name for unit in pair)
-        yield f"{a} and {b} touch in most poses: they count as nested, and are not a pair"
+        yield f"{a} and {b} touch in most postures: they count as nested, and are not a pair"
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
     for body in robot.bodies:
@@ -297,7 +297,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
     if robot.request.kind == "holonomic":
         yield "the base's speed, acceleration and traction are assumed"
     elif wheels.joint_velocity is None:
-        yield "the wheels have no velocity limit: the base's speed is assumed"
+        yield "the wheels have no speed limit: the base's speed is assumed"
     joints = [tree.joints[name] for name in (*wheels.left, *wheels.right)]
     if any(not joint.effort for joint in joints):
         yield "the wheels have no torque limit: the base's traction is assumed"
@@ -328,21 +328,21 @@ def _base(robot: NewRobot) -> Iterator[str]:
             f"{mesh_paths} meshes are not in an installed package, so the URDF has their absolute "
             "paths: this description works only on this machine"
         )
-    if not np.isfinite(robot.ready.clearance):
+    if not np.isfinite(robot.ready.beyond_buffer):
         yield "no monitored pair of bodies can meet, so the arm avoids nothing"
 
 
 class Carried(NamedTuple):
-    """Shares of poses in which the arm cannot hold the end-effector while the base moves."""
+    """Shares of postures in which the arm cannot hold the end-effector while the base moves."""
 
     axis: Axis
     """Axis of the base's motion."""
     speed: float
     """[m/s or rad/s] speed of the base."""
     place: float
-    """[-] share of the poses in which the arm cannot hold the end-effector's position."""
+    """[-] share of the postures in which the arm cannot hold the end-effector's position."""
     pose: float
-    """[-] share of the poses in which it cannot hold both position and orientation."""
+    """[-] share of the postures in which it cannot hold both position and orientation."""
 
     @property
     def text(self) -> str:
@@ -353,16 +353,16 @@ class Carried(NamedTuple):
 
 
 def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
-    """Shares of poses in which the arm cannot hold its end-effector, for each axis of the base.
+    """Shares of postures in which the arm cannot hold its end-effector, for each axis of the base.
 
-    In these poses the arm is too slow or lacks a joint, see `lost_ee`. The poses are those of
-    `_near_poses`; the base moves along one axis at its largest commanded speed.
+    In these postures the arm is too slow or lacks a joint, see `lost_ee`. The postures are those of
+    `_near_postures`; the base moves along one axis at its largest commanded speed.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
-    poses = _near_poses(model)
-    lost = np.zeros((len(poses), n_b, 2))
-    for k, q_m in enumerate(poses):
+    postures = _near_postures(model)
+    lost = np.zeros((len(postures), n_b, 2))
+    for k, q_m in enumerate(postures):
         state.update_kinematics(at_rest(model, q_m))
         for i in range(n_b):
             moved = state.J_ee[:, :n_b] @ model.J_m_inv[:, i] * speeds[i]
@@ -377,7 +377,7 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
 def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
-    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' velocity
+    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' speed
     limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
     linear motion. The pose is lost if the position is, or if the linear or the angular residual of
     all rows exceeds a tenth of the larger one of linear and angular motion; a lever of 0.3 m
@@ -386,7 +386,7 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
         moved: (6,) [m/s, rad/s] J_base ν, velocity of the end-effector with the arm at rest.
-        qd_max: (n_m,) [rad/s or m/s] largest speeds of the joints.
+        qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
 
     Returns:
         Whether the position is lost, and whether the pose is lost.
@@ -415,8 +415,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
     if not often:
         return ""
     motions = ", or while it ".join(
-        f"{each.text} (in {each.place:.0%} of the poses near the base; in {each.pose:.0%} if the "
-        "orientation counts too)"
+        f"{each.text} (in {each.place:.0%} of the postures near the base; in {each.pose:.0%} if "
+        "the orientation counts too)"
         for each in often
     )
     return (
@@ -428,11 +428,11 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
 
-    Each value is the `force_bound` of the nearest pair at rest in one of the poses of
-    `_near_poses`; `pairs` are the pairs of L_m. Without pairs, N is 0.
+    Each value is the `force_bound` of the nearest pair at rest in one of the postures of
+    `_near_postures`; `pairs` are the pairs of L_m. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
-    for q_m in _near_poses(model) if pairs else ():
+    for q_m in _near_postures(model) if pairs else ():
         state.update(at_rest(model, q_m))
         distances.update_from(state.data)
         d = distances.distances()
@@ -453,17 +453,17 @@ def push_warning(borne: Array) -> str:
     if weak <= _OFTEN:
         return ""
     return (
-        f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the poses "
-        f"near the base the joint torques resist a smaller force; in the worst {_OFTEN:.0%} they "
-        f"resist {np.quantile(borne, _OFTEN):.0f} N or less"
+        f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the "
+        "postures near the base the joint torques resist a smaller force; in the worst "
+        f"{_OFTEN:.0%} they resist {np.quantile(borne, _OFTEN):.0f} N or less"
     )
 
 
-def _near_poses(model: RobotModel) -> Array:
-    """(N, n_m) up to 100 random poses without contact in which the arm is near the base.
+def _near_postures(model: RobotModel) -> Array:
+    """(N, n_m) up to 100 random postures without contact in which the arm is near the base.
 
-    If fewer than 25 of these are found, the arm may be anywhere; if no pose is without contact, the
-    result is the pose at the lower limits.
+    If fewer than 25 of these are found, the arm may be anywhere; if no posture is without contact,
+    the result is the posture at the lower limits.
     """
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))
@@ -477,6 +477,6 @@ def _near_poses(model: RobotModel) -> Array:
         to_base = [x for x, pair in zip(d, distances.pairs, strict=True) if pair.a == mobile]
         if min(to_base, default=0.0) < _NEAR:
             near.append(q_m)
-        if len(near) == _POSES:
+        if len(near) == _POSTURES:
             break
-    return np.array(near if len(near) >= _POSES // 4 else clear[:_POSES] or [model.q_lower])
+    return np.array(near if len(near) >= _POSTURES // 4 else clear[:_POSTURES] or [model.q_lower])

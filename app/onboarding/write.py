@@ -91,7 +91,7 @@ class HandMade(NamedTuple):
     unwatched: dict[str, str]
     """All pairs that are not monitored: the reasons by the name of the pair."""
     ready: tuple[float, ...] | None
-    """(n_m,) [rad or m] the new ready pose, or None for no change."""
+    """(n_m,) [rad or m] the new ready posture, or None for no change."""
 
 
 BY_HAND = "set by hand"  # source of a number that a person has changed
@@ -152,7 +152,7 @@ def shape_content(shape: Shape) -> dict[str, Any]:
 
 _HEADER = (
     "Made by `dbb new-robot`. Lengths in metres, angles in radians, masses in kilograms.",
-    "Each number is measured, from the URDF, given, chosen, counted or assumed; check the "
+    "Each number is measured, from the URDF, from an option, chosen, counted or assumed; check the "
     "assumed numbers.",
 )
 
@@ -313,7 +313,7 @@ def description(
     """The content of a description; it refers to the URDF by name.
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
-    the base and missing efforts are 1, the damping is 0, and the ready pose is the middle of the
+    the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
     joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics do
     not need the two arguments. `unwatched` has the reason for each pair of bodies that is not
     monitored, by the pair's name.
@@ -351,7 +351,7 @@ def description(
 def _body(body: FittedBody) -> dict[str, Any]:
     over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
     out = max(fit.protrusion for fit in body.fits)
-    nested = "; nested: links that touch in most of the random poses" if body.nested else ""
+    nested = "; nested: links that touch in most of the random postures" if body.nested else ""
     return {
         "name": body.name,
         "source": f"fitted around the covered links, or their parts that other links can reach: "

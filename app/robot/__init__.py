@@ -1,1 +1,1 @@
-"""Robot description → model → state: the robot's data, and its present configuration."""
+"""Robot description → model → state: the robot's data, its base pose, posture and velocities."""

@@ -53,11 +53,11 @@ class ArmDescription(Sourced):
     position_upper: tuple[Finite, ...] | None = None
     """[rad or m] upper joint limits; default: from the URDF."""
     max_velocity: tuple[Positive, ...] | None = None
-    """[rad/s or m/s] joint velocity limits; default: from the URDF."""
+    """[rad/s or m/s] speed limits of the joints; default: from the URDF."""
     max_effort: tuple[Positive, ...] | None = None
     """[N m or N] joint torque limits; default: from the URDF."""
     ready_position: tuple[Finite, ...]
-    """[rad or m] joint positions of the ready pose, far from the limits and outside of all
+    """[rad or m] joint positions of the ready posture, far from the limits and outside of all
     buffers."""
     joint_damping: tuple[NonNegative, ...]
     """[N m s/rad or N s/m] damping D of the joints while a person guides the arm."""

@@ -169,8 +169,8 @@ class PairDistances:
     def sampled(self, q_m: Array) -> Array:
         """(N, pairs) [m] signed distances at joint positions q_m (N, n_m) [rad or m]."""
         found = np.empty((len(q_m), len(self.pairs)))
-        for row, pose in zip(found, q_m, strict=True):
-            self.update(self._model.configuration((0.0, 0.0, 0.0), pose))
+        for row, posture in zip(found, q_m, strict=True):
+            self.update(self._model.configuration((0.0, 0.0, 0.0), posture))
             row[:] = self.distances()
         return found
 

@@ -56,7 +56,7 @@ class RobotModel:
         base_inertia: (n_b,) [kg or kg m²] mass or inertia along each axis.
         joint_damping: (n_m,) [N m s/rad or N s/m] damping of the arm's joints.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
-        qd_max, tau_max: (n_m,) [rad/s or m/s] and [N m or N] velocity and torque limits of the arm.
+        qd_max, tau_max: (n_m,) [rad/s or m/s] and [N m or N] speed and torque limits of the arm.
         q_limits, qd_limits, tau_limits: (2, n_m) lower and upper limits, in the same units.
     """
 
@@ -136,7 +136,7 @@ class RobotModel:
 
     @cached_property
     def ready_inertia(self) -> Array:
-        """(n_m,) [kg m² or kg] inertia of each joint in the ready pose."""
+        """(n_m,) [kg m² or kg] inertia of each joint in the ready posture."""
         ready = np.array(self.description.arm.ready_position)
         return self.joint_inertia(self.configuration((0.0, 0.0, 0.0), ready))
 

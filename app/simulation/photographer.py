@@ -152,8 +152,8 @@ class Photographer:
             robot: Whether the picture shows the robot.
         """
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
-        pose = [base_pose[0] + away, *base_pose[1:], *q_m]
-        for joint, position in zip(self._joints, pose, strict=True):
+        positions = [base_pose[0] + away, *base_pose[1:], *q_m]
+        for joint, position in zip(self._joints, positions, strict=True):
             self._client.resetJointState(self._world.robot, joint, float(position))
         bodies = [self._add(solid) for solid in solids]
         try:

@@ -101,7 +101,7 @@ class Session:
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Set up the session at rest in the robot's ready position.
+        """Set up the session at rest in the robot's ready posture.
 
         Args:
             model: The robot of the controller.

@@ -21,7 +21,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from benchmarks.law.motions import Motion, one_joint_motion, random_motion
 from benchmarks.law.options import Options
-from benchmarks.law.poses import pose_in_buffer
+from benchmarks.law.postures import posture_in_buffer
 from benchmarks.law.report import Report, largest
 from benchmarks.law.robot import load
 from benchmarks.law.work import played
@@ -241,7 +241,7 @@ def _motion(path: Path) -> Motion:
             robot.model, np.array(_FIXED), joint, _FIXED_SPEED, 0.5 * path.duration
         )
     rng = np.random.default_rng([path.options.seed, path.number])
-    return random_motion(robot.model, pose_in_buffer(robot, rng), path.speed, rng, path.duration)
+    return random_motion(robot.model, posture_in_buffer(robot, rng), path.speed, rng, path.duration)
 
 
 @cache

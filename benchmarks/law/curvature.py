@@ -18,7 +18,7 @@ from app.robot.link_pairs import PairDistances
 from app.robot.state import RobotState
 from benchmarks.law.motions import Motion, random_motion
 from benchmarks.law.options import Options
-from benchmarks.law.poses import pose_in_buffer
+from benchmarks.law.postures import posture_in_buffer
 from benchmarks.law.report import Report
 from benchmarks.law.robot import Robot, load
 from benchmarks.law.work import played
@@ -33,8 +33,8 @@ _MIN_ROWS = 5  # [-] smallest number of samples of a displayed pair
 _MODELS = "law", "without_term", "with_term"
 
 
-class Pose(NamedTuple):
-    """The number of a pose, and the largest speed [m/s] of the end-effector around this pose."""
+class Posture(NamedTuple):
+    """The number of a posture, and the largest speed [m/s] of the end-effector around it."""
 
     options: Options
     number: int
@@ -58,11 +58,11 @@ def curvature(options: Options, count: int = 400, speed: float = 0.5) -> Report:
 
     Args:
         options: See `Options`.
-        count: Number of poses inside the buffer.
+        count: Number of postures inside the buffer.
         speed: [m/s] largest speed of the end-effector.
     """
-    poses = [Pose(options, k, speed) for k in range(count)]
-    samples = [each for row in played(_samples, poses, options.jobs, "poses") for each in row]
+    postures = [Posture(options, k, speed) for k in range(count)]
+    samples = [each for row in played(_samples, postures, options.jobs, "postures") for each in row]
     rows = []
     for pair in load(options.robot).pair_names:
         errors = [s.errors for s in samples if s.pair == pair and s.errors is not None]
@@ -93,11 +93,11 @@ def _row(pair: str, errors: Array) -> dict[str, Any]:
     return found
 
 
-def _samples(pose: Pose) -> list[Sample]:
+def _samples(posture: Posture) -> list[Sample]:
     """Errors of all pairs inside the buffer: the value of the row minus the true value."""
-    robot = load(pose.options.robot)
-    rng = np.random.default_rng([pose.options.seed, pose.number])
-    motion = random_motion(robot.model, pose_in_buffer(robot, rng), pose.speed, rng, 1.0)
+    robot = load(posture.options.robot)
+    rng = np.random.default_rng([posture.options.seed, posture.number])
+    motion = random_motion(robot.model, posture_in_buffer(robot, rng), posture.speed, rng, 1.0)
     t, state = 0.5, RobotState(robot.model)
     measured, vd, qdd = motion.at(t)
     state.update(measured)

@@ -98,5 +98,5 @@ def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
 
 
 def joint_share(step: Step, model: RobotModel) -> float:
-    """[-] largest |q̇| / q̇_max of the arm's joints."""
+    """[-] largest |q̇| / q̇_max of the arm's joints; q̇_max is the speed limit."""
     return float(np.max(np.abs(step.truth.qd_m) / model.qd_max))

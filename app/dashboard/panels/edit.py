@@ -1,4 +1,4 @@
-"""Folder "Edit this robot": changes of convex bodies, monitored pairs and ready pose.
+"""Folder "Edit this robot": changes of convex bodies, monitored pairs and ready posture.
 
 Callbacks store the changes; the drawing thread shows them.
 """
@@ -67,8 +67,8 @@ class EditPanel(Panel):
                 for box in self._watched.values():
                     self.on_update(box, lambda _: self._switch_pairs())
             self.button(
-                "Use this posture as ready pose",
-                lambda _: self._take_pose(),
+                "Use this posture as ready posture",
+                lambda _: self._take_posture(),
                 viser.Icon.STRETCHING,
                 hint="The arm's posture in the scene: pull it, or use “Joint sliders” in Lab.",
             )
@@ -102,10 +102,10 @@ class EditPanel(Panel):
         reasons = {pair: self._robot.unwatched.get(pair, BY_HAND) for pair in off}
         self.changes = self.changes._replace(unwatched=reasons)
 
-    def _take_pose(self) -> None:
+    def _take_posture(self) -> None:
         if self._q_m is not None:
-            pose = tuple(round(float(q), _DIGITS) for q in self._q_m)
-            self.changes = self.changes._replace(ready=pose)
+            posture = tuple(round(float(q), _DIGITS) for q in self._q_m)
+            self.changes = self.changes._replace(ready=posture)
 
     def _save(self) -> None:
         name, own = self._name.value, self._robot.name
@@ -251,7 +251,7 @@ def changes_html(changes: HandMade, robot: RobotDescription) -> str:
         state = f"{'not ' if pair in changes.unwatched else ''}monitored"
         texts.append(f"{words.spoken(pair, chain)}: {state}")
     if changes.ready:
-        texts.append(f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}")
+        texts.append(f"ready posture {', '.join(f'{q:g}' for q in changes.ready)}")
     return (f"Not saved: <b>{escape('; '.join(texts))}</b>. " if texts else "") + (
         "Saved changes are in <code>robot.toml</code>, marked “set by hand”. If bodies or pairs "
         "change, the border is sampled again. <code>dbb check-robot</code> checks a saved robot."

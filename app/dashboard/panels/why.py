@@ -99,7 +99,7 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
     return [
         _row("Force on the base", "sum of the forces (14) at the acting points", force),
         _row("Base motion", "measured velocity", words.speeds(snapshot.base_velocity)),
-        _row("Limited by", "constraints that are active in this control step", limit + more),
+        _row("Limited by", "limits that are active in this control step", limit + more),
     ]
 
 

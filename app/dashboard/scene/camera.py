@@ -278,7 +278,7 @@ def placed(
     Args:
         preset: The view.
         shown: Snapshots, at least one; the picture shows the robots of all.
-        extent: (N, 3) [m] points of the robot in its ready pose, in the base's frame.
+        extent: (N, 3) [m] points of the robot in its ready posture, in the base's frame.
         window: The part of the page with the scene.
     """
     about = shown[len(shown) // 2]

@@ -112,10 +112,10 @@ class RobotParts:
             self.title += " (convex bodies, because its meshes are missing or unusable)"
         self.extent = self._extent(robot.description)
         """(N, 3) [m] corners of the parts that a camera must show, in the base's frame: the links
-        in the ready pose, and a part of the border around the base."""
+        in the ready posture, and a part of the border around the base."""
         top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
         self.crown = self.extent[top].mean(axis=0) - _BELOW
-        """(3,) [m] position of a label above the robot's ready pose, in the base's frame."""
+        """(3,) [m] position of a label above the robot's ready posture, in the base's frame."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:

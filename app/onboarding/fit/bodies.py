@@ -20,7 +20,7 @@ ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 """[-] weights of volumes for the arm. A capsule has the smallest weight, because the closest points
 on a capsule do not jump."""
 _MOST = 4  # [-] largest number of shapes of a body
-_SAVES = 0.03  # [-] contacts per free pose that one more shape of l_m has to save
+_SAVES = 0.03  # [-] contacts per free posture that one more shape of l_m has to save
 _LEFT = 0.85  # [-] largest volume of an arm's body that one more shape leaves
 _SPOT = 1e-6  # [m³] smallest swept volume of points around which a body is fitted
 
@@ -45,7 +45,7 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
     l_m has one box if possible. Each further shape, and each polytope instead of a box, must save
-    `_SAVES` contacts of l_m with the arm per pose, in poses in which no links touch.
+    `_SAVES` contacts of l_m with the arm per posture, in postures in which no links touch.
     """
     units, base = meetings.units, meetings.units[0]
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -91,7 +91,7 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
-    """(tries,) [-] mean number of the arm's units that each fit of l_m touches in a free pose.
+    """(tries,) [-] mean number of the arm's units that each fit of l_m touches in a free posture.
 
     Units that are close to the base by design do not count.
     """

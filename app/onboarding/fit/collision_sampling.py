@@ -1,4 +1,4 @@
-"""Collision sampling: the units of links that meet in random poses of the arm."""
+"""Collision sampling: the units of links that meet in random postures of the arm."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,29 +26,30 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 ALWAYS = 0.6
-"""[-] share of the free poses inside the buffer above which a pair counts as always near."""
+"""[-] share of the free postures inside the buffer above which a pair counts as always near."""
 MARGIN = 0.015  # [m] distance below which a point of a surface counts as reached by another unit
 BUILT_IN = 0.5
-"""[-] smallest share of the poses in which hulls of nested units touch, as in a telescope."""
+"""[-] smallest share of the postures in which hulls of nested units touch, as in a telescope."""
 NESTED = BUILT_IN**2
-"""[-] smallest share of random poses in which nested links touch. It is the product of two shares:
-the poses in which the units touch, and among these the poses in which the links touch."""
-_FEWEST = 50  # [-] smallest number of free poses for finding close pairs
-_MAX_LOOKS = 200  # [-] number of poses of a pair of units in which the touched points are searched
+"""[-] smallest share of random postures in which nested links touch. It is the product of two
+shares: the postures in which the units touch, and among these the postures in which the links
+touch."""
+_FEWEST = 50  # [-] smallest number of free postures for finding close pairs
+_MAX_LOOKS = 200  # [-] number of postures of two units in which the touched points are searched
 _OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
-_RARE = 30  # [-] number of colliding random poses of a pair below which more are searched
+_RARE = 30  # [-] number of colliding random postures of a pair below which more are searched
 ENOUGH = 600
-"""[-] number of colliding poses that is sufficient for shares with an accuracy of 0.5 %."""
-_MORE, _MAX_POSES = 1000, 40_000  # [-] poses that are sampled at a time, and in total
-_PARTS = 4  # [-] parts of the random poses, for parallel processes
+"""[-] number of colliding postures that is sufficient for shares with an accuracy of 0.5 %."""
+_MORE, _MAX_POSTURES = 1000, 40_000  # [-] postures that are sampled at a time, and in total
+_PARTS = 4  # [-] parts of the random postures, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
-_NEAREST, _TRIES = 20, 10  # [-] poses that are varied at a time, and variations of each pose
+_NEAREST, _TRIES = 20, 10  # [-] postures that are varied at a time, and variations of each posture
 _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] sizes of the variations relative to a joint's range
 
 
-class Poses(NamedTuple):
-    """Poses of the arm."""
+class Postures(NamedTuple):
+    """Postures of the arm."""
 
     q_m: Array
     """(N, n_m) [rad or m]"""
@@ -56,25 +57,25 @@ class Poses(NamedTuple):
     """(N, pairs) [m] signed distances of hulls."""
     possible: Array
     """(N,) whether no close pair touches, except nested ones; joint limits have to prevent the
-    other poses."""
+    other postures."""
 
 
 @dataclass(frozen=True)
 class Meetings:
-    """Distances and collisions of units in random poses."""
+    """Distances and collisions of units in random postures."""
 
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]
     """Pairs of units that are not neighbours, by the indices of the units."""
     close: frozenset[tuple[int, int]]
-    """Pairs that no buffer can monitor: the units are within d_b in most free poses, or they are
+    """Pairs that no buffer can monitor: the units are within d_b in most free postures, or they are
     units of the arm that touch, but overlap by at most 3 mm."""
     apart: frozenset[tuple[int, int]]
-    """Pairs of a unit on the base and a unit of the arm that are within d_b in most free poses and
-    overlap deeper than adjacent links: joint limits have to prevent this."""
-    random: Poses
-    rare: Poses
-    """Colliding poses of pairs that rarely meet in random poses; see `_rare_poses`."""
+    """Pairs of a unit on the base and a unit of the arm that are within d_b in most free postures
+    and overlap deeper than adjacent links: joint limits have to prevent this."""
+    random: Postures
+    rare: Postures
+    """Colliding postures of pairs that rarely meet in random postures; see `_rare_postures`."""
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
     """For a pair (u, v): whether v has reached each point of the surface of u."""
 
@@ -92,7 +93,7 @@ class Meetings:
 
     @property
     def collides(self) -> Array:
-        """(N, pairs) whether the hulls overlap in a random pose; always False for close pairs."""
+        """(N, pairs) whether hulls overlap in a random posture; always False for close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
         return np.logical_and(self.random.distances <= 0.0, watched)
 
@@ -117,12 +118,12 @@ def sample_meetings(
     stopped: bool = False,
     workers: Workers = ALONE,
 ) -> Meetings:
-    """Distances between the hulls of all units that are not neighbours, in random poses.
+    """Distances between the hulls of all units that are not neighbours, in random postures.
 
-    First `samples` poses are drawn, then further poses until `enough` of them have a collision, up
-    to 40,000 poses. With `points`, the field `met` of the result has the points of surfaces that
-    other units reach. `stopped` means that joint limits prevent the collisions of the pairs in
-    `apart`; then these pairs are not in `close`.
+    First `samples` postures are drawn, then further postures until `enough` of them have a
+    collision, up to 40,000 postures. With `points`, the field `met` of the result has the points of
+    surfaces that other units reach. `stopped` means that joint limits prevent the collisions of the
+    pairs in `apart`; then these pairs are not in `close`.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -134,17 +135,17 @@ def sample_meetings(
         parts = [(model, units, pairs, part) for part in np.array_split(more, _PARTS)]
         distances = np.vstack([distances, *workers.map(_look, parts)])
         close, apart, barred = _built_near(units, pairs, distances, d_b, stopped)
-        random = Poses(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
+        random = Postures(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
         found = Meetings(units, pairs, close, apart, random, random)
         hits = np.count_nonzero(random.possible & found.collides.any(axis=1))
-        if hits >= enough or len(q_m) >= _MAX_POSES:
+        if hits >= enough or len(q_m) >= _MAX_POSTURES:
             break
-    rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
+    rare_q = _rare_postures(model, units, pairs, (q_m, distances), close, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
     graze = _grazing(units, pairs, np.vstack([distances, gaps]))
     barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
     random, rare = (
-        Poses(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
+        Postures(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
         for q_m, each in ((q_m, distances), (rare_q, gaps))
     )
     found = replace(found, close=close | graze, random=random, rare=rare)
@@ -161,8 +162,8 @@ def _built_near(
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
     """The fields `close` and `apart` of `Meetings`, and columns of `distances` (N, pairs) [m].
 
-    The columns belong to the close pairs that are not nested. The real robot cannot take a pose in
-    which one of these pairs touches.
+    The columns belong to the close pairs that are not nested. The real robot cannot take a posture
+    in which one of these pairs touches.
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
@@ -176,7 +177,7 @@ def _built_near(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's units that touch in `_RARE` poses or more, but at most `_GRAZE` deep."""
+    """Pairs of the arm's units that touch in `_RARE` postures or more, at most `_GRAZE` deep."""
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
     return frozenset(
@@ -198,8 +199,8 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """Pairs of nested links of the units u and v; none if the units are not nested.
 
     Units are nested if `found.nested` has them, or if they are neighbours that touch in at least
-    `BUILT_IN` of the poses. Two of their links are nested if they touch in at least `BUILT_IN` of
-    the poses in which the units touch. Contacts of other links of these units are collisions.
+    `BUILT_IN` of the postures. Two of their links are nested if they touch in at least `BUILT_IN`
+    of the postures in which the units touch. Contacts of other links of these units are collisions.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
@@ -216,7 +217,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
 def nested_touches(
     model: RobotModel, geometry: Mapping[str, LinkGeometry]
 ) -> dict[tuple[str, str], float]:
-    """[-] share of random poses in which two nested links of a description touch, by the pair.
+    """[-] share of random postures in which two nested links of a description touch, by the pair.
 
     `nested_links` finds only pairs with at least `NESTED`. For a link without a shape it is 0.
     """
@@ -231,7 +232,7 @@ def nested_touches(
     return dict.fromkeys(named, 0.0) | dict(zip(shaped, shares, strict=True))
 
 
-def _rare_poses(
+def _rare_postures(
     model: RobotModel,
     units: Sequence[Unit],
     pairs: Pairs,
@@ -239,10 +240,11 @@ def _rare_poses(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) colliding poses of pairs that collide in fewer than `_RARE` of the sampled poses.
+    """(N, n_m) colliding postures of pairs that collide in fewer than `_RARE` of the sampled
+    postures.
 
-    They are variations of the poses in which the pair was nearest. `sampled` are poses (N, n_m) and
-    distances (N, pairs) [m].
+    They are variations of the postures in which the pair was nearest. `sampled` are postures (N,
+    n_m) and distances (N, pairs) [m].
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]
@@ -264,18 +266,18 @@ def _rare_poses(
     return np.vstack(found)
 
 
-def free_poses(distances: Array) -> Array:
+def free_postures(distances: Array) -> Array:
     """(N,) whether no hulls with the distances (N, pairs) [m] touch.
 
-    With very few such poses, all poses count.
+    With very few such postures, all postures count.
     """
     free = np.asarray((distances > 0.0).all(axis=1))
     return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
 
 
 def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
-    """Pairs that are within d_b [m] in more than `ALWAYS` of the free poses; see `free_poses`."""
-    near = (distances[free_poses(distances)] < d_b).mean(axis=0)
+    """Pairs within d_b [m] in more than `ALWAYS` of the free postures; see `free_postures`."""
+    near = (distances[free_postures(distances)] < d_b).mean(axis=0)
     return frozenset(pair for pair, share in zip(pairs, near, strict=True) if share > ALWAYS)
 
 
@@ -287,15 +289,15 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
     # Shallow collisions first: in deep collisions the links pass through each other.
     met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
-    poses = found.random.q_m[met_in]
+    postures = found.random.q_m[met_in]
     if np.count_nonzero(column <= 0.0) < _RARE:
         rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]
-        poses = np.vstack([poses, rare])
-    if (a, b) in found.close or not len(poses):
+        postures = np.vstack([postures, rare])
+    if (a, b) in found.close or not len(postures):
         return {}
     masks = {(u, v): np.zeros(len(units[u].surface), dtype=bool) for u, v in ((a, b), (b, a))}
-    for pose in poses:
-        q = model.configuration((0.0, 0.0, 0.0), pose)
+    for posture in postures:
+        q = model.configuration((0.0, 0.0, 0.0), posture)
         pin.forwardKinematics(model.pin, data, q)
         for (u, v), mask in masks.items():
             T = data.oMi[units[v].joint].actInv(data.oMi[units[u].joint])

@@ -1,11 +1,11 @@
-"""Grouping of links into bodies whose pairs detect collisions and do not react in free poses.
+"""Grouping of links into bodies whose pairs detect collisions and do not react in free postures.
 
 Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A division of the
-chain into groups is judged mainly by the share of colliding poses in which no pair of its bodies
-overlaps, by the share of free poses in which a pair overlaps, and by the pairs that are inside
-their buffer in most free poses. Such a pair is not monitored, like a pair of neighbours, if its
+chain into groups is judged mainly by the share of colliding postures in which no pair of its bodies
+overlaps, by the share of free postures in which a pair overlaps, and by the pairs that are inside
+their buffer in most free postures. Such a pair is not monitored, like a pair of neighbours, if its
 links are that close by design or if other pairs detect its collisions. A pair detects a collision
-if its bodies overlap in the same pose.
+if its bodies overlap in the same posture.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,22 +37,22 @@ _PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is
 _MAX_BODIES = 6  # [-] largest number of bodies of the arm
 _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
 MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their bodies may miss
-TEST_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
-_MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
-_FEWEST_CONTACTS = 30  # [-] smallest number of poses for naming a range without a contact
+TEST_POSTURES = 4000  # [-] smallest number of random postures for testing the chosen bodies
+_MAX_LOOKED_AT = 300  # [-] largest number of excluded postures in which meshes are compared
+_FEWEST_CONTACTS = 30  # [-] smallest number of postures for naming a range without a contact
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
-_TEST_SEED = 2**31  # [-] seed of these poses, which the fit does not use
-_MISSED = 0.1 * MAX_UNDETECTED  # [-] largest share of colliding poses that a grouping may miss
+_TEST_SEED = 2**31  # [-] seed of these postures, which the fit does not use
+_MISSED = 0.1 * MAX_UNDETECTED  # [-] largest share of colliding postures that a grouping may miss
 _BODY_COST = 0.03  # [-] cost of each body
 _MISSED_COST = 40.0  # [-] cost of missed collisions, per share above `_MISSED`
-_FALSE_COST = 2.0  # [-] cost of free poses in which bodies overlap, per share
+_FALSE_COST = 2.0  # [-] cost of free postures in which bodies overlap, per share
 _SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet although its links never do
 _ALWAYS_COST = 1.0  # [-] cost of a pair in `Verdict.always`
 _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 
 BY_LINKS = "chosen: some of its links are nearer than d_b by design"
-BY_BODIES = "chosen: its bodies are within d_b in most poses; other pairs detect the collisions"
+BY_BODIES = "chosen: its bodies are within d_b in most postures; other pairs detect the collisions"
 """Reasons why a pair is not monitored."""
 
 
@@ -60,18 +60,18 @@ class Verdict(NamedTuple):
     """The quality of a grouping."""
 
     missed: float
-    """[-] share of colliding poses in which no pair of bodies overlaps."""
+    """[-] share of colliding postures in which no pair of bodies overlaps."""
     false: float
-    """[-] share of free poses in which a pair of bodies overlaps."""
+    """[-] share of free postures in which a pair of bodies overlaps."""
     spurious: tuple[str, ...]
     """Pairs of bodies that overlap although their links never do."""
     always: tuple[str, ...]
-    """Monitored pairs that overlap in some pose and are inside their buffer in most free poses."""
+    """Monitored pairs that overlap in a posture and are inside their buffer in most free ones."""
     unwatched: dict[str, str]
-    """Pairs that are not monitored because they are inside their buffer in most free poses; the
+    """Pairs that are not monitored because they are inside their buffer in most free postures; the
     value is `BY_LINKS` or `BY_BODIES`."""
     near: dict[str, float]
-    """[-] share of the free poses inside the buffer, by the name of the monitored pair."""
+    """[-] share of the free postures inside the buffer, by the name of the monitored pair."""
     cost: float
     """[-] total cost; the best grouping has the smallest."""
 
@@ -127,11 +127,11 @@ def with_nested(
 
 
 def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether monitored pairs overlap in nearly all poses in which a unit meets another one."""
+    """Whether monitored pairs overlap in nearly all postures in which a unit meets another one."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
     q_m = [
-        poses.q_m[np.any(poses.distances[:, own] <= 0.0, axis=1) & poses.possible]
-        for poses in (meetings.random, meetings.rare)
+        postures.q_m[np.any(postures.distances[:, own] <= 0.0, axis=1) & postures.possible]
+        for postures in (meetings.random, meetings.rare)
     ]
     names, distances = _body_distances(model, grouping.bodies, np.vstack(q_m))
     watched = [name not in grouping.verdict.unwatched for name in names]
@@ -186,7 +186,7 @@ def _arm_grouping(
 def judge(
     model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
 ) -> Verdict:
-    """The quality of bodies in up to 600 colliding and 600 free random poses of the meetings."""
+    """The quality of bodies in up to 600 colliding and 600 free random postures of the meetings."""
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))
     parts = (np.logical_and(possible, real), np.logical_and(possible, ~real))
@@ -226,19 +226,20 @@ def judge(
 
 
 class Detection(NamedTuple):
-    """Collisions of links in random poses that the fit has not used, and the undetected ones.
+    """Collisions of links in random postures that the fit has not used, and the undetected ones.
 
-    A colliding pose is detected if the bodies of any pair overlap, because avoidance prevents this.
+    A colliding posture is detected if the bodies of any pair overlap, because avoidance prevents
+    this.
     """
 
     looked_at: int
-    """Number of random poses."""
-    poses: int
-    """Number of poses in which hulls of links collide."""
+    """Number of random postures."""
+    postures: int
+    """Number of postures in which hulls of links collide."""
     undetected: int
-    """Number of these poses in which meshes of links collide, but no pair of bodies overlaps."""
+    """Number of these postures in which meshes of links collide, but no pair of bodies overlaps."""
     watched: int
-    """Collisions of links whose bodies are a pair, counted by pose and pair."""
+    """Collisions of links whose bodies are a pair, counted by posture and pair."""
     missed: int
     """Number of these collisions in which the bodies of the pair do not overlap."""
     deepest: float
@@ -246,36 +247,37 @@ class Detection(NamedTuple):
     blind: tuple[str, ...]
     """Pairs of bodies that miss more than half of their links' random and searched collisions."""
     worst: str
-    """The first links of the two units that meet most often in the undetected poses, with their
-    share of all random poses; `none` without undetected poses."""
+    """The first links of the two units that meet most often in the undetected postures, with their
+    share of all random postures; `none` without undetected postures."""
     left_out: int
-    """Number of poses that a rule excludes: no pair of bodies overlaps, but links meet that are
-    neighbours or close by design. It is extrapolated if more than 300 poses qualify."""
+    """Number of postures that a rule excludes: no pair of bodies overlaps, but links meet that are
+    neighbours or close by design. It is extrapolated if more than 300 postures qualify."""
     rule: str
-    """Up to four pairs of links of these poses, with their shares of all random poses; the most
-    frequent ones are first."""
+    """Up to four pairs of links of these postures, with their shares of all random postures; the
+    most frequent ones are first."""
 
     @property
     def share(self) -> float:
-        """[-] share of the colliding poses that no pair detects."""
-        return self.undetected / max(1, self.poses)
+        """[-] share of the colliding postures that no pair detects."""
+        return self.undetected / max(1, self.postures)
 
 
 def detection_of(
     model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float, workers: Workers = ALONE
 ) -> Detection:
-    """The collisions of links in random poses, and those that the bodies of a description miss.
+    """The collisions of links in random postures, and those that the bodies of a description miss.
 
     Contacts that are allowed by design (`neighbours`) do not count. Contacts of two links of the
     arm that are within d_b [m] of each other by design do not count either. A contact of the base
-    with a link that is within d_b of the base by design counts. `workers` share the random poses.
+    with a link that is within d_b of the base by design counts. `workers` share the random
+    postures.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
     met = sample_meetings(
         model,
         units,
-        samples=TEST_POSES,
+        samples=TEST_POSTURES,
         seed=_TEST_SEED,
         d_b=d_b,
         enough=ENOUGH,
@@ -292,7 +294,7 @@ def detection_of(
     q_m = np.vstack([met.random.q_m[random], met.rare.q_m])
     gaps = PairDistances(model, pairs).sampled(q_m)
     undetected = np.all(gaps[:count] > 0.0, axis=1)
-    for k in np.flatnonzero(hits[undetected].any(axis=0)):  # few poses: their meshes are compared
+    for k in np.flatnonzero(hits[undetected].any(axis=0)):  # few postures: meshes are compared
         rows = np.flatnonzero(undetected & hits[:, k])
         a, b = (units[u] for u in met.pairs[k])
         hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])
@@ -314,7 +316,7 @@ def detection_of(
     worst, blame = "none", hits[undetected].sum(axis=0) / len(random)
     if blame.any():
         a, b = (units[k].name for k in met.pairs[int(blame.argmax())])
-        worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
+        worst = f"{a} and {b} ({blame.max():.2%} of the postures)"
     seen = len(random), count, int(undetected.sum()), watched, missed, deepest, tuple(blind), worst
     return Detection(*seen, left_out, rule)
 
@@ -355,10 +357,10 @@ def _left_out(
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
-    """The largest range of one of some joints without a pose of q_m (N, n_m), as text.
+    """The largest range of one of some joints without a posture of q_m (N, n_m), as text.
 
     It is empty if no range has at least a quarter of the joint's range, or of a turn, and with
-    fewer than `_FEWEST_CONTACTS` poses, between which such a range is a coincidence.
+    fewer than `_FEWEST_CONTACTS` postures, between which such a range is a coincidence.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():

@@ -1,4 +1,4 @@
-"""Postures of a new robot: the ready pose, and the lines for guiding."""
+"""Postures of a new robot: the ready posture, and the lines for guiding."""
 
 from bisect import bisect_left
 from collections import Counter
@@ -26,56 +26,58 @@ from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver, find_start
 from app.strict import Array
 
 RULE = (
-    "chosen: the best of random poses within the middle 80 % of each joint's range, by clearance "
-    "(up to 0.15 m beyond the buffer), manipulability (relative to the best), an end-effector in "
-    "front of or beside the base that points outwards or down, and joints near their middle"
+    "chosen: the best of random postures within the middle 80 % of each joint's range, by "
+    "distance beyond the buffer (up to 0.15 m), manipulability (relative to the best), an "
+    "end-effector in front of or beside the base that points outwards or down, and joints near "
+    "their middle"
 )
-_SAMPLES = 6000  # [-] number of random poses
+_SAMPLES = 6000  # [-] number of random postures
 _KEPT = 0.1  # [-] margin to both limits, relative to a joint's range
-_ENOUGH = 0.15  # [m] clearance beyond the buffer above which more has no advantage
+_ENOUGH = 0.15  # [m] distance beyond the buffer above which more has no advantage
 _FLOOR = 0.1  # [m] smallest distance between the arm and the floor
-_BAD = 1e3  # [-] offset that makes every quality positive, so that a pose is always chosen
+_BAD = 1e3  # [-] offset that makes every quality positive, so that a posture is always chosen
 
 
 class Ready(NamedTuple):
-    """A pose with its smallest distance."""
+    """A posture, and the pair that is nearest in it."""
 
     q_m: Array
     """(n_m,) [rad or m]"""
-    clearance: float
+    beyond_buffer: float
     """[m] smallest distance of a pair beyond its buffer; negative inside it, inf without a pair."""
     nearest: str
     """Name of that pair; empty without a pair."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random poses according to `RULE`, with joint positions rounded to 0.01 rad or m.
+    """The best of random postures according to `RULE`, with joint positions rounded to 0.01 rad or
+    m.
 
     `pairs` are the monitored pairs.
     """
     rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
     search, middle = judge.search, judge.search.middle
-    span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready pose exceeds one turn
-    poses = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
-    best = max(map(judge.manipulability, poses)) or 1.0
+    span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready posture exceeds one turn
+    postures = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
+    best = max(map(judge.manipulability, postures)) or 1.0
 
     def worth(q_m: Array) -> float:
         ready = judge.look(q_m)
         return (
             _BAD
-            + 1.5 * min(ready.clearance, _ENOUGH) / _ENOUGH
+            + 1.5 * min(ready.beyond_buffer, _ENOUGH) / _ENOUGH
             + judge.manipulability(q_m) / best
             + judge.placed()
             - 0.5 * float(np.mean(np.abs(q_m - middle) / span))
         )
 
-    found = search.best(poses, worth).q_m
+    found = search.best(postures, worth).q_m
     assert found is not None
     return judge.look(np.round(found, 2))
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The smallest distance of the monitored pairs in a pose q_m (n_m,)."""
+    """The posture q_m (n_m,), with the smallest distance of a monitored pair beyond its buffer."""
     return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
@@ -85,15 +87,15 @@ class _Judge:
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
-        """The smallest distance in a pose q_m (n_m,)."""
+        """The posture q_m (n_m,) with its `beyond_buffer`, and the name of the nearest pair."""
         self.search.place(q_m)
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
-        clearance = distances[i] - self.search.d_b if distances else np.inf
-        return Ready(q_m, float(clearance), self.search.names[i] if distances else "")
+        beyond = distances[i] - self.search.d_b if distances else np.inf
+        return Ready(q_m, float(beyond), self.search.names[i] if distances else "")
 
     def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the end-effector in a pose; if n_m < 6, J has only the position's rows."""
+        """√det(J Jᵀ) of the end-effector in a posture; if n_m < 6, J has the position's rows."""
         self.search.place(q_m)
         return manipulability(self.search.J_ee if len(q_m) >= 6 else self.search.J_ee[:3])
 
@@ -116,7 +118,8 @@ _Start = tuple[Array, Array]
 (3,) towards the base."""
 
 INNER = 0.4
-"""[-] share of d_b below which the arm's distance to a base at rest has to fall on a line."""
+"""[-] share of d_b below which the distance between the arm and a base at rest has to fall on a
+line."""
 GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, relative to d_b
 CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
@@ -152,7 +155,7 @@ class Place(NamedTuple):
     move: Point
     """[m] vector from the start to the end."""
     nearest: float
-    """[m] smallest distance of the arm to a base at rest on this line."""
+    """[m] smallest distance between the arm and a base at rest on this line."""
     source: str
     """Source of the line for the description."""
 
@@ -301,7 +304,7 @@ class _Candidate(NamedTuple):
     left: float
     """[m] distance of its end from the side of the base."""
     nearest: float
-    """[m] smallest distance of the arm to a base at rest."""
+    """[m] smallest distance between the arm and a base at rest."""
     carried: float
     """[-] mean share of the base's motion that the arm does not compensate, on the part of the line
     inside the buffers; 0 without such a part."""
@@ -342,9 +345,9 @@ class _Guide:
     def obstacles(self) -> str:
         """Why no line leads near the base; of failed starts the most frequent reasons."""
         if (near := self._nearest) is not None:
-            line = f"on the line from {point_text(near.start)} it is {near.nearest:.3f} m"
+            line = f"the line from {point_text(near.start)} leads to {near.nearest:.3f} m"
             least = INNER * self._d_b
-            return f"on no line the arm's distance to the base is below {least:.3f} m; {line}"
+            return f"no line brings the arm nearer to the base than {least:.3f} m; {line}"
         by = {OUT_OF_REACH: f" by about {self._short:.2f} m"} if self._short > _NEAR else {}
         rows, of = self._obstacles.most_common(_MAX_NAMED), sum(self._obstacles.values())
         starts = ", ".join(f"{why}{by.get(why, '')} ({n} of {of} starts)" for why, n in rows)
@@ -355,8 +358,8 @@ class _Guide:
 
         A quick first step moves the arm to each start from a known posture. A second, slow step
         searches for the posture with which a run starts; it runs only when the caller requests the
-        next line. No two lines have nearly the same end. If the arm comes nearer than `INNER` d_b
-        on no line, only the best line is yielded.
+        next line. No two lines have nearly the same end. If no line brings the arm nearer than
+        `INNER` d_b, only the best line is yielded.
         """
         mount, body = self._model.p_base(), self.body
         tops = _tops(body, float(mount[2]) + _OVER_MOUNT)

@@ -1,7 +1,8 @@
 """Stops: joint limits that prevent collisions of links that are close to the base by design.
 
-These links are within d_b of the base in most poses, so their pairs are not monitored. An example
-is the upper arm of a UR: a limit of the shoulder lift joint prevents its collision with the base.
+These links are within d_b of the base in most postures, so their pairs are not monitored. An
+example is the upper arm of a UR: a limit of the shoulder lift joint prevents its collision with the
+base.
 """
 
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ import numpy as np
 
 from app.config import parameter
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import ALWAYS, MARGIN, Meetings, free_poses
+from app.onboarding.fit.collision_sampling import ALWAYS, MARGIN, Meetings, free_postures
 from app.onboarding.fit.units import hull_distances
 from app.onboarding.numbers import Limits
 from app.onboarding.read.tree import Arm
@@ -21,7 +22,7 @@ from app.strict import Array
 STOPPED = " is limited before "
 """Words between the name of a joint and the reason of its limits, in the source of the limits."""
 _VALUES = 400  # [-] sampled positions of the limited joint
-_POSES = 60  # [-] sampled poses of the other joints at each of these positions
+_POSTURES = 60  # [-] sampled postures of the other joints at each of these positions
 _ARM = 2  # pinocchio's first joint of the arm
 LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
 _ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
@@ -36,13 +37,13 @@ def with_stops(
 ) -> Limits:
     """Joint limits with which no link that is close to the base by design can reach the base.
 
-    For each of these links that reaches the base in a sampled pose, one joint between the base and
-    the link gets narrower limits: the joint that retains the largest share of its range. If no
+    For each of these links that reaches the base in a sampled posture, one joint between the base
+    and the link gets narrower limits: the joint that retains the largest share of its range. If no
     joint retains a quarter of its range, or of a turn, the limits do not change; see
-    `watching_buffer`. `ready` (n_m,) is a pose that the limits have to include, or None.
+    `watching_buffer`. `ready` (n_m,) is a posture that the limits have to include, or None.
 
     Raises:
-        RobotFileError: No limits that include the pose `ready` prevent the contact.
+        RobotFileError: No limits that include the posture `ready` prevent the contact.
     """
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     stops = {}
@@ -50,14 +51,14 @@ def with_stops(
         a, b = meetings.units[u], meetings.units[v]
         if not _meet(meetings, (u, v), lower, upper):
             continue
-        poses = sample_joints(model, _POSES, np.random.default_rng(0)).clip(lower, upper)
+        postures = sample_joints(model, _POSTURES, np.random.default_rng(0)).clip(lower, upper)
         stopping = []
         for joint in range(b.joint - _ARM + 1):
             values = np.linspace(lower[joint], upper[joint], _VALUES)
-            tried = np.repeat(poses[:, None], _VALUES, axis=1)
+            tried = np.repeat(postures[:, None], _VALUES, axis=1)
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
-            nearest = found.reshape(_POSES, _VALUES).min(axis=0)
+            nearest = found.reshape(_POSTURES, _VALUES).min(axis=0)
             clear = nearest > contact_margin(nearest)
             for first, after in np.flatnonzero(np.diff(np.pad(clear, 1))).reshape(-1, 2):
                 low, high = values[first], values[after - 1]
@@ -73,7 +74,7 @@ def with_stops(
             stops[name] = f"{b.name} reaches {a.name}{detects}"
         elif ready is not None:
             raise RobotFileError(
-                f"--ready: {b.name} can meet {a.name} near this pose; choose another pose"
+                f"--ready: {b.name} can meet {a.name} near this posture; choose another posture"
             )
     if not stops:
         return limits
@@ -104,18 +105,18 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
         met = _meet(meetings, (u, v), np.array(limits.lower), np.array(limits.upper))
         if met and 0.0 < wanted < least:
             a, b = (meetings.units[k].name for k in (u, v))
-            least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most poses"
+            least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most postures"
     return least, why
 
 
 def _monitored_from(meetings: Meetings, pair: tuple[int, int]) -> float:
     """A d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
 
-    The units are then outside of the buffer in the share `ALWAYS` of the free poses. A pair needs
-    less, but its bodies are larger than the links.
+    The units are then outside of the buffer in the share `ALWAYS` of the free postures. A pair
+    needs less, but its bodies are larger than the links.
     """
     distances = meetings.random.distances
-    gaps = distances[free_poses(distances), meetings.pairs.index(pair)]
+    gaps = distances[free_postures(distances), meetings.pairs.index(pair)]
     wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
     return wanted if wanted >= parameter("border.d_b").low else 0.0
 
@@ -127,6 +128,6 @@ def detectable(meetings: Meetings, pair: tuple[int, int]) -> str:
 
 
 def _meet(meetings: Meetings, pair: tuple[int, int], lower: Array, upper: Array) -> bool:
-    """Whether two units meet in a random pose within joint limits."""
+    """Whether two units meet in a random posture within joint limits."""
     q_m, gaps = meetings.random.q_m, meetings.random.distances[:, meetings.pairs.index(pair)]
     return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())

@@ -185,8 +185,8 @@ def shape_distances(
     joints, centres, radii = _spheres(geometry)
     first, second = np.array(shapes).T
     ends = [*starts[1:], len(shapes)]
-    for row, pose in zip(found, q_m, strict=True):
-        q = model.configuration((0.0, 0.0, 0.0), pose)
+    for row, posture in zip(found, q_m, strict=True):
+        q = model.configuration((0.0, 0.0, 0.0), posture)
         pin.updateGeometryPlacements(model.pin, data, geometry, placed, q)
         if len(shapes) < _MANY:
             pin.computeDistances(geometry, placed)
@@ -209,15 +209,15 @@ def shape_distances(
 def meshes_meet(
     model: RobotModel, a: Unit, b: Unit, geometry: Mapping[str, LinkGeometry], q_m: Array
 ) -> Array:
-    """(N,) whether triangles of the meshes of two units touch in the poses q_m (N, n_m)."""
+    """(N,) whether triangles of the meshes of two units touch in the postures q_m (N, n_m)."""
     data, request = model.pin.createData(), coal.CollisionRequest()
     first, second = (
         [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
         for u in (a, b)
     )
     found = np.zeros(len(q_m), dtype=bool)
-    for row, pose in enumerate(q_m):
-        q = model.configuration((0.0, 0.0, 0.0), pose)
+    for row, posture in enumerate(q_m):
+        q = model.configuration((0.0, 0.0, 0.0), posture)
         pin.framesForwardKinematics(model.pin, data, q)
         for (i, shape), (j, other) in product(first, second):
             T = data.oMf[i].actInv(data.oMf[j])
@@ -268,5 +268,5 @@ def hulls(unit: Unit) -> list[Placed]:
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
-    """(N, pairs) [m] signed distances between the hulls of units in the poses q_m (N, n_m)."""
+    """(N, pairs) [m] signed distances between the hulls of units in the postures q_m (N, n_m)."""
     return shape_distances(model, [hulls(unit) for unit in units], pairs, q_m)

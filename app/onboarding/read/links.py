@@ -349,7 +349,7 @@ def _check_moments(
 
 
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
-    """The stated inertia, with moments for a stated mass without moments; or one by volume."""
+    """The stated inertia, with moments if only a mass is stated; or one from the volume."""
     if geometry.volume <= _FLAT:
         return LinkInertia(stated or pin.Inertia.Zero(), "")
     if stated is None:

@@ -36,7 +36,7 @@ def chosen_plant(name: str | None) -> str:
 def make_physics(
     kind: str | None, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
 ) -> Physics:
-    """Make a plant, at rest in the robot's ready position.
+    """Make a plant, at rest in the robot's ready posture.
 
     Args:
         kind: Name of the plant, as for `chosen_plant`.

@@ -25,28 +25,28 @@ _SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # directions of
 
 
 class Difference(NamedTuple):
-    """Differences between two engines in some poses."""
+    """Differences between two engines in some postures."""
 
     picture: float
     """[-] largest share, among all pictures, of the rays to the robot with different hits."""
     depth: float
     """[m] depth of the deepest contact that exists in only one engine."""
     contacts: int
-    """Number of contacts in both engines; those of the same kind in a pose count once."""
-    poses: int
-    """Number of compared poses."""
+    """Number of contacts in both engines; those of the same kind in a posture count once."""
+    postures: int
+    """Number of compared postures."""
 
 
 def compare_engines(
-    model: RobotModel, *, poses: int = 30, pictures: int = 3, seed: int = 0
+    model: RobotModel, *, postures: int = 30, pictures: int = 3, seed: int = 0
 ) -> Difference:
-    """Put both planar plants into random poses, and compare contacts and pictures.
+    """Put both planar plants into random postures, and compare contacts and pictures.
 
     Args:
         model: The robot.
-        poses: Number of poses.
-        pictures: Number of poses with pictures, from three sides each.
-        seed: Seed of the random poses.
+        postures: Number of postures.
+        pictures: Number of postures with pictures, from three sides each.
+        seed: Seed of the random postures.
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
@@ -58,7 +58,7 @@ def compare_engines(
     picture = depth = 0.0
     both = 0
     try:
-        for k, q_m in enumerate(sample_joints(model, poses, rng)):
+        for k, q_m in enumerate(sample_joints(model, postures, rng)):
             base = np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)])
             for plant in plants:
                 plant.reset(base, q_m)
@@ -76,7 +76,7 @@ def compare_engines(
     finally:
         for plant in plants:
             plant.close()
-    return Difference(picture, depth, both, poses)
+    return Difference(picture, depth, both, postures)
 
 
 def _picture(

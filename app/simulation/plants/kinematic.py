@@ -32,7 +32,7 @@ class Kinematic(Physics):
     door = None
 
     def __init__(self, model: RobotModel, *, dt: float = 0.001) -> None:
-        """Start at rest in the robot's ready position; `dt` [s] is the duration of one step."""
+        """Start at rest in the robot's ready posture; `dt` [s] is the duration of one step."""
         self.dt = dt
         self._model = model
         self._state = RobotState(model)

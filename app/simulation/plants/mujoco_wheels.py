@@ -92,7 +92,7 @@ class MujocoWheels(Physics):
     def __init__(
         self, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
     ) -> None:
-        """Load a robot with a differential base in its ready position; see `make_physics`."""
+        """Load a robot with a differential base in its ready posture; see `make_physics`."""
         description, self.dt = model.description, dt
         self.wheels = wheels = Wheels(model)
         robot = RobotSpec(model, dt, free_root=wheels.root)

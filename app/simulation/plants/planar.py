@@ -22,7 +22,7 @@ class Planar(Physics):
     """`Physics` with wheels that neither slip nor lift; their force is limited to the traction."""
 
     def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
-        """Start with the robot of an engine's world at rest in the ready position."""
+        """Start with the robot of an engine's world at rest in the ready posture."""
         self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
         base = model.description.base

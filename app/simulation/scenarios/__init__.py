@@ -108,12 +108,12 @@ def free_start(
         data: Its border data.
         config: All parameters.
         start: (3,) [m] position of the end-effector in the world, with the base at the origin; None
-            means the start of the robot's own line for `guiding-front`, or the ready position if
+            means the start of the robot's own line for `guiding-front`, or the ready posture if
             the robot has no such line.
         seed: Seed of the search.
 
     Raises:
-        UnreachableError: The search has found no configuration.
+        UnreachableError: The search has found no posture.
         DescriptionError: A line of the description belongs to no scenario with a line.
     """
     # Imported here: scipy would delay the start of every command.

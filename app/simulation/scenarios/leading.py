@@ -66,8 +66,7 @@ class Scenario(ABC):
 
     name: str
     duration: float
-    """[s] duration of the run. A motion along a line takes a fixed share of the duration; if the
-    person releases the end-effector during the run, the option changes only the end of the run."""
+    """[s] duration of the run."""
     about: str
     """Description in one line."""
 

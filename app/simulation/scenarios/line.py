@@ -30,6 +30,8 @@ class LineScenario(Scenario):
     The base starts at the origin and faces +x.
     """
 
+    duration: float
+    """[s] duration of the run. The motion along the line takes a fixed share of it."""
     mode: Literal["guiding", "tracking"]
     """"guiding": a person pulls the end-effector; "tracking": the end-effector tracks the line."""
     start: Point

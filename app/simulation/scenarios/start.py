@@ -41,12 +41,12 @@ OUT_OF_REACH = "out of the arm's reach"
 
 
 class StartSolver:
-    """Finds an arm configuration for an end-effector position; the base at the origin faces +x.
+    """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its limits. If the
-    search finds no such direction, and the arm cannot choose its direction freely, any direction is
-    accepted.
+    search finds no such direction, and the arm cannot choose the end-effector's direction freely,
+    any direction is accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -69,11 +69,11 @@ class StartSolver:
         tries: int = _SEEDS,
         along: Sequence[Array] = (),
     ) -> Array:
-        """Find an arm configuration (n_m,) with the end-effector at a position in the world.
+        """Find a posture of the arm (n_m,) with the end-effector at a position in the world.
 
-        With further positions in `along`, the search prefers a configuration from which the arm,
+        With further positions in `along`, the search prefers a posture from which the arm,
         with the base at rest, also reaches these positions in its starting orientation, away from
-        its joint limits. If there is none, the result is another valid configuration, because the
+        its joint limits. If there is none, the result is another valid posture, because the
         base can also move during a run.
 
         Args:
@@ -85,7 +85,7 @@ class StartSolver:
             along: (3,) [m] each, further positions of the end-effector, in order.
 
         Raises:
-            UnreachableError: The search has found no configuration; the message names the reasons.
+            UnreachableError: The search has found no posture; the message names the reasons.
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
@@ -116,7 +116,7 @@ class StartSolver:
             return best.q_m
         reasons = "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
         raise UnreachableError(
-            f"start {point_text(p_ee)}: no configuration of the arm reaches it: {reasons}", flaws
+            f"start {point_text(p_ee)}: no posture of the arm reaches it: {reasons}", flaws
         )
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
@@ -185,8 +185,8 @@ class StartSolver:
             return "out of reach with the end-effector pointing away from the mount"
         if flaw := search.flaw(_FLOOR_MARGIN, _BUFFER_MARGIN):
             return flaw
-        clearance = min(search.distances(), default=np.inf) - search.d_b
-        return self._room(q, along) + min(clearance, 0.1)
+        beyond_buffer = min(search.distances(), default=np.inf) - search.d_b
+        return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
         """[-] quality of a posture: smallest joint margin and manipulability, also on the path.
@@ -219,7 +219,7 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """Find an arm configuration (n_m,), read-only and cached, by `StartSolver.solve`.
+    """Find a posture of the arm (n_m,), read-only and cached, by `StartSolver.solve`.
 
     Thus a run that starts again, for example with a different controller, needs no new search.
 
@@ -233,7 +233,7 @@ def find_start(
             with a constant orientation, or None.
 
     Raises:
-        UnreachableError: The search has found no configuration; the message names the reasons.
+        UnreachableError: The search has found no posture; the message names the reasons.
     """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
@@ -298,7 +298,7 @@ class _GraspSearch:
         if best.q_m is None:
             x, y, z = self._door.handle(self._angle).translation
             raise UnreachableError(
-                f"no configuration of the arm reaches the handle at "
+                f"no posture of the arm reaches the handle at "
                 f"({x:.2f}, {y:.2f}, {z:.2f}) m from a base at ({self._base_pose[0]:.2f}, "
                 f"{self._base_pose[1]:.2f}) m; place base and handle 0.7 to 1.1 m from each other"
             )
@@ -359,18 +359,21 @@ class _GraspSearch:
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
-    def _room(self, target: pin.SE3, q_m: Array, tolerance: float, clearance: float) -> float:
-        """[-] margins of a posture, below one; zero if the posture is invalid."""
+    def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float:
+        """[-] margins of a posture, below one; zero if the posture is invalid.
+
+        `least` [m] is the required distance of each pair beyond its buffer.
+        """
         search = self._search
         search.place(q_m)
         if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:
             return 0.0
-        beyond = min(search.distances()) - search.d_b
+        beyond_buffer = min(search.distances()) - search.d_b
         joints = search.joint_room(q_m)
-        if beyond < clearance or joints < _GRASP_MARGIN:
+        if beyond_buffer < least or joints < _GRASP_MARGIN:
             return 0.0
         bending = manipulability(search.J_ee)
-        return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
+        return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond_buffer - least, 0.1)
 
 
 def _frozen(q_m: Array) -> Array:

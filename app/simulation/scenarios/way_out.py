@@ -28,7 +28,7 @@ a pair of L_m^c inside its buffer, without penetration."""
 DEEPEST = 0.05  # [m] deepest penetration of a start
 _FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
 _FROM_ABOVE = 0.7  # [-] smallest |n_z| of a pair of L_m whose arm is above the base
-_TRIES = 20_000  # [-] random configurations for each pair and direction
+_TRIES = 20_000  # [-] random postures for each pair and direction
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class WayOutScenario(Scenario):
             if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
                 return Setting(model, data, np.zeros(3), q_m, config)
         raise UnreachableError(
-            f"no configuration of the arm has a start of the kind {self.begin!r} in {_TRIES} tries "
+            f"no posture of the arm has a start of the kind {self.begin!r} in {_TRIES} tries "
             "for each pair"
         )
 

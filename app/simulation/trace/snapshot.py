@@ -493,8 +493,8 @@ class Snapshot:
 
     @property
     def clearance(self) -> float:
-        """[m] smallest distance of the arm, and of a door that it holds, from the base; infinite
-        without a pair of L_m.
+        """[m] smallest distance between the base and the arm, or a door that the arm holds;
+        infinite without a pair of L_m.
         """
         return min((pair.d for pair in self.pairs if pair.mobile), default=math.inf)
 

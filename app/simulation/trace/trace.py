@@ -355,7 +355,7 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Position of the end-effector in a step, and the reasons of its error.
 
     The reasons refer to the true robot and the controller's base motion. The end-effector can
-    still be moving towards its target. Joints can be at their position or velocity limits. Links
+    still be moving towards its target. Joints can be at their position or speed limits. Links
     of the arm can be within their buffer; their rows have a higher priority than the end-effector's
     task. The border can push the base so that the end-effector moves away from its target. A
     stretched arm has a small singular value of the end-effector's Jacobian.

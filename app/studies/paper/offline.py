@@ -102,9 +102,9 @@ def figure_5(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig6", "Figure 6: reachability of the end-effector")
 def figure_6(sources: Sources) -> drawing.Drawing:
-    """The density of inverse kinematics solutions first increases and then decreases with the
+    """The mean number of inverse kinematics solutions first increases and then decreases with the
     distance from the arm's mount. A parabola with A = 525.9 /m², B = 0.575 m and C = 100
-    approximates this density.
+    approximates the scaled number.
     """
     reach_map = sample_reach_map(
         sources.model, sources.pair.b, samples=FINE_SAMPLES, spacing=FINE_SPACING

@@ -1,4 +1,4 @@
-"""Random poses of the arm inside the buffer of its base."""
+"""Random postures of the arm inside the buffer of its base."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NEAR = 0.01  # [m] smallest distance of a pair, and of a pair of L_m from d_b
 _MARGIN = 0.05  # [-] smallest distance from a joint's limits, as a share of its range
 
 
-def pose_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
+def posture_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
     """(n_m,) random joint positions with a pair of L_m inside its buffer and without contact."""
     model, pairs, d_b = robot.model, robot.data.pairs, robot.config.border.d_b
     reader, n = PairDistances(model, pairs.all), robot.n_mobile
