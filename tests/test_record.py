@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from app.config import Config
+from app.dashboard.job import write_log, write_report
 from app.dashboard.panels import save
 from app.dashboard.panels.run import course_html
 from app.dashboard.panels.save import SavePanel
@@ -181,24 +182,28 @@ def test_saved_case_has_the_changes_during_the_run_also_after_its_end(snapshot):
     assert sent[0]["parameters"]["border.d_b"] == 0.2
 
 
-def test_a_saved_interval_has_seed_and_plant_also_if_it_begins_late_in_a_run(snapshot):
-    """Snapshots have the case of a run only at its start."""
-    scenario = scenario_of(husky_panda().description, "guiding-lateral")
-    case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "kinematic", 7))
+@pytest.mark.parametrize(("write", "last"), [(write_log, 8.1), (write_report, 8.0)])
+def test_a_saved_interval_has_seed_and_plant_and_a_report_ends_with_its_scenario(
+    snapshot, write, last
+):
+    """After a scenario, the end-effector's target is its own position."""
     traces = []
 
     def run(_, trace, path):
         traces.append(trace)
         path.write_bytes(b"")
 
-    shared = SimpleNamespace(model=husky_panda(), course=SimpleNamespace(case=case))
-    late = [at_time(snapshot, 5.0, scenario.name), at_time(snapshot, 5.1, scenario.name)]
-    timeline = SimpleNamespace(interval=lambda: late)
-    panel = SimpleNamespace(
-        _viewer=SimpleNamespace(timeline=timeline, shared=shared), _job=SimpleNamespace(run=run)
+    known = replace(snapshot, physics="kinematic", seed=7)
+    times = {5.0: "guiding-lateral", 8.0: "guiding-lateral", 8.1: ""}
+    late = [at_time(known, t, scenario) for t, scenario in times.items()]
+    viewer = SimpleNamespace(
+        timeline=SimpleNamespace(interval=lambda: late), shared=SimpleNamespace(model=husky_panda())
     )
-    SavePanel._of_interval(panel, "log.csv", None)
-    assert (traces[0].meta.seed, traces[0].meta.physics) == (7, "kinematic")
+    panel = SimpleNamespace(_viewer=viewer, _job=SimpleNamespace(run=run))
+    SavePanel._of_interval(panel, "log.csv", write)
+    meta = traces[0].meta
+    assert (meta.scenario, meta.seed, meta.physics) == ("guiding-lateral", 7, "kinematic")
+    assert traces[0].t[-1] == last
 
 
 def test_caption_of_a_picture_is_that_of_the_drawn_posture(snapshot, monkeypatch):

@@ -27,11 +27,13 @@ class Past:
         self.strip = Strip(husky_panda().body_names)
         self._data = SceneData(self, husky_panda(), {}, parts=object())
         self._data.keepers = [self.strip]
+        self._runs = 0
         self.run(0.0, seconds)
 
     def run(self, begin: float, end: float) -> None:
+        self._runs += begin == 0.0
         for k in range(round(begin / FRAME), round(end / FRAME) + 1):
-            self._history.add(replace(self._snapshot, t=k * FRAME))
+            self._history.add(replace(self._snapshot, t=k * FRAME, run=self._runs))
             self._data.update()
 
     def latest(self):
@@ -117,6 +119,27 @@ def test_marked_interval_stays_complete_later_and_after_a_restart(then):
     past.run(*then)
     timeline.shown()
     assert len(timeline.interval()) == round(3.0 / FRAME) + 1
+
+
+def test_marks_of_an_earlier_run_do_not_limit_those_of_the_present_run():
+    past = Past(6.0)
+    timeline = line_of(past)
+    mark(timeline, 2.0, 5.0)
+    assert not timeline.earlier
+    past.run(0.0, 4.0)
+    timeline.shown()
+    assert timeline.earlier
+    timeline.go_to(3.0)
+    timeline.mark_begin()
+    assert not timeline.earlier
+    assert (timeline.begin, timeline.end) == (pytest.approx(3.0), None)
+    mark(timeline, 1.0, 2.0)
+    past.run(0.0, 4.0)
+    timeline.shown()
+    timeline.go_to(3.0)
+    timeline.mark_end()
+    assert {snapshot.run for snapshot in timeline.interval()} == {3}
+    assert (timeline.begin, timeline.end) == (0.0, pytest.approx(3.0))
 
 
 def test_open_interval_is_stored_from_its_begin_and_ends_automatically():

@@ -4,8 +4,9 @@
 // number boxes.
 window.dbbControls = (box, ranges) => {
   const HEIGHT = 100; // [px] of the bar
-  const FULL = 0.3; // [m] distance that fills the strip
+  const LANE = 0.34; // [-] part of the strip for β, above that of the distance
   const PAST = "#e8890c";
+  const POSTURE = "A posture, not simulated";
   const COLOURS = { scenario: "#4c9be8", parameter: "#9775fa", person: "#22b8cf", buffer: "#f0962b",
     limit: "#e05424", contact: "#e21038" };
   const ending = new AbortController();
@@ -46,7 +47,7 @@ window.dbbControls = (box, ranges) => {
     listen(element, "click", (e) => (act(), e.detail && element.blur())); // with a key the focus stays
     return element;
   };
-  button(past, "Back to now", "Escape or N", () => ask("now"));
+  const back = button(past, "Back to now", "Escape or N", () => ask("now"));
   const pause = button(row, "Pause", "Space", () => ask("pause"));
   const where = make("b", make("span", row));
   button(row, "−1 s", "B", () => ask("step", -1));
@@ -75,7 +76,7 @@ window.dbbControls = (box, ranges) => {
 
   // ---- content of the bar
   let kept = 600, bin = 0.1, rows = [], events = new Map();
-  let now = 0, at = 0, begin = null, end = null, live = true, paused = false, d_b = 0.15, playing = false;
+  let now = 0, at = 0, begin = null, end = null, live = true, paused = false, d_b = 0.15, playing = false, posing = false, earlier = false;
   let span = 30, right = null; // [s] shown interval and its end; null follows the newest time
   const until = () => right ?? Math.max(now, span);
   const from = () => until() - span;
@@ -124,18 +125,19 @@ window.dbbControls = (box, ranges) => {
       ink.fillText(words, left, low);
       ink.textAlign = "left";
     };
-    const y = (d) => foot - Math.min(Math.max(d, 0) / FULL, 1) * (foot - head);
-    if (begin !== null) {
+    const full = Math.max(0.3, 1.5 * d_b), lane = LANE * (foot - head); // [m] distance that fills its lane
+    const y = (d) => foot - Math.min(Math.max(d, 0) / full, 1) * (foot - head - lane);
+    if (begin !== null && !earlier) {
       ink.fillStyle = "rgba(38, 132, 214, .25)";
       ink.fillRect(x(begin), 0, Math.max(x(end ?? now) - x(begin), 2), foot);
     }
-    marked.style.left = `${Math.max(Math.min(x(begin ?? 0), w - marked.offsetWidth), 0)}px`;
+    marked.style.left = `${Math.max(Math.min(x(earlier ? from() : begin ?? 0), w - marked.offsetWidth), 0)}px`;
     const shown = rows.filter(([t]) => t > from() - 1 && t < until() + 1);
     ink.fillStyle = "rgba(142, 107, 216, .55)"; // β, drawn downwards
     shown.forEach(([t, , beta], i) => {
       const end = Math.min(shown[i + 1]?.[0] ?? t + bin, t + 10 * bin); // a busy computer skips snapshots
       const width = x(end) - x(t);
-      if (beta > 0) ink.fillRect(x(t), head, Math.max(width, 1), beta * (foot - head) * 0.5);
+      if (beta > 0) ink.fillRect(x(t), head, Math.max(width, 1), beta * (lane - 2));
     });
     ink.lineWidth = 1.6;
     ink.lineJoin = "round";
@@ -162,6 +164,8 @@ window.dbbControls = (box, ranges) => {
     ink.lineTo(w, foot);
     ink.stroke();
     ink.setLineDash([]);
+    ink.fillStyle = text;
+    ink.fillRect(0, head + lane - 1, w, 1);
     ink.globalAlpha = 0.75;
     ink.fillStyle = text;
     ink.font = "10px sans-serif";
@@ -193,13 +197,14 @@ window.dbbControls = (box, ranges) => {
   };
   const say = () => {
     const ago = `${(now - at).toFixed(2)} s ago`;
-    where.textContent = `t = ${at.toFixed(2)} s, ${live ? (paused ? "now, paused" : "now") : ago}`;
-    said.textContent = `Viewing the past, ${ago}`;
+    where.textContent = posing ? POSTURE : `t = ${at.toFixed(2)} s, ${live ? (paused ? "now, paused" : "now") : ago}`;
+    said.textContent = posing ? POSTURE : `Viewing the past, ${ago}`;
+    back.hidden = posing;
     pause.textContent = paused ? "Continue" : "Pause";
     play.textContent = playing ? "■ Stop" : "▶ Replay";
-    edge.hidden = past.hidden = live;
+    edge.hidden = past.hidden = live && !posing;
     const mark = (t) => (t === null ? "…" : t.toFixed(2));
-    marked.textContent = begin === null ? "" : `marked ${mark(begin)} to ${mark(end)} s`;
+    marked.textContent = begin === null ? "" : `marked ${mark(begin)} to ${mark(end)} s${earlier ? " of the earlier run" : ""}`;
     if (live) right = null;
     else if (at < from() || at > until()) right = Math.min(Math.max(at + span / 2, span), Math.max(now, span));
     for (const [name, value] of Object.entries({ valuemin: 0, valuemax: now, valuenow: at, valuetext: where.textContent }))
@@ -326,8 +331,10 @@ window.dbbControls = (box, ranges) => {
     for (const input of [...typed.keys()]) if (input !== e.target) take(input);
   }, { capture: true });
 
-  // ---- after a choice, a list loses the focus, so that the page's keys work again
-  listen(window, "click", (e) => e.target.closest?.("[role=option]") && document.activeElement?.blur());
+  // ---- after a choice, a list loses the focus, and a clicked tab, so that the page's keys work
+  listen(window, "click", (e) => {
+    if (e.target.closest?.("[role=option]") || (e.detail && e.target.closest?.("[role=tab]"))) document.activeElement?.blur();
+  });
 
   // ---- explanation of a plot's line, under the pointer
   let hints = {};
@@ -386,6 +393,7 @@ window.dbbControls = (box, ranges) => {
     clear: (most, width) => {
       [kept, bin, rows] = [most, width, []];
       events.clear();
+      hint.hidden = true;
       right = null;
       draw();
     },
@@ -401,7 +409,7 @@ window.dbbControls = (box, ranges) => {
       draw();
     },
     state: (...values) => {
-      [now, at, begin, end, live, paused, d_b, playing] = values;
+      [now, at, begin, end, live, paused, d_b, playing, posing, earlier] = values;
       say();
     },
     // For tests: position of a time on the page, and the content of the timeline.

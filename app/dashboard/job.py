@@ -213,11 +213,13 @@ def build_robot(report: Report, request: Request) -> None:
 
 
 def write_log(report: Report, trace: Trace, log: Path) -> None:
-    """Write a trace as a log."""
+    """Write a trace as a log; a CSV file has no comment, because it is for spreadsheets."""
     from app.simulation.trace.log_file import write_trace  # pyarrow takes long to import
 
     report("writing the log", 0.0)
     write_trace(log, trace)
+    if log.suffix == ".csv":
+        log.write_bytes(log.read_bytes().partition(b"\n")[2])
 
 
 def write_report(report: Report, trace: Trace, page: Path) -> None:

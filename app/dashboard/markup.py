@@ -110,7 +110,7 @@ def bar(share: float, colour: str = "currentColor", stroke: float | None = None)
 def chip(text: str, ground: str, ink: str) -> str:
     """Return a short text on a coloured background."""
     look = f"background:{ground};color:{ink};border-radius:4px;padding:.1em .5em"
-    return _tag("b", text, look, ONE_LINE)
+    return _tag("b", text, look)
 
 
 def mark(sign: str, colour: str) -> str:

@@ -42,8 +42,7 @@ class Tuning:
     ) -> None:
         """Start with the configuration of the simulation `sink`, which gets each change.
 
-        `usual` is the configuration with the robot's defaults; without it, the program's defaults
-        are used.
+        `usual` is the configuration with the robot's defaults, by default the program's defaults;
         `clock` returns the time [s].
         """
         self._sink, self._clock = sink, clock

@@ -34,6 +34,11 @@ class Timeline:
         """[s] start and end of the marked interval; None if not marked."""
 
     @property
+    def earlier(self) -> bool:
+        """Whether the marked interval belongs to an earlier run."""
+        return bool(self._marked) and self._marked[0].run != self._newest.run
+
+    @property
     def live(self) -> bool:
         """Whether the newest snapshot is shown."""
         return self._shown is None
@@ -106,9 +111,9 @@ class Timeline:
             self._shown = self._replay = None
 
     def mark_begin(self) -> None:
-        """Mark the shown instant as the start of the interval; a later end remains."""
+        """Mark the shown instant as the start of the interval; a later end of this run remains."""
         with self._lock:
-            self.begin, end = self.shown().t, self.end
+            self.begin, end = self.shown().t, None if self.earlier else self.end
             self.end = None
             self._marked = [s for s in self._stored() if s.t >= self.begin]
             if end is not None and end > self.begin:
@@ -121,7 +126,7 @@ class Timeline:
         """
         with self._lock:
             at = self.shown().t  # an interval without an end has all snapshots now
-            if self.begin is None or self.begin >= at:
+            if self.begin is None or self.earlier or self.begin >= at:
                 self._marked = self._stored()
                 self.begin = min(self._marked[0].t, at)
             elif self.end is not None:

@@ -67,7 +67,8 @@ class ExplorerPanel(Panel):
         self._paused = self._paused or newest.paused
         continued = not newest.follows(self._since) or (self._paused and not newest.paused)
         if continued or not self._viewer.timeline.live:
-            text = "The posture is dismissed: the simulation continues, or the page shows the past."
+            cause = "the simulation continues" if continued else "the page shows the past"
+            text = f"The posture is dismissed: {cause}."
             self._viewer.notifier.tell(self._viewer.client, "Joint sliders", text)
             self._end()
             return shown
@@ -85,10 +86,8 @@ class ExplorerPanel(Panel):
     def update(self, moment: Moment) -> None:
         """Show the readings of the posture, or an introduction."""
         if self.posture is None:
-            self._text.content = small(
-                "Pause the simulation, then move joints, base and end-effector: the readings are "
-                "the controller's response."
-            )
+            text = "Pause the simulation, then move joints, base and end-effector: the readings are"
+            self._text.content = small(f"{text} the controller's response.")
             return
         shown, axes = moment.shown, self._shared.model.description.base.axes
         acceleration = planar(axes, shown.base_acceleration)
@@ -103,9 +102,8 @@ class ExplorerPanel(Panel):
     def _enter(self, _: Any) -> None:
         newest = self._shared.loop.latest()
         if newest.door is not None:
-            raise TargetError(
-                "the end-effector holds a door in this scenario; choose another scenario first"
-            )
+            door = "the end-effector holds a door in this scenario"
+            raise TargetError(f"{door}; choose another scenario first")
         self._shared.loop.send(Pause(True))
         self._viewer.timeline.go_live()
         self._paused, self._since = False, newest
@@ -158,13 +156,10 @@ class ExplorerPanel(Panel):
 def posture_html(
     shown: Snapshot, acceleration: Sequence[float], error: float, spoken: Mapping[str, str]
 ) -> str:
-    """Return the response to a posture: distances, β, forces, and acceleration of the base.
+    """Return the response `shown` to a posture: distances, β, forces, acceleration of the base.
 
-    Args:
-        shown: Snapshot of the response.
-        acceleration: [m/s², m/s², rad/s²] of the base: forward, to the left, counterclockwise.
-        error: [m] distance of the end-effector from its requested position.
-        spoken: Names of the pairs in words.
+    `acceleration` [m/s², m/s², rad/s²] is forward, to the left and counterclockwise; `error` [m] is
+    the distance of the end-effector from its requested position; `spoken` has words for the pairs.
     """
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
     rows = [row(*(cell(name, RIGHT) for name in ("", "distance d", "activation β", "force f")))]

@@ -42,8 +42,9 @@ controllers on the same pull. *Key* explains colours and arrows. *Run* has scena
 readings and joint sliders, *View* layers and cameras, *Tune* all parameters, *Robot* other robots
 and your own, *Save* pictures, logs, reports, replays and films.
 
-**Keys** (outside text fields): {keys}. `?` opens this tab, `Ctrl K` lists all commands. `Shift`
-with the arrow keys, `Page Up` or `Page Down` pulls the end-effector until `Shift` is released.
+**Keys** (outside text fields): {keys}. `?` opens this tab, `Ctrl K` lists all commands, `Esc`
+closes messages and leaves the past. `Shift` with the arrow keys, `Page Up` or `Page Down` pulls the
+end-effector until `Shift` is released.
 Double click the scene to reset the view.
 
 Several people can use the page at once. Each has their own view and place in time; the simulation

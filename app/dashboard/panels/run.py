@@ -34,6 +34,7 @@ from app.robot.description import RobotDescription
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.session import DT
+from app.simulation.trace.metrics import OPENED
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome
 
@@ -63,8 +64,7 @@ class RunPanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui = self._gui
-        sink = viewer.shared.loop
+        gui, sink = self._gui, viewer.shared.loop
         hint = "A scenario starts at once. A pull of the end-effector ends it."
         self._scenario = self.choice("Scenario", {"": FREE, **TITLES}, viewer.play, hint)
         self._controller = self.choice(
@@ -81,6 +81,7 @@ class RunPanel(Panel):
         )
         self.button(BACK, lambda _: viewer.play(""), viser.Icon.HOME, color="gray")
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
+        self._refusal = sink.latest().refusal
 
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the readings from the shown one.
@@ -89,13 +90,19 @@ class RunPanel(Panel):
         """
         newest, shown, verdict = moment
         course = self._shared.course
+        if (
+            newest.refusal != self._refusal
+        ):  # the lists show the state again, not the refused choice
+            self._refusal, self._followed = newest.refusal, {}
         self._pause.label = CONTINUE if newest.paused else PAUSE
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
         ended = course.name and not (course.running or newest.busy)
         beside = newest.scores[1:] if ended else ()
-        about = "A sudden change would push an arm inside the buffer away."
+        about = (
+            "It changes slowly, because a jump would suddenly push away an arm inside the buffer."
+        )
         self._course.content = (
             (banner("notice", newest.changing, about) if newest.changing else "")
             + course_html(course, newest.busy, self._shared.model.description)
@@ -111,14 +118,8 @@ class LabPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, sink = self._gui, viewer.shared.loop
-        self._speed = gui.add_slider(
-            "Speed",
-            min=SPEEDS[0],
-            max=SPEEDS[1],
-            step=0.1,
-            initial_value=1.0,
-            hint="Factor of real time; a slow machine does not reach it.",
-        )
+        hint = "Factor of real time; a slow machine does not reach it."
+        self._speed = gui.add_slider("Speed", *SPEEDS, 0.1, 1.0, hint=hint)
         self.on_update(self._speed, lambda event: sink.send(Speed(event.target.value)))
         if (case := viewer.shared.case) is not None:
             self.button(
@@ -142,9 +143,8 @@ class ComparePanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui = self._gui
-        gui.add_markdown(
-            "Other controllers run as ghosts beside the robot. hqp needs a lot of computing time."
-        )
+        text = "Other controllers run as ghosts beside the robot. hqp needs much computing time."
+        gui.add_markdown(text)
         self._choices = [
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
             for label in ("Second robot", "Third robot")
@@ -271,6 +271,9 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
         reading("peak end-effector speed", f"{course.speed:.2f} m/s"),
         reading("base travel", f"{course.path:.2f} m"),
     )
+    if course.last is not None and (door := course.last.door) is not None:
+        turned = f"{math.degrees(door.angle):.0f}° of {math.degrees(OPENED):.0f}°"
+        values = (reading("door opened", turned), *values)
     colour = css(COLOURS["contact" if met else "clear"])
     frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
     return small(f"<b>{title}: {result}</b><br>{about}{table(values)}", frame)

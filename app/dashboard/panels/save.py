@@ -45,34 +45,22 @@ class SavePanel(Panel):
             }
             self._file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._picture)
         with gui.add_folder("Marked interval, or the last minute"):
-            for label, name, hint in (
-                ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
-                ("Log (Parquet)", "log.parquet", "For dbb replay and dbb report too"),
+            plain, other = "For spreadsheets and pandas", "For dbb replay and dbb report too"
+            for label, icon, name, write, hint in (
+                ("Log (CSV)", viser.Icon.TABLE, "log.csv", write_log, plain),
+                ("Log (Parquet)", viser.Icon.TABLE, "log.parquet", write_log, other),
+                ("Report (HTML)", viser.Icon.MOVIE, "report.html", write_report, None),
+                ("Replay (HTML)", viser.Icon.MOVIE, "replay.html", write_replay, None),
             ):
-                make = partial(self._log, name)
-                self._file(label, viser.Icon.TABLE, name, make, hint=hint, color="gray")
-            for label, name, write in (
-                ("Report (HTML)", "report.html", write_report),
-                ("Replay (HTML)", "replay.html", write_replay),
-            ):
-                self._file(label, viser.Icon.MOVIE, name, partial(self._of_interval, name, write))
+                self._file(label, icon, name, partial(self._of_interval, name, write), hint=hint)
             self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
             self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
-            self._file(
-                "Film",
-                viser.Icon.VIDEO,
-                lambda: f"film{self._film_as.value}",
-                self._film,
-                hint=f"{FILM_RATE:g} pictures per second, in the size above. Drawing one picture "
-                "takes about 0.25 s: mark a short interval.",
-            )
-            self.button(
-                "Case (JSON)",
-                self._case,
-                viser.Icon.FILE_DOWNLOAD,
-                color="gray",
-                hint="The last scenario with its parameters, for dbb serve --case FILE",
-            )
+            hint = f"{FILM_RATE:g} pictures per second, in the size above. Each takes about 0.25 s"
+            hint += " to draw: mark a short interval."
+            self._file("Film", viser.Icon.VIDEO, self._film_name, self._film, hint=hint)
+        with gui.add_folder("Last scenario"):
+            hint = "The last scenario with its parameters, for dbb serve --case FILE"
+            self.button("Case (JSON)", self._case, viser.Icon.FILE_DOWNLOAD, hint=hint)
         gui.add_markdown("The tab *Tune* saves parameters.")
 
     def update(self, moment: Moment) -> None:
@@ -144,17 +132,15 @@ class SavePanel(Panel):
         whole.alpha_composite(picture)
         return whole.convert("RGB")
 
-    def _log(self, name: str) -> bytes:
-        data = self._of_interval(name, write_log)
-        # The first line is a comment; without it, spreadsheets and pandas read a plain table.
-        return data.partition(b"\n")[2] if name.endswith(".csv") else data
-
     def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
         """Return the file that `write(report, trace, path, *more)` creates in its own process.
 
-        The libraries of logs and films use much memory, and a process returns all of it.
+        The libraries of logs and films use much memory, and a process returns all of it. The report
+        of a scenario ends with the scenario, because later rows would change its final values.
         """
         snapshots = self._viewer.timeline.interval()
+        if write is write_report and snapshots[0].scenario:
+            snapshots = [s for s in snapshots if s.scenario]
         trace = Trace.of_snapshots(self._viewer.shared.model, snapshots)
         with temporary_folder() as folder:
             path = folder / name
@@ -165,7 +151,10 @@ class SavePanel(Panel):
         """Return a film of the interval, which a process with its own browser creates."""
         view = cast("Side", self._film_from.value)
         look = Look(*self._size(), view=view, light=not self._viewer.view.dark)
-        return self._of_interval(f"film{self._film_as.value}", write_film_of, look)
+        return self._of_interval(self._film_name(), write_film_of, look)
+
+    def _film_name(self) -> str:
+        return f"film{self._film_as.value}"
 
 
 def png(picture: Image.Image) -> bytes:

@@ -53,6 +53,7 @@ class TimelinePanel(Panel):
         marks = [None if x is None else round(x, 3) for x in (line.begin, line.end)]
         times = [round(newest.t, 3), round(shown.t, 3), *marks]
         state = [*times, line.live, newest.paused, shown.border.d_b, line.plays]
+        state += [self._viewer.grip.reach is not None, line.earlier]
         if state != self._state:
             self._state = state
             self._channel.tell("state", *state)

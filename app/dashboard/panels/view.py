@@ -48,12 +48,10 @@ class ViewPanel(Panel):
             about = each.metadata
             if about.get("folder") != folder:
                 continue
-            value, label, hint = getattr(self._view, each.name), about["label"], about["hint"]
-            widget = (
-                self._gui.add_dropdown(label, about["choices"], initial_value=value, hint=hint)
-                if about["choices"]
-                else self._gui.add_checkbox(label, value, hint=hint)
-            )
+            choices: tuple[Any, ...] = (about["choices"],) if about["choices"] else ()
+            add: Any = self._gui.add_dropdown if choices else self._gui.add_checkbox
+            value = getattr(self._view, each.name)
+            widget = add(about["label"], *choices, initial_value=value, hint=about["hint"])
             self._widgets[each.name] = widget
             self.on_update(widget, partial(self._assign, each.name))
 

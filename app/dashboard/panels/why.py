@@ -91,7 +91,7 @@ def details_html(snapshot: Snapshot) -> str:
 
 def _first_rows(snapshot: Snapshot) -> list[str]:
     why = snapshot.explanation
-    x, y = _sum([force.f for force in why.forces] if why else [], 2)
+    x, y = _push(why)
     size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
     force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
     limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
@@ -101,6 +101,11 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
         _row("Base motion", "measured velocity", words.speeds(snapshot.base_velocity)),
         _row("Limited by", "limits that are active in this control step", limit + more),
     ]
+
+
+def _push(why: Explanation | None) -> Sequence[float]:
+    """Return the sum (2,) [N] of the forces (14), in the base's frame."""
+    return _sum([force.f for force in why.forces] if why else [], 2)
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
@@ -180,7 +185,9 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
             rest = f"; the arm itself will stop at {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
-    moved = "; the base stays where it is" if not moves else f", so {moves}"
+    (x, y), (forward, left, _) = _push(why), planar(why.axes, snapshot.base_velocity)
+    opposed = x * forward + y * left < -0.5 * math.hypot(x, y) * math.hypot(forward, left)
+    moved = f", {'but' if opposed else 'so'} {moves}" if moves else "; the base stays where it is"
     if pair.limited:
         return f"{cause}{moved}, and the arm itself limits the approach.{also}"
     return f"{cause}{moved}; {_task_effect(why)}.{also}"
@@ -298,7 +305,7 @@ def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
 def _force_rows(why: Explanation) -> list[str]:
     """Return rows for the resultant force, its two parts, and the base's accelerations."""
     forces, on, n_b = why.forces, bool(why.forces), len(why.axes)
-    f = _sum([force.f for force in forces], 2)
+    f = _push(why)
     away = _sum([force.away for force in forces], 2)
     turn = _sum([force.turn for force in forces], 2)
     away_acc = _sum([force.away_acceleration for force in forces], n_b)

@@ -70,7 +70,9 @@ def _read_csv(path: Path) -> tuple[str, pa.Table]:
     rest = re.sub(r"\n[,;\t]+(?=\n|$)", "", rest)  # empty rows of a spreadsheet
     if not first.startswith(_COMMENT):
         changed = "; a spreadsheet has probably changed it: use the original file, or .parquet"
-        raise ValueError(f"the first line is not a metadata comment{changed * ('# ' in first)}")
+        plain = "; it is a table of the dashboard: save Log (Parquet) there instead"
+        more = changed * ("# " in first) + plain * first.startswith(('"t_s"', "t_s,"))
+        raise ValueError(f"the first line is not a metadata comment{more}")
     names, _, rows = rest.partition("\n")
     # Spreadsheets write other marks; the names of later columns can contain a mark.
     first_name = re.match(r'"?\w*"?([,;\t])', names)
