@@ -131,7 +131,7 @@ window.dbbControls = (box, ranges) => {
       ink.fillStyle = "rgba(38, 132, 214, .25)";
       ink.fillRect(x(begin), 0, Math.max(x(end ?? now) - x(begin), 2), foot);
     }
-    marked.style.left = `${Math.max(Math.min(x(earlier ? from() : begin ?? 0), w - marked.offsetWidth), 0)}px`;
+    marked.style.left = `${Math.max(Math.min(earlier ? 0.4 * w : x(begin ?? 0), w - marked.offsetWidth), 0)}px`;
     const shown = rows.filter(([t]) => t > from() - 1 && t < until() + 1);
     ink.fillStyle = "rgba(142, 107, 216, .55)"; // β, drawn downwards
     shown.forEach(([t, , beta], i) => {

@@ -93,7 +93,7 @@ def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str
 
 def reading(name: str, value: str) -> str:
     """Return a row with a name and a value."""
-    return row(cell(name, FAINT), cell(value, RIGHT))
+    return row(cell(name, FAINT, ONE_LINE), cell(value, RIGHT))
 
 
 def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:
