@@ -32,8 +32,12 @@ from app.dashboard.drag import Grip
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
+from app.dashboard.panels import Moment
 from app.dashboard.panels.help import CARDS, CLOSE, NEXT, PULL, SHOW, SHOWN, WATCH
 from app.dashboard.panels.run import (
+    FREE,
+    TITLES,
+    RunPanel,
     machine_rows,
     outcomes_html,
     pairs_html,
@@ -42,6 +46,7 @@ from app.dashboard.panels.run import (
 )
 from app.dashboard.panels.why import header_html, sentence, why_html
 from app.dashboard.plans import plot_plans
+from app.dashboard.record import Course
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
 from app.dashboard.scene.canvas import (
     ANCHORS,
@@ -73,7 +78,7 @@ from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
 from app.robot.state import Measurement, RobotState
 from app.simulation.loop.commands import Compare, Pause, Play, Pull, Release, Reset
 from app.simulation.people import PullReading, held_point
-from app.simulation.trace.snapshot import PairReading, Score
+from app.simulation.trace.snapshot import PairReading, Refusal, Score
 from app.simulation.trace.trace import Trace
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
@@ -1081,6 +1086,24 @@ def test_header_and_readings_agree_on_a_slow_simulation(loop, factor):
 
 
 OUTCOMES = {"dbb": (0.104, 0), "none": (-0.008, 0), "repulsive": (0.05, 3), "barrier": (0.02, 0)}
+
+
+def test_after_a_refusal_the_list_shows_the_present_scenario_again(loop):
+    def widget() -> SimpleNamespace:
+        return SimpleNamespace(value="", label="", icon=None, content="")
+
+    panel, free = object.__new__(RunPanel), loop.latest()
+    for name in ("_scenario", "_controller", "_pause", "_restart", "_course", "_pairs"):
+        setattr(panel, name, widget())
+    panel._shared = SimpleNamespace(course=Course(), model=husky_panda(), spoken={})
+    panel._followed, panel._refusal = {}, None
+    refused = replace(free, refusal=Refusal(1, "the handle is too far away"))
+    chosen, shown = TITLES["refrigerator"], []
+    for snapshot in (free, free, refused, refused):
+        panel.update(Moment(snapshot, snapshot, judge(snapshot)))
+        shown.append(panel._scenario.value)
+        panel._scenario.value = chosen  # a choice that the simulation has not answered yet
+    assert shown == [FREE, chosen, FREE, chosen]
 
 
 def test_robot_with_contact_or_overlap_is_never_marked_best(loop):
