@@ -88,8 +88,8 @@ def test_the_page_is_self_contained_with_numbers_changes_and_figures(tmp_path):
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", page)
     assert "http" not in re.sub(r'src="data:[^"]*"', "", page)
     assert page.count('src="data:image/png;base64,') == 5
-    assert "min distance end-effector – base [m]" in page
-    assert "effort max u panda joint1 [N m]" in page  # a figure for each joint, with its unit
+    assert "Smallest distance, end-effector – base [m]" in page
+    assert "Largest torque or force, panda_joint1 [N m]" in page
     assert "border.d_b" in page
     assert "0.2, then 0.15" in page
     assert "points, then surface" in page  # a choice, which has no unit

@@ -63,7 +63,7 @@ def print_result(result: Mapping[str, Any], *, json: bool) -> None:
 
 def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
     for key, value in result.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             show(f"{indent}{key}")
             _print_lines(value, indent + "  ")
         else:

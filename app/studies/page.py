@@ -31,6 +31,14 @@ _UNITS = {
 }
 """Units by the ending of a key. A longer ending is before an ending that is a part of it."""
 _FIGURES = FIGURES | DOOR
+_STEMS = {
+    "base_speed_max": "Largest speed of the base",
+    "base_turn_max": "Largest turning speed of the base",
+    "duration": "Duration",
+    "effort_max_u_": "Largest torque or force, ",
+    "min_distance_": "Smallest distance, ",
+}
+"""Words for the start of a key that is no figure of a run."""
 
 
 class Cell(NamedTuple):
@@ -116,5 +124,7 @@ def label(key: str) -> str:
     """
     ending, unit = next(((e, u) for e, u in _UNITS.items() if key.endswith(e)), ("", ""))
     about = _FIGURES[key].about.partition(";")[0].rstrip(".") if key in _FIGURES else ""
-    text = about or key.removesuffix(ending).replace("_", " ")
+    stem = next((each for each in _STEMS if key.startswith(each)), "")
+    rest = key.removeprefix(stem).removesuffix(ending)
+    text = about or (f"{_STEMS[stem]}{rest}" if stem else rest.replace("_", " "))
     return f"{text} [{unit}]" if unit else text

@@ -315,8 +315,8 @@ FIGURES: dict[str, Figure] = {
         "Steps in which the base's QP had no solution.", lambda r: int(_last(r, "given_up"))
     ),
     "stuck": Figure(
-        "Position and reasons if the end-effector is not at a resting reference at the end, or "
-        "null.",
+        "Position and reasons if the end-effector is not at a resting reference at the end; null "
+        "otherwise.",
         lambda r: r.meta.stuck,
     ),
     "left_way": Figure(

@@ -83,7 +83,8 @@ def number_text(value: Any, none: str = "–") -> str:
     5e-7, which are rounding errors, become 0.
     """
     if isinstance(value, dict):
-        return ", ".join(f"{name} {number_text(each)}" for name, each in value.items())
+        texts = (f"{name} {number_text(each)}" for name, each in value.items())
+        return ", ".join(texts) or "none"
     if isinstance(value, (list, tuple)):
         return ", ".join(map(number_text, value))
     if isinstance(value, bool):
