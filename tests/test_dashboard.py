@@ -1096,14 +1096,20 @@ def test_after_a_refusal_the_list_shows_the_present_scenario_again(loop):
     for name in ("_scenario", "_controller", "_pause", "_restart", "_course", "_pairs"):
         setattr(panel, name, widget())
     panel._shared = SimpleNamespace(course=Course(), model=husky_panda(), spoken={})
-    panel._followed, panel._refusal = {}, None
+    panel.followed, warnings = {}, []
+    notifier = SimpleNamespace(warn=lambda _, text: warnings.append(text))
+    page = object.__new__(Page)
+    page.viewer, page._notifier, page._client = SimpleNamespace(panels=[panel]), notifier, None
+    page._refusal, page._key, page._hung = None, widget(), widget()
+    page._shared = SimpleNamespace(loop=SimpleNamespace(silence=0.0))
     refused = replace(free, refusal=Refusal(1, "the handle is too far away"))
     chosen, shown = TITLES["refrigerator"], []
     for snapshot in (free, free, refused, refused):
-        panel.update(Moment(snapshot, snapshot, judge(snapshot)))
+        page._renew(Moment(snapshot, snapshot, judge(snapshot)))
         shown.append(panel._scenario.value)
         panel._scenario.value = chosen  # a choice that the simulation has not answered yet
     assert shown == [FREE, chosen, FREE, chosen]
+    assert warnings == ["the handle is too far away"]
 
 
 def test_robot_with_contact_or_overlap_is_never_marked_best(loop):

@@ -4,9 +4,9 @@
 // number boxes.
 window.dbbControls = (box, ranges) => {
   const HEIGHT = 100; // [px] of the bar
-  const LANE = 0.34; // [-] part of the strip for β, above that of the distance
+  const LANE = 0.34; // [-] share of the lane of β in the height of both lanes; it is the upper one
   const PAST = "#e8890c";
-  const POSTURE = "A posture, not simulated";
+  const POSTURE = "Preview of a posture, not simulated";
   const COLOURS = { scenario: "#4c9be8", parameter: "#9775fa", person: "#22b8cf", buffer: "#f0962b",
     limit: "#e05424", contact: "#e21038" };
   const ending = new AbortController();
@@ -125,7 +125,8 @@ window.dbbControls = (box, ranges) => {
       ink.fillText(words, left, low);
       ink.textAlign = "left";
     };
-    const full = Math.max(0.3, 1.5 * d_b), lane = LANE * (foot - head); // [m] distance that fills its lane
+    const full = Math.max(0.3, 1.5 * d_b); // [m] distance that fills its lane
+    const lane = LANE * (foot - head); // [px] height of the lane of β
     const y = (d) => foot - Math.min(Math.max(d, 0) / full, 1) * (foot - head - lane);
     if (begin !== null && !earlier) {
       ink.fillStyle = "rgba(38, 132, 214, .25)";

@@ -118,13 +118,15 @@ class Page:
                 self._renew(moment)
 
     def _renew(self, moment: Moment) -> None:
+        refusal, refused = moment.newest.refusal, moment.newest.refusal != self._refusal
+        self._refusal = refusal
         for panel in self.viewer.panels:
+            if refused:  # the panels show the state again, not the refused choice
+                panel.followed.clear()
             panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
-        refusal = moment.newest.refusal
-        if refusal is not None and refusal != self._refusal:
+        if refused and refusal is not None:
             self._notifier.warn(self._client, refusal.message)
-        self._refusal = refusal
         _show(self._hung, hung_html(self._shared.loop.silence))
 
     @property

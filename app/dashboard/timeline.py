@@ -36,7 +36,8 @@ class Timeline:
     @property
     def earlier(self) -> bool:
         """Whether the marked interval belongs to an earlier run."""
-        return bool(self._marked) and self._marked[0].run != self._newest.run
+        with self._lock:
+            return bool(self._marked) and self._marked[0].run != self._newest.run
 
     @property
     def live(self) -> bool:

@@ -117,7 +117,8 @@ class Panel:
     def __init__(self, viewer: Viewer) -> None:
         self._viewer, self._shared = viewer, viewer.shared
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
-        self._followed: dict[int, Any] = {}
+        self.followed: dict[int, Any] = {}
+        """Shared values that `follow` has assigned, by the identity of the widget."""
         viewer.panels.append(self)
 
     def update(self, moment: Moment) -> None:
@@ -167,8 +168,8 @@ class Panel:
 
         Thus a viewer's newer choice, which has not reached the simulation yet, is not reset.
         """
-        if self._followed.get(id(handle)) != value:
-            self._followed[id(handle)] = handle.value = value
+        if self.followed.get(id(handle)) != value:
+            self.followed[id(handle)] = handle.value = value
 
 
 class JobStatus(Panel):

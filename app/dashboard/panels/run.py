@@ -81,7 +81,6 @@ class RunPanel(Panel):
         )
         self.button(BACK, lambda _: viewer.play(""), viser.Icon.HOME, color="gray")
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
-        self._refusal = sink.latest().refusal
 
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the readings from the shown one.
@@ -90,10 +89,6 @@ class RunPanel(Panel):
         """
         newest, shown, verdict = moment
         course = self._shared.course
-        if (
-            newest.refusal != self._refusal
-        ):  # the lists show the state again, not the refused choice
-            self._refusal, self._followed = newest.refusal, {}
         self._pause.label = CONTINUE if newest.paused else PAUSE
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))

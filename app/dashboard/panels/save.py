@@ -139,8 +139,9 @@ class SavePanel(Panel):
         of a scenario ends with the scenario, because later rows would change its final values.
         """
         snapshots = self._viewer.timeline.interval()
-        if write is write_report and snapshots[0].scenario:
-            snapshots = [s for s in snapshots if s.scenario]
+        if write is write_report:
+            led = [s for s in snapshots if s.scenario]
+            snapshots = led if led[1:] and snapshots[0].scenario else snapshots
         trace = Trace.of_snapshots(self._viewer.shared.model, snapshots)
         with temporary_folder() as folder:
             path = folder / name
