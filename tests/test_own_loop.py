@@ -1079,6 +1079,32 @@ def test_jumps_of_the_base_pose_do_not_shake_the_arm(
     assert found.share < 0.9
 
 
+@pytest.mark.parametrize("odometry", [1, 200], ids=["1 kHz", "5 Hz"])
+@pytest.mark.parametrize("gap", [400, 800])
+@pytest.mark.parametrize("measured", [True, False], ids=["velocity", "no velocity"])
+def test_motion_of_the_base_in_a_gap_is_no_jump_of_its_pose(
+    robot: RobotModel, run, odometry: int, gap: int, measured: bool
+) -> None:
+    """While the end-effector moves forward by 0.5 m, there are no joint positions for a while."""
+    repeat = odometry_every_nth(odometry)
+
+    def degrade(k: int, m: Measurement) -> Measurement:
+        m = repeat(k, m)
+        m = m if measured else m._replace(base_velocity=NAN[:2])
+        return m._replace(q_m=NAN) if 900 <= k < 900 + gap else m
+
+    def forward(t: float, origin: pin.SE3) -> Reference:
+        w, pose, v = 2.2, pin.SE3(origin), np.zeros(6)
+        pose.translation = origin.translation + np.array([0.25 * (1 - np.cos(w * t)), 0.0, 0.0])
+        v[0] = 0.25 * w * np.sin(w * t)
+        return Reference(pose, v, np.zeros(6))
+
+    ready = np.array(robot.description.arm.ready_position)
+    found = run(degrade, start=ready, reference=forward, pull=np.zeros(3), time=2.2)
+    assert set(found.faults) - {"velocity"} == {"invalid", "stale"}
+    assert ("velocity" in found.faults) != measured
+
+
 class WithFriction(Kinematic):
     """A plant whose joints have dry friction [N m], which its model does not contain."""
 

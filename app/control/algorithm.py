@@ -140,6 +140,8 @@ def update_estimate(
 ) -> bool:
     """Estimate the arm's state from the readings, and convert it to pinocchio's coordinates.
 
+    After a jump of the base's pose, shift the reference that `take_reference` has written.
+
     Paper: Algorithm 2, line 2, before pinocchio's part of it.
 
     Returns:

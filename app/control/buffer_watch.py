@@ -29,7 +29,7 @@ class BufferReading(NamedTuple):
     approach_speed: float
     """[m/s] speed of the approach in the last 3 s that requires the largest d_b; 0 without one."""
     needed: float
-    """[m] the d_b that this approach requires; infinite if the base does not retreat as fast; 0
+    """[m] the d_b that this approach requires; infinite if the base cannot retreat that fast; 0
     without an approach."""
     approach_speed_max: float
     """[m/s] speed of the approach since the reset that requires the largest d_b."""
@@ -168,6 +168,6 @@ def buffer_warning(reading: BufferReading, config: Config) -> str | None:
         f"{config.admittance.period + config.disturbance.base_delay:.2f} s late: "
     )
     if math.isinf(reading.needed_max):
-        return text + "no d_b suffices, because the base does not retreat as fast"
+        return text + "no d_b suffices, because the base cannot retreat that fast"
     beyond = f", {_FARTHEST:.2f} m can be set" if reading.needed_max > _FARTHEST else ""
     return text + needed_text(reading.needed_max) + beyond

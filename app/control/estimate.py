@@ -40,6 +40,7 @@ RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless th
 _SHAKE = 0.01  # [-] largest noise of a speed estimated so fast, relative to a speed limit
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 FARTHEST = 10.0  # [-] largest plausible ratio of a motion, or of a velocity, to the speed limit
+_REVERSED = 4.0  # [-] largest rest of friction after a push upwards, relative to the push
 _SETTLED = 20  # [-] samples of the noise before a load can be estimated
 _SOON = 0.005  # [s] largest age of readings with which these samples last so short that a load
 # which is then present counts as sudden
@@ -399,9 +400,10 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
 
     A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
     inertia. `w.load` is the mass that best explains the external torques; a force of a person
-    counts too. `w.loaded` is the sum of all sudden loads and changes of the payload's mass. It is
-    reported as `w.unstated` while the torques contain at least half of it, unless the mass at the
-    end-effector would be negative: a person pushes upwards.
+    counts too. `w.loaded` is the sum of all sudden loads and changes of the payload's mass, without
+    the rest of friction after a person's push upwards. It is reported as `w.unstated` while the
+    torques contain at least half of it, unless the mass at the end-effector would be negative: a
+    person pushes upwards.
 
     Args:
         gains: `GAINS`.
@@ -454,8 +456,9 @@ def _judge_load(gains: Any, w: Any, C: Array) -> None:
     newest, older = w.load[()], _mass(torques[3], lifts[3])
     before = _mass(torques[1], lifts[1])
     if sudden != 0.0:
-        pushed = w.loaded[()] < -gains.payload_mass - _LEAST_LOAD  # a person, who has let go
-        w.loaded[()] = 0.0 if pushed and w.loaded[()] + sudden > 0.0 else w.loaded[()] + sudden
+        pushed, rest = w.loaded[()] < -gains.payload_mass - _LEAST_LOAD, w.loaded[()] + sudden
+        # After a person's push upwards, a small rest is friction that has changed its sign.
+        w.loaded[()] = 0.0 if pushed and 0.0 < rest < -_REVERSED * w.loaded[()] else rest
         for k in range(1, len(torques)):
             put(torques[k], torques[0] + w.loaded[()] * (lifts[0] - lifts[k]))
     half = 0.5 * w.loaded[()] ** 2

@@ -80,9 +80,8 @@ _GROUP = 5.0  # [periods] duration of a group of readings
 _FEWEST_GROUPS, _CUBIC = 5, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
 _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predicted motion
 _FRICTION = 0.03  # [-] friction of a joint, relative to its torque limit
-_REVERSAL = (
-    0.002  # [-] residual of a step of accelerations beside a cubic, relative to time² · step
-)
+_REVERSAL = 0.002  # [-] RMS error of a cubic that is fitted to a step of acceleration, relative to
+# the step and to the squared duration; that of a parabola would hide delays from the first groups
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
@@ -92,7 +91,7 @@ _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _RECENT = 2.0  # [s] time constant of the comparison of the base's pose with its velocity
 _NEAR = 0.02  # [m or rad] difference of the two that is always plausible
-_SELDOM = 0.21  # [s] largest period of the base's pose without a comparison in between
+_SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then is compared
 
 
 @compiled()
@@ -187,13 +186,17 @@ def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
 def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -> Array:
     """The base's velocity (n_b,): the reading, or the prediction by the model of its drive.
 
-    A reading is not used if it is missing, or beyond a limit by more than half the range.
+    A reading is not used if it is missing, or beyond a limit by more than half the range. The
+    prediction does not pass the command; after a gap it is the command.
     """
-    found = read.copy()
+    found, time = read.copy(), (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
     for i in range(len(read)):
         if not abs(read[i]) <= 2.0 * robot.v_max[i]:  # NaN too
-            time = (1.0 + w.age[()]) * gains.dt  # since the last reading
-            found[i] = 0.0 if first else w.base_velocity[i] + time * w.a_base_meas[i]
+            rest = min(max(w.v_cmd[i], -robot.v_max[i]), robot.v_max[i]) - w.base_velocity[i]
+            change = time * w.a_base_meas[i]
+            if math.isnan(w.v_last[i]) or change * rest > rest * rest:
+                change = rest
+            found[i] = 0.0 if first else w.base_velocity[i] + change
             w.faults[VELOCITY] = 1.0
     return found
 
@@ -568,12 +571,8 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 
 @compiled()
-def _begin_pose(w: Any, pose: Array) -> None:
-    """Use a reading (3,) of the base's pose without a comparison.
-
-    At the start, and until a reading is finite, the pose is unknown.
-    """
-    known = math.isfinite(pose.sum())
+def _begin_pose(w: Any, pose: Array, known: bool) -> None:
+    """Use a reading (3,) of the base's pose without a comparison; if not `known`, await one."""
     if known:
         put(w.pose_last, pose)
     fill(w.pose_moved, 0.0)
@@ -590,9 +589,10 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
     explain: `w.astray` is a decaying sum of them.
     """
     time = (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
-    unknown = w.known[()] == 0.0 or math.isinf(w.pose_way[0])  # after a gap, or without a pose
-    if first or (unknown and math.isfinite(pose.sum())):
-        _begin_pose(w, pose)
+    begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
+    fresh = math.isfinite(pose.sum()) and (first or not _same(pose, w.pose_read))
+    if begins or (fresh and math.isinf(w.pose_way[0])):
+        _begin_pose(w, pose, fresh)
     else:
         _take_pose(robot, w, pose, time)
     if not math.isnan(w.v_last[0]):

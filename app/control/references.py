@@ -212,8 +212,9 @@ def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T:
 def shift_reference(gains: Any, w: Any) -> None:
     """Shift the reference of this step by the end-effector's motion at jumps of the base's pose.
 
-    The shift returns to 0, not faster than the correction speed. The first reference has none. The
-    jump is in `w.pose_jump`; the kinematics are still those before it.
+    The shift returns to 0, not faster than the correction speed. The first reference has none:
+    `w.tracking` is that of the last step. The jump is in `w.pose_jump`; the kinematics are still
+    those before it.
     """
     x, y, turn = w.p_ee[0] - w.p_o[0], w.p_ee[1] - w.p_o[1], w.pose_jump[2]
     c, s, moved = math.cos(turn), math.sin(turn), np.zeros(6)

@@ -136,7 +136,7 @@ def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
         DescriptionError: A line of the description belongs to no scenario with a line.
     """
     lines = description.lines
-    for unknown in lines.keys() - LINES.keys():
+    for unknown in sorted(lines.keys() - LINES.keys()):
         names = ", ".join(LINES)
         where = f"{description.name}: [lines.{unknown}] in robot.toml"
         raise DescriptionError(f"{where} belongs to no scenario; lines are for: {names}")
