@@ -1,4 +1,4 @@
-"""The loop continues within its ranges after any message of a program instead of a browser."""
+"""Messages of a client that is no browser neither stop the loop nor set a value out of range."""
 
 from __future__ import annotations
 

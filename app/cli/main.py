@@ -144,7 +144,7 @@ def _help_texts(doc: str) -> tuple[str, str]:
 
 
 def overview() -> str:
-    """All commands, one on each line, read from the source files because imports take long."""
+    """All commands, one on each line, read from the source files because imports take time."""
     lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version", _ABOUT]
     for title, commands in COMMANDS.items():
         lines.append(f"{title}:")

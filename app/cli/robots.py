@@ -79,7 +79,8 @@ def check_robot(
 
     Args:
         name: Name of the robot; `dbb robots` lists all names.
-        runs: Also simulate persons who pull the end-effector towards the base; this takes long.
+        runs: Also simulate persons who pull the end-effector towards the base; this takes most of
+            the time.
         quick: Use a coarse border, as `dbb new-robot --quick` does.
     """
     from app.border.config import QUICK

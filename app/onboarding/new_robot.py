@@ -113,7 +113,7 @@ def _make_robot(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> tuple[NewRobot, BorderData]:
-    """The robot without lines for guiding and warnings, and its border; writes the URDF."""
+    """The robot, still without warnings and lines for guiding, and its border. Writes the URDF."""
     path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
@@ -152,7 +152,11 @@ def _written(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> NewRobot:
-    """The robot with its lines and all warnings, after writing all other files."""
+    """Search lines for guiding, collect all warnings, and write all files but URDF and meshes.
+
+    Returns:
+        The robot with its lines and warnings.
+    """
     tell("searching lines for guiding")
     # If the arm cannot hold its end-effector, it avoids the base by itself, on any line.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()

@@ -31,7 +31,7 @@ class Parsed:
 
 @dataclass(frozen=True)
 class NewRobot:
-    """A complete robot before its files are written."""
+    """All data of a new robot, which its files contain; lines and warnings come last."""
 
     request: Request
     parsed: Parsed

@@ -308,7 +308,7 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 def refuse_placeholder(content: bytes, where: object) -> None:
     """Refuse placeholders that a download or a repository can leave instead of a file.
 
-    `content` are the first bytes of the file, or all of them; `where` is its name for the message.
+    `content` has the first bytes of the file, or all of them; `where` is its name for the message.
 
     Raises:
         RobotFileError: The content is such a placeholder; the message names its kind.

@@ -141,7 +141,7 @@ def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None
     Raises:
         RobotFileError: It is none of these shapes, or a size is missing or not above zero.
     """
-    from trimesh import creation  # takes long
+    from trimesh import creation  # a slow import
 
     def sizes(key: str, count: int = 1) -> Array:
         if key not in shape.attrib:

@@ -228,7 +228,7 @@ def _legend_right(ax: Axes) -> None:
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
     """Limit the x axes to the times of the run, and shade contacts of the arm with base or itself.
 
-    `bottom` are the axes with a label of the x axis; default: the last of `axes`.
+    `bottom` has the axes with a label of the x axis; default: the last of `axes`.
     """
     touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
     for ax in axes:

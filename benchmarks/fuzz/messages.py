@@ -43,7 +43,7 @@ from tests.raw_client import RawClient
 
 _BURST = 500  # [-] messages between two checks
 _WARM = 0.5  # [-] share of the test after which memory is first measured
-_GARBAGE_EVERY = 10.0  # [s] time between two disconnected clients; a new page takes long
+_GARBAGE_EVERY = 10.0  # [s] time between two disconnected clients; a new page takes a long time
 _LARGEST_GROWTH = 1.1  # [-] largest accepted ratio of the memory at the end and at `_WARM`
 _PATIENCE = 60.0  # [s] timeout for a new page or the next step, on a busy machine
 _PACKED = tuple(value for value in HOSTILE if value != 10**400)

@@ -44,7 +44,7 @@ def show(report: Report, options: Options) -> None:
 
 
 def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rows as a table of Markdown."""
+    """The rows as a Markdown table."""
     if not rows:
         return ""
     lines = [list(rows[0]), ["---"] * len(rows[0])]

@@ -74,7 +74,7 @@ def force_at(
 ) -> Force:
     """Compute the force in row k of an experiment, with the border as a surface.
 
-    `config` are the parameters of the force; default: those of `sources`.
+    `config` has the parameters of the force; default: those of `sources`.
     """
     run = sources.runs[experiment].trace
     q_m = run.of("q_m")[k]

@@ -168,7 +168,7 @@ class Journal(AbstractContextManager["Journal"]):
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
         """Open or start the journal in an existing folder; use it in a `with`.
 
-        `identity` are the data that identify the study, as JSON.
+        `identity` has the data that identify the study, as JSON.
 
         Raises:
             StudyError: The folder has another study, another process uses the folder, or the data
