@@ -79,7 +79,7 @@ _MOST_LAG = 24  # [periods] largest lag
 _GROUP = 5.0  # [periods] duration of a group of readings
 _FEWEST_GROUPS, _CUBIC = 5, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
 _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predicted motion
-_FRICTION = 0.03  # [-] friction of a joint, relative to its torque limit
+_DRY_FRICTION = 0.03  # [-] dry friction of a joint, relative to its torque limit
 _REVERSAL = 0.002  # [-] RMS error of a cubic that is fitted to a step of acceleration, relative to
 # the step and to the squared duration; that of a parabola would hide delays from the first groups
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
@@ -330,17 +330,16 @@ def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
     Friction is part of the external forces, which a polynomial describes, except where a joint
     turns back: there its torque changes at once.
     """
-    reversed_torque = np.zeros((len(w.q_m), len(w.q_m)))
+    found, torque = np.zeros(len(w.q_m)), np.zeros(len(w.q_m))
     for i in range(len(w.q_m)):
         low = high = 0.0
         for k in range(n - 1):
             way = w.group[k, i] - w.group[k + 1, i]
             low, high = min(low, way), max(high, way)
         if min(high, -low) > 3.0 * math.sqrt(w.noise_var[0, i]) + _EXACT:
-            reversed_torque[i, i] = _REVERSAL * _FRICTION * robot.tau_max[i]
-    found = np.zeros(len(w.q_m))
-    for torque in reversed_torque:
-        found += np.abs(backward(w.L_aa, forward(w.L_aa, torque)))
+            torque[i] = _REVERSAL * _DRY_FRICTION * robot.tau_max[i]
+            found += np.abs(backward(w.L_aa, forward(w.L_aa, torque)))
+            torque[i] = 0.0
     return found * (w.group_age[n - 1] * dt) ** 2
 
 

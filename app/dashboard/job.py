@@ -214,7 +214,7 @@ def build_robot(report: Report, request: Request) -> None:
 
 def write_log(report: Report, trace: Trace, log: Path) -> None:
     """Write a trace as a log; a CSV file has no comment, because it is for spreadsheets."""
-    from app.simulation.trace.log_file import write_trace  # pyarrow takes long to import
+    from app.simulation.trace.log_file import write_trace  # pyarrow is slow to import
 
     report("writing the log", 0.0)
     write_trace(log, trace)

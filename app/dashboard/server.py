@@ -132,7 +132,7 @@ class DashboardServer:
     def _draw_picture(self) -> None:
         """Draw a frame of each page; a local name here must not keep the previous robot alive."""
         self.shared.watch(bool(self.viser.get_clients()))
-        # Not soon after an update of widgets: a slow browser reports updates of removed ones.
+        # A slow browser would apply the last update of widgets after their removal: an error there.
         if texts := time.monotonic() >= self._texts_due:
             self._switch_robot()
             self._texts_due = time.monotonic() + TEXTS_EVERY
@@ -160,7 +160,7 @@ class DashboardServer:
     def _open_and_close_pages(self) -> None:
         """Build at most one page, and end the pages of disconnected viewers.
 
-        Between two pages, which take long to build, the other viewers get frames.
+        Between two pages, which are slow to build, the other viewers get frames.
         """
         due = time.monotonic() >= self._newcomer_due
         client = self._newcomer() if due else None
@@ -261,7 +261,7 @@ def serve_dashboard(
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
-    switch.look()  # takes long: before a viewer connects
+    switch.look()  # slow: before a viewer connects
     shared = SharedState(loop, model, clouds, parts, case=case, robot_switch=switch)
     server = open_server(host, port, LARGEST_ARCHIVE, allowed)
     try:

@@ -86,8 +86,10 @@ class ExplorerPanel(Panel):
     def update(self, moment: Moment) -> None:
         """Show the readings of the posture, or an introduction."""
         if self.posture is None:
-            text = "Pause the simulation, then move joints, base and end-effector: the readings are"
-            self._text.content = small(f"{text} the controller's response.")
+            self._text.content = small(
+                "Pause the simulation, then move joints, base and end-effector: the readings are "
+                "the controller's response."
+            )
             return
         shown, axes = moment.shown, self._shared.model.description.base.axes
         acceleration = planar(axes, shown.base_acceleration)
@@ -102,8 +104,9 @@ class ExplorerPanel(Panel):
     def _enter(self, _: Any) -> None:
         newest = self._shared.loop.latest()
         if newest.door is not None:
-            door = "the end-effector holds a door in this scenario"
-            raise TargetError(f"{door}; choose another scenario first")
+            raise TargetError(
+                "the end-effector holds a door in this scenario; choose another scenario first"
+            )
         self._shared.loop.send(Pause(True))
         self._viewer.timeline.go_live()
         self._paused, self._since = False, newest

@@ -95,9 +95,7 @@ class RunPanel(Panel):
         self._restart.label = f"{RESTART} {course.name}".strip()
         ended = course.name and not (course.running or newest.busy)
         beside = newest.scores[1:] if ended else ()
-        about = (
-            "It changes slowly, because a jump would suddenly push away an arm inside the buffer."
-        )
+        about = "It changes slowly: a jump would suddenly push away an arm inside the buffer."
         self._course.content = (
             (banner("notice", newest.changing, about) if newest.changing else "")
             + course_html(course, newest.busy, self._shared.model.description)
