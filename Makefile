@@ -17,12 +17,12 @@ test: $(VENV)/.installed-dev browser
 test-without-browser: $(VENV)/.installed-dev
 	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
 
-# Make the pictures of README and documentation, and the figures of the paper with their data.
+# Make most pictures of README and documentation, and the figures of the paper with their data.
 pictures: $(VENV)/.installed browser
 	tools/pictures.sh $(VENV)
 	$(BIN)/dbb reproduce --out out/pictures/paper
 
-# Measure the documentation's tables, or those that ARGS names, and put them into the pages.
+# Measure most tables of the documentation, or those that ARGS names, and put them into the pages.
 results: $(VENV)/.installed-dev
 	$(BIN)/python -m tools.results $(ARGS)
 	$(BIN)/python -m tools.pages

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from app.border.cache import load_border_data as load_border_data
     from app.config import Config as Config
     from app.config_file import read_config as read_config
-    from app.control.control_loop import Command as Command
-    from app.control.control_loop import ControlLoop as ControlLoop
+    from app.control.controller import Command as Command
     from app.control.controller import Controller as Controller
+    from app.control.controller import ControlLoop as ControlLoop
     from app.control.quantities import ControlStep as ControlStep
     from app.control.tasks import Reference as Reference
     from app.errors import DbbError as DbbError
@@ -46,9 +46,9 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "BorderData": "app.border.cache",
-    "Command": "app.control.control_loop",
+    "Command": "app.control.controller",
     "Config": "app.config",
-    "ControlLoop": "app.control.control_loop",
+    "ControlLoop": "app.control.controller",
     "ControlStep": "app.control.quantities",
     "Controller": "app.control.controller",
     "DbbError": "app.errors",

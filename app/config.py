@@ -1,7 +1,7 @@
-"""All parameters of a run, as frozen records; each field has a range, a unit and a meaning.
+"""All parameters of a run, as frozen records; a number has a range, a unit and a meaning.
 
 The command line, the dashboard's sliders and the checks of values are derived from these records.
-The unit is in brackets at the start of a field's docstring.
+The unit is in brackets at the start of a field's docstring. A choice has words instead of a range.
 """
 
 from __future__ import annotations
@@ -49,26 +49,28 @@ class ForceConfig(Strict):
     f_max: Annotated[float, Shown("Force at contact f_max")] = Field(
         default=300.0, ge=0.0, le=600.0
     )
-    """[N] avoidance force on the base at contact, f_max of (14)."""
+    """[N] f_max of (14): force of a pair on the base at contact, for a horizontal normal."""
     f_arm: Annotated[float, Shown("Force on the arm f_arm")] = Field(default=5.0, ge=0.0, le=50.0)
     """[N] reaction force on a guided arm at contact; it moves a released arm out of the buffer."""
     alpha_gain: Annotated[float, Shown("Step gain S_0", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
-    """[-] S_0 of (13): α is 2 d on the wheel axis, where S = 0, and S_0 d / |S| far from it."""
+    """[-] S_0 of (13), a gain of the step size α. With the distance d of a pair and the score S, α
+    is 2 d on the wheel axis (S = 0) and about S_0 d / |S| far from this axis, but between
+    `alpha_min` and `alpha_max`."""
     alpha_min: Annotated[float, Shown("Smallest step α_min")] = Field(default=0.02, ge=0.0, le=0.10)
-    """[m] lower bound of the step α."""
+    """[m] lower bound of α of (13), the size of the step from p_n along the border's tangent."""
     alpha_max: Annotated[float, Shown("Largest step α_max")] = Field(default=0.15, ge=0.10, le=0.40)
-    """[m] upper bound of the step α."""
+    """[m] upper bound of α of (13), the size of the step from p_n along the border's tangent."""
 
 
 class ActivationConfig(Strict):
-    """§3.4: β rises from 0 at the buffer distance to 1 at d_full by the cubic of Figure 10."""
+    """§3.4: activation β of a pair, a cubic from 0 at d_b to 1 at d_full, over at least 20 mm."""
 
     d_full: Annotated[float, Shown("Full activation at d_full")] = Field(
         default=0.05, ge=0.0, le=0.05
     )
-    """[m] distance at and below which the avoidance task is fully active."""
+    """[m] the avoidance task is fully active up to this distance, or d_b − 0.02 m if smaller."""
     closest_point_smoothing: Annotated[float, Shown("Closest-point blending", advanced=True)] = (
         Field(default=0.005, ge=0.001, le=0.05)
     )
@@ -80,20 +82,20 @@ class RepulsionConfig(Strict):
     """§3.2: acceleration that separates two links of the arm."""
 
     k_p: Annotated[float, Shown("Repulsion k_p")] = Field(default=60.0, ge=0.0, le=200.0)
-    """[m/s²] constant part of (20)."""
+    """[m/s²] k_p of (20): constant part of the acceleration that separates the two links."""
     k_v: Annotated[float, Shown("Repulsion damping k_v")] = Field(default=30.0, ge=0.0, le=200.0)
-    """[1/s] damping of (20)."""
+    """[1/s] k_v of (20): factor of the damping by the relative speed of the two links."""
 
 
 class BarrierConfig(Strict):
-    """Minimum distance of each pair, as a barrier; also the compared method `barrier`."""
+    """Barrier that keeps each pair at a minimum distance (controllers `dbb` and `barrier`)."""
 
     d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
-    """[m] minimum distance of each pair; the torque limits have priority."""
+    """[m] minimum distance of each pair; torque limits are not exceeded to keep it."""
     rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] approach rate: largest approach speed divided by the distance beyond d_min."""
     max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
-        default=0.3, ge=0.05, le=2.0
+        default=0.15, ge=0.05, le=2.0
     )
     """[m/s] upper bound of the separation speed that the barrier demands of a pair below d_min,
     also in penetration."""
@@ -115,7 +117,7 @@ class EeHoldConfig(Strict):
 
 
 class TaskConfig(Strict):
-    """The tasks with a lower priority than self-collision avoidance."""
+    """The tasks of end-effector, posture and base, and the softness of the avoidance rows."""
 
     ee_stiffness: Annotated[float, Shown("End-effector stiffness")] = Field(
         default=900.0, ge=0.0, le=4000.0
@@ -134,11 +136,11 @@ class TaskConfig(Strict):
     joint_centering: Annotated[float, Shown("Joint-limit stiffness")] = Field(
         default=8.0, ge=0.0, le=100.0
     )
-    """[1/s²] stiffness towards the middle of a joint's range, for a joint at its limit."""
+    """[1/s²] stiffness towards the middle of a joint's range, for a joint at a position limit."""
     posture_damping: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s] damping of the arm's posture task."""
     base_damping: Annotated[float, Shown("Base damping k")] = Field(default=3.0, ge=0.0, le=20.0)
-    """[1/s] k of the base's rest acceleration −k q̇_b."""
+    """[1/s] k of the acceleration −k q̇_b, which brings the base to rest."""
     base_time_scale: Annotated[float, Shown("Base time scale", advanced=True)] = Field(
         default=5.0, ge=1.0, le=100.0
     )
@@ -179,34 +181,35 @@ class LimitConfig(Strict):
 
 
 class EstimateConfig(Strict):
-    """The filter of the arm's readings, which also estimates the external acceleration."""
+    """The filter of the arm's readings; it also estimates the external acceleration."""
 
     external_drift: Annotated[float, Shown("External push noise")] = Field(
         default=3.0, ge=0.1, le=100.0
     )
-    """[rad/s²] lower bound of the process noise of the external joint acceleration in one second;
-    m/s² for a prismatic joint. Noisy or rare readings increase the process noise."""
+    """[rad/s²] smallest standard deviation of the change of the external joint acceleration in one
+    second; m/s² for a prismatic joint. With noisy or rare readings a larger one is used."""
     least_noise: Annotated[float, Shown("Smallest position noise", advanced=True)] = Field(
         default=2e-8, ge=1e-9, le=0.005
     )
-    """[rad] lower bound of the estimated position noise; m for a prismatic joint."""
+    """[rad] lower bound of the estimated standard deviation of position noise; m if prismatic."""
     velocity_noise: Annotated[float, Shown("Smallest velocity noise", advanced=True)] = Field(
         default=100.0, ge=1.0, le=1e4
     )
-    """[1/s] lower bound of the ratio of velocity noise to position noise."""
+    """[1/s] lower bound of the standard deviation of velocity noise, divided by that of position
+    noise."""
     noise_window: Annotated[float, Shown("Noise window", advanced=True)] = Field(
         default=0.2, ge=0.01, le=10.0
     )
-    """[s] time window of the noise estimate."""
+    """[s] time window in which the noise of positions and velocities is estimated."""
     delay: Annotated[float, Shown("Known reading age", advanced=True)] = Field(
         default=0.0, ge=0.0, le=0.03
     )
-    """[s] age of the readings at the start of a control step, if known. The controller detects and
-    compensates a larger age."""
+    """[s] known age of the readings at the start of a control step; above 24 control periods, 24 of
+    them count. The controller also detects and compensates a larger age, up to the same limit."""
 
 
 class PayloadConfig(Strict):
-    """Known load in the gripper: the controller includes its mass and centre, but not its shape."""
+    """Known load in the gripper: the controller includes the mass and centre, not the shape."""
 
     mass: Annotated[float, Shown("Payload mass")] = Field(default=0.0, ge=0.0, le=20.0)
     """[kg] mass of the load."""
@@ -236,9 +239,10 @@ class AdmittanceConfig(Strict):
     angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
     """[N m s] D_a, damping of the base's rotation."""
     v_max: Annotated[float, Shown("Top speed v_max")] = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] largest commanded speed; a lower speed limit of the base has priority."""
+    """[m/s] largest speed command along each linear axis; if the base's own limit is lower, it
+    applies."""
     omega_max: Annotated[float, Shown("Top turn rate ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
-    """[rad/s] largest commanded turn rate; a lower limit of the base has priority."""
+    """[rad/s] largest commanded turn rate; if the base's own limit is lower, it applies."""
     period: Annotated[float, Shown("Command period")] = Field(default=0.1, ge=0.001, le=0.5)
     """[s] time between two velocity commands."""
 
@@ -256,8 +260,7 @@ class PersonConfig(Strict):
     mass: Annotated[float, Shown("Mass of the hand", advanced=True)] = Field(
         default=0.0, ge=0.0, le=5.0
     )
-    """[kg] mass of hand and forearm; the force that stops this mass can exceed the spring's
-    limit."""
+    """[kg] mass of hand and forearm; the force that stops this mass can exceed `f_max`."""
 
 
 class DisturbanceConfig(Strict):
@@ -282,7 +285,8 @@ class DisturbanceConfig(Strict):
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
     """[kg] mass of a load at the end-effector that the controller does not include."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
-    """[s] control period that the controller assumes; the true period is 0.001 s."""
+    """[s] control period that the controller assumes from the start of a run on; the true period
+    is 0.001 s."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)
     """[s] start of the late, repeated and lost readings, and of the unknown load."""
 
@@ -338,11 +342,11 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; it raises the errors of `changed`."""
+        """A copy with one parameter changed; raises the errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
-        """The values of all parameters that differ from those in `since`, by their paths."""
+        """This record's values of all parameters that differ from `since`, by their paths."""
         return {path: v for path in tunables() if (v := self.value(path)) != since.value(path)}
 
     def value(self, path: str) -> float | str:
@@ -358,8 +362,9 @@ class Config(Strict):
 def slowed(config: Config) -> Config:
     """The configuration whose closed loops are slower by the factor `task.base_time_scale`.
 
-    Stiffnesses and k_p are divided by the square of the factor; damping, k_v, rates and the largest
-    separation speed by the factor. `velocity_rate` gets the slower `position_rate`.
+    `ee_stiffness` and k_p are divided by the square of the factor; `ee_damping`, k_v,
+    `barrier.rate` and `max_separation_speed` by the factor. Both rates of joint limits become
+    `position_rate` divided by the factor. The gains of posture and base damping do not change.
     """
     task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
     s = task.base_time_scale
@@ -426,7 +431,7 @@ def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
 
 @cache
 def present_name(path: str) -> str:
-    """The present name of a parameter; logs one line if the path is a former name."""
+    """The present name of a parameter; the first call with a former name logs one line."""
     if path in FORMER_NAMES:
         getLogger(__name__).warning("parameter %s is now %s", path, FORMER_NAMES[path])
     return FORMER_NAMES.get(path, path)

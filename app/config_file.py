@@ -1,9 +1,10 @@
 """A configuration as a TOML file with comments: functions that write, read and check the file.
 
-A file can have only some sections and parameters; the other parameters have their defaults.
+A file can omit sections and parameters; their values come from the caller or are the defaults.
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from app.errors import ConfigError
 from app.parameters import Parameter
 from app.strict import content_of, from_toml, text_of
 
-MAX_BYTES = 64 * 1024  # [bytes] largest file, ten times as large as a file with all parameters
+MAX_BYTES = 64 * 1024  # [bytes] largest file, eight times as large as a file with all parameters
 LONGEST_NAME = 60  # [-] characters of the longest name
 _NAME = "name"  # key of the file's own name, beside the sections
 _SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller
@@ -31,10 +32,11 @@ class NamedConfig(NamedTuple):
     """Names in `[server] allow_host`, which only `dbb serve` uses."""
 
 
-def save_config(config: Config, name: str = "") -> str:
-    """The text of a file with the value, unit, range and meaning of each parameter.
+def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> str:
+    """The text of a file with value, range (or choices) and meaning of each parameter, and units.
 
-    A comment marks each parameter that differs from the program's default.
+    A comment marks each parameter that differs from the program's default. `name` and `hosts` are
+    those of a `NamedConfig`.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.
@@ -60,6 +62,9 @@ def save_config(config: Config, name: str = "") -> str:
             table.add(each.path.partition(".")[2], item)
         document.add(tomlkit.nl())
         document.add(section.name, table)
+    if hosts:
+        document.add(tomlkit.nl())
+        document.add(_SERVER, tomlkit.item({_HOSTS: list(hosts)}))
     return tomlkit.dumps(document)
 
 

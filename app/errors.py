@@ -49,7 +49,7 @@ class AssetError(DbbError):
 
 
 class RobotFileError(DbbError):
-    """A URDF cannot become a robot description; the message names the part and a remedy."""
+    """A URDF cannot become a robot description; the message names the part and its correction."""
 
 
 class ConfigError(DbbError):
@@ -66,7 +66,7 @@ class UnreachableError(DbbError):
 
 
 class MeasurementError(DbbError):
-    """A measurement or reference has a wrong type or shape, or its first values are impossible."""
+    """A measurement or reference has a wrong type, shape or value, or joint names are wrong."""
 
 
 class TargetError(DbbError):
@@ -120,8 +120,8 @@ EXTRAS = {
         *("scipy", "trimesh"),
     ),
 }
-"""The modules that each extra of the package installs. Each other extra includes `sim`, and belongs
-to the package in `app` with the extra's name."""
+"""The modules that each extra installs, without `all` and `robots`. Each of these extras except
+`sim` includes `sim`, and belongs to the package in `app` with the extra's name."""
 
 
 @contextmanager
@@ -129,8 +129,9 @@ def extras_named() -> Iterator[None]:
     """Replace the error of a missing module in the `with` block, if an extra installs the module.
 
     Raises:
-        MissingExtraError: The message states how to install the extra: that of the package of
-            `app` that imports the module, otherwise the first extra that installs the module.
+        MissingExtraError: The message states how to install an extra. If the package of `app` that
+            imports the module has an extra with this module, it is this extra; if not, it is the
+            first extra with this module.
     """
     try:
         yield

@@ -20,13 +20,14 @@ from app.system import cache_folders
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     """Name and digest of a kernel's source file, and of the files of the functions that it calls.
 
-    Called functions are found by their names in the kernel. The kernel's constants must be in the
-    kernel's file. A digest, unlike a time, does not change if an installation is copied.
+    The file with the memory layout of structs is included too. Called functions are found by their
+    names in the kernel. The kernel's constants must be in the kernel's file. A digest, unlike a
+    time, does not change if an installation is copied.
 
     Raises:
         OSError: A file cannot be read.
     """
-    files, known, called = set[Path](), set[FunctionType](), [function]
+    files, known, called = {Path(__file__).with_name("structs.py")}, set[FunctionType](), [function]
     while called:
         part = called.pop()
         files.add(Path(part.__code__.co_filename))
@@ -34,7 +35,7 @@ def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
         named = (part.__globals__.get(name) for name in part.__code__.co_names)
         parts = {each.py_func for each in named if isinstance(each, Dispatcher)}
         called += parts - known
-    return tuple((file.name, _digest(file)) for file in sorted(files))
+    return tuple(sorted((file.name, _digest(file)) for file in files))
 
 
 @cache
@@ -45,8 +46,8 @@ def _digest(file: Path) -> str:
 def _folders(file: str, *, make: bool) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
-    They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and
-    the cache folders of this user, which `cache_folders` makes if necessary and requested.
+    They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and the
+    cache folders of this user. With `make`, missing cache folders are made.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:

@@ -1,10 +1,14 @@
 """Validated, frozen records for descriptions and configurations, and readers of untrusted text."""
 
+import ast
 import codecs
+import inspect
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
+from textwrap import dedent
 from typing import Annotated, Any
 
 import numpy as np
@@ -30,7 +34,7 @@ ValidText = Callable[[Place, str], str | None]
 
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
-_MAX_PARTS = 500  # [-] dots and brackets in the longest TOML line that this process reads
+_MAX_PARTS = 500  # [-] largest number of dots and brackets in a TOML line that this process reads
 LARGEST_TEXT = 10_000_000  # [bytes] size of the largest text file
 LARGEST_DATA = 10**6  # [characters] longest TOML or JSON text; each value needs 400 bytes
 _MAX_PROBLEMS = 8  # [-] largest number of reported problems of a file
@@ -41,6 +45,17 @@ class Strict(BaseModel):
     """A frozen record without unknown fields; the docstring of a field is its help text."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def field_docs(cls: type) -> Iterator[tuple[str, str]]:
+    """The names of a dataclass's own documented fields, with their docstrings in one line each."""
+    if "__dataclass_fields__" not in vars(cls):
+        return
+    body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
+    for before, after in pairwise(body):
+        if isinstance(before, ast.AnnAssign) and isinstance(after, ast.Expr):
+            text = inspect.cleandoc(ast.literal_eval(after.value))
+            yield ast.unparse(before.target), " ".join(text.split())
 
 
 class Sourced(Strict):
@@ -144,7 +159,7 @@ def _records_at(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
 
 
 def _without_kinds(model: type[BaseModel], loc: Place) -> Place:
-    """A place without the parts that are values of a field `kind` instead of names of fields."""
+    """The place of an error without the values of `kind` that pydantic adds for a union."""
     return tuple(
         part
         for i, part in enumerate(loc)
@@ -171,7 +186,7 @@ def content_of(path: Path) -> bytes:
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: The file is larger than any file that this program reads.
+        ValueError: The file is larger than any text file that this program reads.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
@@ -207,7 +222,7 @@ def from_toml(text: str) -> dict[str, Any]:
 
 
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
-    """Parse a text; an error message names the probable typing error."""
+    """Parse a text; an error message also names a probable typo, such as a decimal comma."""
     try:
         return loads(text)
     except RecursionError:
@@ -240,9 +255,10 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """The name of a placeholder that a download or a repository left in a file's place, or empty.
+    """The placeholder that a file is, with advice; empty for other content.
 
-    `content` is the first bytes of the file, or all of them.
+    A download or a repository leaves a placeholder in a file's place. `content` is the first bytes
+    of the file, or all of them.
     """
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
@@ -250,7 +266,7 @@ def placeholder(content: bytes) -> str:
 
 
 def text_of(content: bytes) -> str:
-    """Decode the text of a user's file: UTF-8, or UTF-16 from editors of Windows.
+    """Decode the text of a user's file: UTF-8, or UTF-16 with a byte order mark.
 
     The result has no byte order mark, and only line feeds as line ends.
 
@@ -279,7 +295,7 @@ _SLIPS = {
 
 
 def _slip(text: str) -> str:
-    """A text about the first match of `_SLIPS` in an invalid text, with its line; or empty."""
+    """A message about the first match of `_SLIPS` in a text, with the line number; or empty."""
     for number, line in enumerate(text.splitlines(), 1):
         for pattern, why in _SLIPS.items():
             if found := re.search(pattern, line.partition("#")[0] or line):

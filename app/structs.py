@@ -17,8 +17,6 @@ from numba.core import config
 from numba.core.runtime.nrt import rtsys
 from numba.experimental import structref
 
-from app.compiled import compiled
-
 
 @structref.register
 class _Struct(types.StructRef):
@@ -93,25 +91,3 @@ class StructType(NamedTuple):
 def struct_type(name: str, fields: dict[str, types.Type]) -> StructType:
     """The kind of struct with these fields."""
     return StructType(_Struct(name, fields), fields)
-
-
-@compiled()
-def put(into: np.ndarray, values: np.ndarray | tuple[float, ...]) -> None:
-    """Copy values into an array; ``into[:] = values`` compiles to fifty times as much code."""
-    for i in range(len(into)):
-        into[i] = values[i]
-
-
-@compiled()
-def put_rows(into: np.ndarray, values: np.ndarray) -> None:
-    """Copy rows of values (k, n) into the first k rows of an array."""
-    for i in range(len(values)):
-        for j in range(values.shape[1]):
-            into[i, j] = values[i, j]
-
-
-@compiled()
-def fill(into: np.ndarray, value: float) -> None:
-    """Set all entries of an array to a value."""
-    for i in range(len(into)):
-        into[i] = value

@@ -68,7 +68,7 @@ def raise_priority(niceness: int) -> None:
 
 
 def _leave_real_time(*_: object) -> None:
-    """Return all threads of this process to the normal policy."""
+    """Return all Python threads of this process to the normal policy."""
     for thread in threading.enumerate():
         with suppress(OSError):  # the thread has just ended
             os.sched_setscheduler(thread.native_id or 0, os.SCHED_OTHER, os.sched_param(0))
@@ -82,10 +82,11 @@ def lower_priority(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit the further processor time [s] and address space [bytes] of this process in the `with`.
+    """Limit processor time [s] and address space [bytes] of this process during the `with`.
 
-    Beyond the memory limit, an allocation fails. Beyond the time limit, the system ends the
-    process. macOS limits only the time.
+    Both limits are additions to the use at the start. Beyond the memory limit, an
+    allocation fails. Beyond the time limit, the system ends the process. macOS limits only the
+    time.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -110,7 +111,7 @@ ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Block Ctrl-C during the `with`, in this process and in processes that it starts."""
+    """Block Ctrl-C during the `with`, in this thread and in processes that it starts."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -219,7 +220,11 @@ def _remove(folder: Path) -> None:
 
 
 def _claimed(folder: Path) -> int:
-    """Lock a folder, and return the number of the open file that holds the lock."""
+    """Make and lock a folder, and return the number of the open file that holds the lock.
+
+    Raises:
+        OutputError: Another process holds the lock for longer than `_PATIENCE`.
+    """
     end = time.monotonic() + _PATIENCE
     while True:
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -228,7 +233,8 @@ def _claimed(folder: Path) -> int:
             if lock is not None:
                 return lock
         if time.monotonic() > end:
-            raise OutputError(f"{folder.parent}: another process is writing the same result")
+            who = "process" if folder.stat().st_uid == os.geteuid() else "user"
+            raise OutputError(f"{folder.parent}: another {who} is writing the same result")
         time.sleep(_LOOK_EVERY)  # the removal of abandoned folders locks each of them briefly
 
 
@@ -236,7 +242,8 @@ def _locked(folder: Path, *, surely: bool = False) -> int | None:
     """The number of the open file that locks a folder of this user, or None.
 
     The result is None if another process or user holds the folder. If the file system has no locks,
-    the result is None with `surely`, and otherwise the number of a file that locks nothing.
+    the result depends on `surely`: if True, it is None; if False, it is the number of a file that
+    locks nothing.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -350,7 +357,10 @@ def whole_folder(out: Path) -> Iterator[Path]:
         made = folder / out.name
         made.mkdir()
         yield made
-        made.replace(out)
+        try:
+            made.replace(out)
+        except OSError as error:
+            raise OutputError(f"--out: cannot write to {out}: {error.strerror}") from None
 
 
 def is_no_file(path: Path) -> bool:
@@ -373,8 +383,8 @@ def peak_memory() -> float:
 def return_freed_memory_early() -> None:
     """Make glibc return freed memory to the system early; other C libraries do this anyway.
 
-    Each large block is mapped on its own, and all threads share one heap. Otherwise freed blocks
-    between used ones stay in this process, for example those of a former robot.
+    Each large block is mapped on its own, and all threads share one heap. Without these settings,
+    freed blocks between used ones stay in this process, for example those of a former robot.
     """
     mallopt = getattr(_c_library(), "mallopt", None)
     if mallopt is not None:
@@ -395,6 +405,11 @@ def home_folder(find: Callable[..., Path]) -> Path | None:
         found = find("dbb", appauthor=False)
         return found if found.is_absolute() else None  # older versions return "~/…"
     return None
+
+
+def home_expanded(path: str) -> Path:
+    """A path in which the user's home replaces `~`; `~NAME` of an unknown user does not change."""
+    return Path(os.path.expanduser(path))  # `Path.expanduser` would raise an error
 
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
@@ -438,12 +453,14 @@ def _private_folder(shared: Path, *, make: bool = True) -> Path:
 def open_standard_files() -> None:
     """Open standard input, output and error as null devices if the parent process closed them.
 
-    Otherwise the next file, pipe or socket would get the number of a standard file and receive
-    printed text. Characters outside of the encoding of standard output are printed as codes.
+    Without this, the next file, pipe or socket would get the number of a standard file and receive
+    printed text. Text for a closed standard output raises an OSError, because a result would be
+    lost. Characters outside of the encoding of standard output are printed as codes.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number
-            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - it stays open
+            access = os.O_WRONLY if name == "stderr" else os.O_RDONLY
+            setattr(sys, name, open(os.open(os.devnull, access), mode))  # noqa: SIM115 - stays open
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 

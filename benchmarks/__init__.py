@@ -1,1 +1,1 @@
-"""Measurements of speed; run one with `python -m benchmarks.<name>` from the checkout."""
+"""Measurements of speed, control and robustness: `python -m benchmarks.NAME` in the checkout."""

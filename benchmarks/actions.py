@@ -36,8 +36,9 @@ from tests.browser import DashboardTab, wait_for
 
 AGREES = 0.001  # [m] largest distance between the drawn end-effector and the gizmo
 COVERED = "out/covered.png"  # picture of a page on which another robot could not be chosen
-APART = "out/apart_{}_{}.png"  # pictures of the pages of a pause in which they do not agree
-PATIENCE = 60.0  # [s] time to wait until they agree
+APART = "out/apart_{}_{}.png"  # pages of a pause in which end-effector and gizmo differ
+PATIENCE = 60.0  # [s] time to wait until end-effector and gizmo agree
+_END = 10.0  # [s] after which the simulation and the objects of a replaced robot are gone
 _SIZES = (1280, 720), (820, 1180)  # [px] sizes of the two pages
 _KEYS = (
     *"BFNRLH1234567?",
@@ -225,7 +226,8 @@ class _Run:
     def _change(self, robot: str) -> None:
         """Choose another robot in the first page, and wait until both pages show it.
 
-        If the random actions have covered the button, reload the page, which the results report.
+        The old simulation ends afterwards, so wait for this too: a check can follow at once. If the
+        random actions have covered the button, reload the page, which the results report.
         """
         try:
             self._choose(robot)
@@ -240,6 +242,7 @@ class _Run:
         for each in self._tabs:
             each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._ee[0], 900.0)
             each.wait_for_scene()
+        self._tabs[0].page.wait_for_timeout(1000 * _END)
 
     def _choose(self, robot: str) -> None:
         first = self._tabs[0]
@@ -302,7 +305,7 @@ class _Run:
         return absent
 
     def _settled(self, tab: DashboardTab) -> tuple[np.ndarray, np.ndarray]:
-        """(3,) [m] of the drawn end-effector and of the gizmo when they agree or time is up.
+        """Positions (3,) [m] of the drawn end-effector and the gizmo when they agree or time is up.
 
         If the connection of a page was closed, the page reconnects; until then it has no scene.
         """

@@ -1,6 +1,6 @@
 """A viewer of the dashboard in its own process: `python -m benchmarks.client KIND ADDRESS SECONDS`.
 
-It prints `ready` when it is connected, works until the end of the time, and prints its counts.
+KIND is websocket, browser or drag. The viewer prints `ready` once connected, at the end its counts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tests.browser import DashboardTab, chromium
 from tests.raw_client import RawClient
 
 AXIS = 0  # number of the gizmo's arrow along x
-NEAR, FAR = 0.55, 0.90  # [m] x of the end-effector from the base's centre; its front is at 0.5 m
+NEAR, FAR = 0.55, 0.90  # [m] x of the end-effector from the base's centre; the front is at 0.5 m
 SWEEP = 4.0  # [s] duration of a sweep from FAR to NEAR and back
 SWEEPS = 3  # [-] number of sweeps between two restarts
 FIRST = 2.0  # [s] time in which a viewer receives the whole scene
@@ -26,7 +26,7 @@ SILENCE = 0.2  # [s] length above which a silence of the server is reported
 
 
 def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
-    """Show the page in headless Chromium, and drag the end-effector repeatedly."""
+    """Show the page in headless Chromium; with `drag`, drag the end-effector repeatedly."""
     with chromium() as browser:
         tab = DashboardTab(browser, address, dpr=1.0)
         tab.rest()
@@ -48,7 +48,7 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 
 
 def _sweep(tab: DashboardTab, end: float) -> int:
-    """Drag the end-effector `SWEEPS` times, release it and press Restart; count the drags."""
+    """Drag the end-effector in `SWEEPS` sweeps, release it, press Restart; return the sweeps."""
     try:
         arrow, start = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
     except LookupError:  # on a busy machine the robot is not visible yet

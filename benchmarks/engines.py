@@ -1,7 +1,8 @@
 """Speed of the plants: `python -m benchmarks.engines`.
 
-It measures the time of a step and a reading of each plant, alternately in one process, and the time
-of a study with each engine. `make results ARGS=engines` measures the scenarios.
+It measures the time of a step, a reading and the contacts of each plant with an engine, alternately
+in one process, and the time of a study with each engine. `make results ARGS=engines` measures the
+scenarios.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def main(
     """Compare the speed of the engines.
 
     Args:
-        rounds: Number of rounds; each round measures all plants.
+        rounds: Number of rounds; each round measures all of `PLANTS`.
         study: Number of cases of a study with each engine; 0 means no study.
         json: Print only one JSON object.
     """
@@ -47,9 +48,10 @@ def main(
 
 
 def time_plants(model: RobotModel, rounds: int) -> dict[str, dict[str, float]]:
-    """[µs] processor time of a step and a reading of each plant: median and minimum of the rounds.
+    """[µs] processor time of a step of each of `PLANTS`: median and minimum of the rounds.
 
-    The torques compensate the arm's gravity, and the base drives along a gentle curve.
+    The time includes a reading and the contacts. The torques compensate the arm's gravity, and the
+    base drives along a gentle curve.
     """
     ready = np.array(model.description.arm.ready_position)
     plants = {name: make_physics(name, model) for name in PLANTS}

@@ -1,12 +1,13 @@
 """Faults at random instants: `python -m benchmarks.faults --tries 30 [--seed 1] [--json]`.
 
 Each try starts a command in a separate folder. Then one of its processes is killed, terminated,
-suspended for a second, or suspended while the command is terminated. Other faults are a full disk
-and a folder without write access. Twelve seconds after the end of the command, the program counts
-the remains: processes, open ports, incomplete results, unfinished or temporary files (unless a
-process was killed), and wrong statuses. An interrupted study is continued, and its results must be
-identical to those of a study without a fault. One of the commands hangs in a library that does not
-release Python's lock.
+interrupted, suspended for a second, or suspended while the command is terminated; or all its
+processes get the signal of a terminal. Other faults are a full disk and a folder without write
+access. When all processes have ended, or after twelve
+seconds, the program counts the remains: processes, open ports, incomplete results, unfinished or
+temporary files (except after the fault "kill"), and wrong statuses. An interrupted study is
+continued, and its results must be identical to those of a study without a fault. One of the
+commands hangs in a library that does not release Python's lock.
 """
 
 from __future__ import annotations
@@ -108,9 +109,9 @@ def main(
 ) -> None:
     """Cause faults in commands, and count the remains.
 
-    The status is 1 if a process, an open port or an incomplete file remains, if a result is lost,
-    or if a command ends with a wrong status. A signal ends the program early, with status 1; the
-    program then prints the counts up to this time.
+    The status is 1 if a process, an open port, or an incomplete or temporary file remains, if a
+    result is lost, or if a command ends with a wrong status. A signal ends the program early, with
+    status 1; the program then prints the counts up to this time.
 
     Args:
         tries: Largest number of tries.
@@ -171,7 +172,7 @@ _COUNTED = ("orphans", "ports", "half", "begun", "lost", "status")
 def _try(
     name: str, folder: Path, rng: np.random.Generator, whole: dict[str, bytes]
 ) -> dict[str, Any]:
-    """Run one command with one fault; the result has the keys of `_COUNTED`."""
+    """Run one command with one random fault, and list the remains under the keys of `_COUNTED`."""
     (folder / _TEMPORARY).mkdir(parents=True)
     port = _free_port()
     words, span = _COMMANDS[name]
@@ -239,7 +240,7 @@ def _started(
 def _strike(
     command: subprocess.Popen[bytes], fault: str, in_child: bool, rng: np.random.Generator
 ) -> str:
-    """Send the signal to the command or one of its processes; return the command line."""
+    """Signal the command or one of its processes; return the name of that process."""
     with suppress(psutil.NoSuchProcess, ProcessLookupError):
         struck = psutil.Process(command.pid)
         children = struck.children(recursive=True)
@@ -263,7 +264,7 @@ def _strike(
 
 
 def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Left:
-    """Wait until all processes have ended, up to `_PATIENCE`, and count the remains."""
+    """Wait up to `_PATIENCE` until all processes end; return the remains, and kill processes."""
     end = time.monotonic() + _PATIENCE
     while (alive := _alive(folder)) and time.monotonic() < end:
         time.sleep(0.1)

@@ -45,7 +45,7 @@ def _package(name: str, folder: str) -> tuple[str, ...]:
 
 
 def _on(base: str, arm: str, tip: str, *, at: tuple[float, float, float], **more: Any) -> Any:
-    """Options for a base with an arm of another URDF."""
+    """Options for a base with an arm of another URDF, mounted at `at` (3,) [m]."""
     bases = {
         "husky": {"urdf": "robot_assets/bases/husky.urdf", "base": "base_link", "half_track": 0.51},
         "racecar": {
@@ -193,7 +193,7 @@ def dbb(*words: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
 
     Returns:
         The output of the command or None, and a record: its duration, the processor time of all
-            cores, and without an output the reason: `refused`, or `crashed` with the last message.
+            cores, and, without an output, the verdict `refused` or `crashed` and the last message.
     """
     begin, before = perf_counter(), _cpu_seconds()
     done = subprocess.run(
@@ -220,7 +220,7 @@ def _cpu_seconds() -> float:
 
 
 def words_of(given: Mapping[str, Any]) -> Iterator[str]:
-    """Arguments of `dbb new-robot` for fields of a `Request`."""
+    """Arguments of `dbb new-robot` for the values `given` of fields of a `Request`."""
     yield given["urdf"]
     for field, value in given.items():
         if field == "urdf" or value == ():
@@ -231,7 +231,7 @@ def words_of(given: Mapping[str, Any]) -> Iterator[str]:
 
 
 def outcome(name: str, quick: bool) -> dict[str, Any]:
-    """The row of a robot: its results, or the reason why it was not created."""
+    """The row of a robot: its results, or the reason why it was not created or not checked."""
     say(name)
     how = ["--quick"] if quick else []
     own = f"new_{name}"  # a delivered robot has precedence over a robot with the same name

@@ -38,7 +38,7 @@ from app.jobs.progress import progress_bar
 
 _LONGEST_WAIT = 1.0  # [s] largest accepted wait of the honest viewer for a picture
 _LARGEST_GROWTH = 1.15  # [-] largest accepted ratio of the server's memory after and before
-_ALONE = 70.0  # [s] time of the viewer alone, before the attacks: the history of 60 s is full
+_ALONE = 70.0  # [s] time of the viewer alone, before the attacks; then `History` (60 s) is full
 _TURN = 10.0  # [s] duration of an attack
 _SETTLED = 30.0  # [s] time between the attacks and the measurement of memory
 _PLACES = 31  # [-] number of connections beside the viewer
@@ -50,7 +50,7 @@ _BINARY, _PING = 2, 9  # [-] kinds of a websocket's frame
 
 
 def main(seconds: float = 600.0, json: Json = False) -> None:
-    """Attack a server; the status is 1 if the viewer waits too long or the memory grows too much.
+    """Attack a server; status 1 if it ends, the viewer waits too long or memory grows too much.
 
     Args:
         seconds: [s] duration of all attacks.

@@ -50,7 +50,7 @@ class Realtime:
     client: Literal["browser", "websocket", "none"] = "browser"
     """Kind of client: a headless browser, a client that draws nothing, or none."""
     clients: int = 1
-    """Number of clients of this kind; the first one drags."""
+    """Number of clients of this kind; with --drag only the first one drags."""
     listeners: int = 0
     """Further clients that draw nothing."""
     drag: bool = False
@@ -59,7 +59,7 @@ class Realtime:
     loop: Literal["process", "thread"] = "process"
     """Whether the simulation runs in a process or in a thread."""
     layers: bool = False
-    """Whether all layers are shown: both complete borders, bodies, names, arrows, trails."""
+    """Whether all layers are shown: both complete borders, bodies, labels, arrows, trails."""
     ghosts: int = 0
     """Number of compared robots with other controllers: 0, 1 or 2."""
     json: Json = False
@@ -180,7 +180,7 @@ def _show_all(server: DashboardServer) -> None:
     for page in list(server.pages.values()):
         view = page.view
         view.borders = dict.fromkeys(view.borders, "determinant")
-        view.whole_border = view.bodies = view.names = True
+        view.whole_border = view.bodies = True
         view.labels = "all"
 
 
@@ -198,8 +198,9 @@ def _cpu(processes: list[psutil.Process]) -> list[float]:
 def _pass_time(
     args: Realtime, begin: float, loop: LoopHandle, servers: list[psutil.Process]
 ) -> list[float]:
-    """Wait, and measure the memory [MiB]; without a mouse, pull the end-effector to the base and
-    back.
+    """Wait, and measure the memory [MiB].
+
+    With `--drag` and without a browser, pull the end-effector to the base and back.
     """
     memory: list[float] = []
     scripted = args.drag and args.client != "browser"

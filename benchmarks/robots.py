@@ -2,9 +2,9 @@
 
 A person pulls the end-effector of each robot towards the base from the side and from the front. In
 two further cases the end-effector tracks a path of 0.2 m towards the side, and one along the wheel
-axis with p_b at x = 0. Each case runs without and with avoidance. The program searches for a start
-0.02 m outside of the buffer from which the path leads into the inner half of the buffer without
-avoidance. If there is no such start, the row states the reason.
+axis; there p_b, the arm's point nearest to the base, is at x = 0. Each case runs without and with
+avoidance. The program searches for a start 0.02 m outside of the buffer from which the path leads
+into its inner half without avoidance. If there is no such start, the row states the reason.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from app.studies.sweep.sweep import StartFinder, load, passes
 COMPARED = ("none", "dbb")
 """The controllers: without avoidance, then with avoidance."""
 GUIDED_LIMIT = 0.02
-"""[m] largest distance of a guided end-effector from the person's hand at the end."""
+"""[m] largest distance of a guided end-effector from the person's target at the end."""
 _MAX_PATHS = 4  # [-] largest number of paths that are tested without avoidance
 _TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
 _HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] shares of the height of l_m, in the order of preference

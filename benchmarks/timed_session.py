@@ -21,7 +21,7 @@ class TimedSession(Session):
         super().__init__(*args, **options)
 
     def step(self, *args: Any, **options: Any) -> Step:
-        """Advance by one control step."""
+        """Advance by one control step, and record its start and duration."""
         begin = perf_counter()
         step = super().step(*args, **options)
         duration, beta = perf_counter() - begin, float(step.control.beta_m)

@@ -109,7 +109,7 @@ def supports(urdf: Path, base: str, postures: int = _POSTURES) -> dict[str, Arra
 
 
 def _place(model: pin.Model, data: pin.Data, posture: int) -> None:
-    """Compute placements: in posture 0 all joints are at zero, otherwise joints have random angles.
+    """Compute placements: in posture 0 all joints are at zero, else the arm has random angles.
 
     The random angle of a joint depends only on the joint's name and the number of the posture.
     """
@@ -290,7 +290,7 @@ def _shape(text: str, tag: str = "collision") -> str:
 
 
 def _as(end: str, **options: Any) -> Change:
-    """A mesh in another format."""
+    """A mesh in another format, with the file name's ending `end`."""
 
     def change(path: Path, element: Element) -> None:
         mesh = _loaded(path)
@@ -302,7 +302,7 @@ def _as(end: str, **options: Any) -> Change:
 
 
 def collada(mesh: trimesh.Trimesh, metre: float, up: str = "Z_UP") -> str:
-    """A mesh as a COLLADA file whose unit has a length of `metre` [m]."""
+    """A mesh as a COLLADA file whose unit is `metre` [m]; `up` names its upward axis."""
     p = " ".join(f"{c:.9g}" for c in (np.asarray(mesh.vertices) / metre).ravel())
     t, n = " ".join(map(str, np.asarray(mesh.faces).ravel())), len(mesh.vertices)
     return (
@@ -321,7 +321,7 @@ def collada(mesh: trimesh.Trimesh, metre: float, up: str = "Z_UP") -> str:
 
 
 def _collada(metre: float, up: str = "Z_UP") -> Change:
-    """A mesh as COLLADA in another unit."""
+    """Replace a mesh by a COLLADA file of the same size, whose unit is `metre` [m]."""
 
     def change(path: Path, element: Element) -> None:
         target = path.with_name(f"{path.stem}_unit.dae")

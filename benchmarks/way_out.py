@@ -1,4 +1,4 @@
-"""Starts inside a buffer or in penetration: robots that leave it, durations, jumps of torques.
+"""Starts inside a buffer or in penetration: ends of full activation, durations, jumps of torques.
 
 python -m benchmarks.way_out --starts 100 --begin penetration --json
 """

@@ -1,7 +1,7 @@
 """A body of your own: a box of cargo on the deck behind the arm.
 
 A body on the base becomes part of l_m: the link pairs, the border and the controller then
-include it. A person pulls the end-effector backwards at the cargo, and the base drives away.
+include it. A person pulls the end-effector backwards towards the cargo, and the base drives away.
 Run it: python examples/cargo.py
 """
 

@@ -17,7 +17,7 @@ def main(duration: float = 1.0) -> tuple[str, ...]:
     model = RobotModel(load_robot("husky_panda"))
     loop, robot = ControlLoop(model, dt=DT), make_physics("kinematic", model, dt=DT)
     names = ["gripper", *sorted(model.description.arm.joints, reverse=True)]
-    order = loop.joint_order(names)  # once: the driver's names
+    order = loop.joint_order(names)  # called once, with the driver's order of joints
     places = [names.index(name) for name in model.description.arm.joints]
     faults: dict[str, None] = {}
 

@@ -17,7 +17,7 @@ PULL = np.array([-20.0, 0.0, -20.0])  # [N] of a person on the end-effector
 
 
 def main(config: Config | None = None) -> tuple[float, float]:
-    """Returns the base's displacement [m] under a pull, with a small and with a large force."""
+    """Returns the base's displacement [m] along x under a pull, for a small and a large f_max."""
     model = RobotModel(load_robot("husky_panda"))
     config = config or Config()
     loop, robot = ControlLoop(model, config=config), make_physics("kinematic", model)

@@ -32,7 +32,7 @@ def main(duration: float = 2.0) -> float:
             pose.translation += EVERY * DT * SPEED
         command = loop.step(robot.measure(), Reference(pose, STILL, STILL))
         robot.step(command.u_a, command.base_velocity, hand_force=np.zeros(3))
-        fastest = max(fastest, float(np.abs(command.step.v_ee[:3]).max()))
+        fastest = max(fastest, float(np.linalg.norm(command.step.v_ee[:3])))
     return fastest
 
 

@@ -14,7 +14,7 @@ from app.simulation.scenarios import scenario_by_name
 
 
 def main(file: Path = Path("out/examples/distances.png"), duration: float = 8.0) -> Path:
-    """Returns the picture."""
+    """Run the scenario and draw the plot; returns the file of the picture."""
     model = RobotModel(load_robot("husky_panda"))
     scenario = scenario_by_name("guiding-lateral").changed(duration=duration)
     config = Config()

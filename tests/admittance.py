@@ -5,25 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from app.config import AdmittanceConfig
-from app.control.admittance import (
-    admissible_command,
-    largest_command,
-    next_command,
-    virtual_damping,
-    virtual_mass,
-)
+from app.control.algorithm import next_command
+from app.control.controller import admissible_command
+from app.control.inputs import largest_command
 from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
 
 
 class RunningAdmittance:
-    """It integrates commanded accelerations to a velocity command, once per period."""
+    """Integrates the accelerations of all steps, and renews the command once per command period."""
 
     def __init__(self, base: BaseKind, config: AdmittanceConfig) -> None:
         """Start with the velocity command zero."""
         self._base, self._period = base, config.period
-        self._M, self._D = virtual_mass(base, config), virtual_damping(base, config)
+        self._M = base.by_axis(config.mass, config.inertia)
+        self._D = base.by_axis(config.damping, config.angular_damping)
         self._v_max, self._a_max = largest_command(base, config), np.array(base.max_acceleration)
         self._sum, self._t = np.zeros(base.n_b), 0.0
         self.command = np.zeros(base.n_b)

@@ -37,7 +37,7 @@ KINDS = ("differential", *_RECORDS)
 
 @cache
 def base_of(kind: str, **changes: float) -> BaseKind:
-    """A base of this kind with the mass of the paper's base."""
+    """A base of a kind with the paper's mass; "differential" is the paper's and ignores changes."""
     if kind == "differential":
         return husky_panda().description.base
     fields = _COMMON | _OWN[kind] | changes

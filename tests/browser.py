@@ -35,7 +35,10 @@ _NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('{SEEN}', '
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A headless browser with WebGL; skips the test if there is none, unless one is required."""
+    """A headless browser with WebGL.
+
+    Without a browser the test is skipped; if the environment variable `REQUIRED` is set, it fails.
+    """
     with ExitStack() as stack:
         try:
             browser = stack.enter_context(browser_of_app.chromium())
@@ -47,7 +50,7 @@ def chromium() -> Iterator[Any]:
 
 
 def wait_for(condition: Callable[[], Any], seconds: float = 60.0, what: str = "") -> None:
-    """Wait until a condition is true; fail after `seconds`."""
+    """Wait until a condition is true; fail after `seconds` with a message that contains `what`."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds:g} s: {what or 'the condition'}"
@@ -126,7 +129,7 @@ class DashboardTab:
 
     @contextmanager
     def drawing(self) -> Iterator[None]:
-        """Turn rendering on; at other times the page updates its scene but renders nothing."""
+        """Render in the `with`; a page without `draws` only updates its scene at other times."""
         self.page.evaluate("() => dbbTest.draw(true)")
         yield
         if not self._draws:
@@ -155,7 +158,7 @@ class DashboardTab:
         self.page.wait_for_function(script, arg=argument, timeout=1000 * timeout)
 
     def render(self, frames: int = 1) -> None:
-        """Wait until `frames` pictures are rendered."""
+        """Wait until the page has had `frames` frames; without `drawing` they render nothing."""
         self.page.evaluate("n => dbbPage.render(n)", frames)
 
     def picture(self, path: Path | None = None) -> np.ndarray:
@@ -164,7 +167,7 @@ class DashboardTab:
 
         from PIL import Image
 
-        self.render(1)  # new objects move into place; with rendering it takes ten times as long
+        self.render(1)  # new objects move into place; a frame with rendering takes ten times longer
         with self.drawing():
             self.render(1)
         data = self.page.screenshot(path=path)
@@ -228,7 +231,7 @@ class DashboardTab:
             assert time.monotonic() < deadline, f"only {count} pixels changed, not {least}"
 
     def wait_for_picture(self, wanted: np.ndarray, most: int, seconds: float = 60.0) -> None:
-        """Wait until at most `most` pixels of the scene differ from a picture."""
+        """Wait until at most `most` pixels of the scene differ from the picture `wanted`."""
         deadline = time.monotonic() + seconds
         while (count := int(self.changed(wanted, self.picture()).sum())) > most:
             assert time.monotonic() < deadline, f"{count} pixels still differ"
@@ -242,7 +245,7 @@ class DashboardTab:
         return self.page.evaluate("n => dbbTest.shown(n)", node)
 
     def text(self, node: str) -> str | None:
-        """The text of a label in the scene."""
+        """The text of a label in the scene, or None."""
         return self.page.evaluate("n => dbbTest.text(n)", node)
 
     def position(self, node: str) -> np.ndarray:
@@ -294,7 +297,7 @@ class DashboardTab:
         self.drag(a, b, steps, drop=drop)
 
     def arrow(self, node: str, axis: int, scale: float) -> np.ndarray:
-        """(3,) [m] a visible point of a gizmo's arrow, in the gizmo's frame, at rest.
+        """Wait for `rest`; (3,) [m] a visible point of a gizmo's arrow, in the gizmo's frame.
 
         Raises:
             LookupError: The arrow is hidden in this view.
@@ -344,7 +347,7 @@ class DashboardTab:
 
     def row(self, label: str) -> Any:
         """The row of the widget with this label."""
-        text = re.compile(rf"^\s*{re.escape(label)}(\s•)?\s*$")  # with the mark of a change
+        text = re.compile(rf"^\s*{re.escape(label)}(\s•)?\s*$")  # • marks a changed value
         found = self.page.locator("label").filter(has_text=text).filter(visible=True)
         return found.locator("xpath=ancestor::div[contains(@class,'mantine-Flex-root')][1]")
 
@@ -363,7 +366,7 @@ class DashboardTab:
         self.page.get_by_role("option", name=option, exact=True).click()
 
     def check(self, label: str, *, on: bool = True) -> None:
-        """Set a check box."""
+        """Set the check box `label`: checked if `on`."""
         self.row(label).locator("input[type=checkbox]").set_checked(on)
         self.page.mouse.move(2, 2)  # no tooltip may cover the scene
 

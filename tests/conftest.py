@@ -52,7 +52,7 @@ _LONGEST = (
     "test_end_to_end",
     "test_accessibility",
 )
-"""Files that take over 30 s, the longest first: started last, one of them would run alone."""
+"""Files that take over 30 s, the longest first: a long file that starts last runs alone."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -86,7 +86,7 @@ def _skip_without_pybullet() -> Generator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
-    """Apply both context managers to the fixtures of a test."""
+    """Set up fixtures in `_skip_without_pybullet` and `_without_event_loop`."""
     with _skip_without_pybullet(), _without_event_loop(item):
         return (yield)
 
@@ -110,7 +110,7 @@ def _without_event_loop(item: pytest.Item) -> Generator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
-    """Apply both context managers to the test itself."""
+    """Run the test in `_skip_without_pybullet` and `_without_event_loop`."""
     with _skip_without_pybullet(), _without_event_loop(item):
         return (yield)
 

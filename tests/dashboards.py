@@ -82,5 +82,5 @@ def parts() -> RobotParts:
 
 @cache
 def clouds() -> dict[str, Cloud]:
-    """Coarse borders that are fast to draw."""
+    """Coarse synthetic clouds, which are fast to draw."""
     return fake_clouds(husky_panda(), spacing=0.02)

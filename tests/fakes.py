@@ -38,7 +38,7 @@ from app.simulation.trace.snapshot import (
     Score,
     Snapshot,
 )
-from app.simulation.trace.trace import History
+from app.simulation.trace.trace import History, Stored
 
 Array = np.ndarray
 
@@ -48,7 +48,7 @@ EE_SPEED = 0.25  # [m/s] speed of the end-effector towards the pull's target
 
 
 class ScriptedLoop:
-    """The interface of the simulation's loop; `commands` records every command.
+    """The interface of the simulation's loop; `commands` records all commands except `Watch`.
 
     The end-effector moves towards the mean target of its pulls; the base backs off at a speed in
     proportion to the activation. Distances, closest points and end-effector pose are those of the
@@ -94,11 +94,14 @@ class ScriptedLoop:
         return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
+        return [stored.snapshot for stored in self.stored(after)]
+
+    def stored(self, after: float = -1.0) -> list[Stored]:
         with self._lock:
             return self._history.after(after)
 
     def pulls(self) -> list[tuple[float, float, float] | None]:
-        """Targets of all pulls so far; None for a release."""
+        """Targets of the pulls in `commands`; None for a release."""
         with self._lock:
             kinds = [c for c in self.commands if isinstance(c, (Pull, Release))]
             return [c.target if isinstance(c, Pull) else None for c in kinds]
@@ -106,7 +109,7 @@ class ScriptedLoop:
     def pull_at_base(self, seconds: float) -> None:
         """Reset, pull the end-effector down in front of the base for `seconds`, then pause.
 
-        After 1.5 s it is inside the border, and the base backs off.
+        After 1.5 s the end-effector is inside the border. At the end `commands` is cleared.
         """
         self.send(Pause(True))
         self.send(Reset())
@@ -304,7 +307,7 @@ class _PairDistances:
 
 
 def _acting(pair: PairReading, config: Config) -> ActingReading:
-    """The acting point for a flat border: p_n straight behind p_b, p_t 0.1 m to the side."""
+    """The acting point for a flat border: p_n horizontally outward of p_b, p_t 0.1 m beside p_n."""
     out = (pair.p_b - pair.p_a) * [1.0, 1.0, 0.0]
     out /= max(float(np.linalg.norm(out)), 1e-9)
     p_n = pair.p_b + (config.border.d_b - pair.d) * out
@@ -316,7 +319,7 @@ def _acting(pair: PairReading, config: Config) -> ActingReading:
 
 
 def fake_clouds(model: RobotModel, spacing: float = 0.012) -> dict[str, Cloud]:
-    """P_i of the pairs of L_m as a regular grid around l_m, as if every point were reachable."""
+    """P_i of the pairs with the base: a regular grid around l_m, as if all of it were reachable."""
     mobile = MobileBody(model)
     margin = 0.32  # [m] a little more than the largest buffer distance
     axes = [

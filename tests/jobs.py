@@ -48,6 +48,14 @@ def add_twice_over(context: int, job: int, on_progress: Callable[[float], None])
     return context + job
 
 
+def refuse_context() -> int:
+    raise ValueError("no context")
+
+
+def unpicklable(context: int, job: int) -> object:
+    return lambda: job
+
+
 def touch(context: int, file: str) -> None:
     Path(file).touch()
 
@@ -79,7 +87,7 @@ def say_and_wait(context: object, job: int) -> None:
 
 
 def wait_with_workers(report: Report, folder: str) -> None:
-    """Waits with two workers and a temporary folder; a long timeout prevents a kill of workers."""
+    """Waits with two workers and a temporary folder; only the guard kills it, after 3.5 s."""
     from app.jobs import process
     from app.jobs.pool import Workers
 
@@ -98,7 +106,7 @@ def wait_in_a_folder(report: Report, out: str) -> None:
 
 
 def wait_for_ever_for_a_request(report: Report, request: Request) -> None:
-    """Begins a folder, waits without an end, and leaves the folder when it is killed."""
+    """Begins a folder and does not end by itself; if killed, it leaves the unfinished folder."""
     from app.system import whole_folder
 
     begun = whole_folder(request.out)

@@ -38,7 +38,7 @@ DOORS = (
 
 
 def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
-    """A random snapshot of the paper's robot with numbers of any size."""
+    """A random snapshot of the paper's robot at t [s], with numbers of any size."""
 
     def number() -> float:
         size = rng.choice([0.0, 1e-300, 1e-7, 1.0, 1e9])
@@ -135,7 +135,7 @@ def trace_of(snapshots: Sequence[Snapshot]) -> Trace:
 
 
 def difference(a: Any, b: Any, where: str = "") -> str:
-    """The first difference of two records, or an empty text; NaN equals NaN."""
+    """The first difference of a and b, after its path `where`, or an empty text; NaN equals NaN."""
     if type(a) is not type(b):
         return f"{where}: {type(a).__name__} is not {type(b).__name__}"
     if isinstance(a, np.ndarray):

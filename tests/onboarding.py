@@ -81,7 +81,7 @@ def cart(*, wheel: str = WHEEL, wheel_rpy: str = "1.5708 0 0") -> list[str]:
 
 
 def arm() -> list[str]:
-    """Six revolute joints on a column; the end-effector is at most 0.8 m from the second joint."""
+    """Six revolute joints on a column; the hand's frame is at most 0.82 m from the second joint."""
     tube = '<cylinder radius="0.04" length="0.34"/>'
     small = '<cylinder radius="0.035" length="0.08"/>'
     names = ("column", "shoulder", "upper", "fore", "cuff", "wrist_link", "hand")
@@ -118,7 +118,7 @@ BOX = '<box size="0.08 0.12 0.08"/>'
 
 
 def with_mesh(text: str, reference: str) -> str:
-    """The robot with a mesh as its end-effector."""
+    """The URDF `text` with the mesh file `reference` in place of the box `BOX`."""
     return text.replace(BOX, f'<mesh filename="{reference}"/>')
 
 

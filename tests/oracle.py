@@ -1,7 +1,8 @@
 """A second implementation of the control step, from the paper and docs/method.md alone.
 
-It uses numpy and pinocchio and shares no formula with `app.control`. It fills the same table of
-quantities, and tests compare each of them. Numbers in brackets are equations of the paper.
+This module shares no formula with `app.control`. It computes all quantities of the table
+`app.control.quantities` except those in `NOT_COMPARED` of test_oracle.py. Numbers in brackets are
+equations of the paper.
 """
 
 from __future__ import annotations
@@ -26,30 +27,30 @@ from tests.oracle_qp import change, solve_qp
 
 Array = np.ndarray
 AXES = pin.LOCAL_WORLD_ALIGNED
-ORACLES = tuple(name for name in CONTROLLERS if name != "hqp")  # which has tests of its own
+ORACLES = tuple(name for name in CONTROLLERS if name != "hqp")  # hqp has its own tests
 DBB, REPULSIVE, BARRIER, NONE = ORACLES
 
 
 class Row(NamedTuple):
-    """One distance: of a pair, or of one convex part of its first body."""
+    """A distance between the bodies a and b, or between one convex part of a and the body b."""
 
     a: Body
     b: Body
     part: slice
     mobile: bool
-    """Whether the pair is one of L_m."""
+    """Whether the pair is one of arm and base (L_m)."""
 
 
 class Limits(NamedTuple):
-    """l ≤ C q̈ ≤ u, each with a softness; 0 is hard."""
+    """l ≤ C q̈ ≤ u; each row has a `softness` (ε² of docs/method.md), 0 is hard."""
 
     C: Array
     l: Array
     u: Array
-    slack_weight: Array
+    softness: Array
 
 
-STALLED = 200  # periods without a reading that the test of a gap states
+STALLED = 200  # [periods] age of the readings that test_oracle.py sets before the NaN reading
 
 
 class Oracle:
@@ -97,7 +98,7 @@ class Oracle:
         reference: Reference | None = None,
         base_acceleration: Array | None = None,
     ) -> dict[str, Any]:
-        """Algorithm 2: one control step."""
+        """Algorithm 2: one control step. Return the values of all quantities by their names."""
         w = self.w
         self._estimate(measurement)
         self._closest_points()
@@ -138,7 +139,7 @@ class Oracle:
             self.age = STALLED + 1
             known = np.linalg.solve(w.M[n_b:, n_b:], w.u_a - w.h[n_b:])
             x = self.estimate.x
-            now = x[1] + self.dt * (known + x[2])  # the reading's own x stays
+            now = x[1] + self.dt * (known + x[2])  # estimate.x stays at the last valid reading
             fades = np.exp(-self.dt / self.config.estimate.noise_window)
             w.x_est = np.array([x[0] + self.dt * now, now, fades * x[2]])
             w.qd = np.append(w.qd[:n_b], now)
@@ -165,7 +166,7 @@ class Oracle:
         w.samples, w.v_last = e.samples, e.v_last
 
     def _doubt(self, errors: Array) -> None:
-        """Margin and blind time after errors (n_m,) [rad/s] of the predicted velocities."""
+        """Update v_error and blind_time; `errors` (n_m,) [rad/s] are of predicted velocities."""
         steps, window = 1 + self.age, self.config.estimate.noise_window
         first, errors = np.isnan(self.w.q_posture[0]), errors * (not self.estimate.jumped)
         if not first:
@@ -185,7 +186,7 @@ class Oracle:
         return np.minimum(3 * self.v_error, 0.5 * self.model.qd_max)
 
     def _take(self, m: Measurement) -> None:
-        """Kinematics and dynamics at a state, by pinocchio."""
+        """Compute kinematics and dynamics at the state m with pinocchio."""
         w, model, data, S, n_b = self.w, self.model.pin, self.pin_data, self.S, self.n_b
         w.base_pose, w.base_velocity, w.q_m, w.qd_m = (each.copy() for each in m[:4])
         w.qd = self.measured_qd = np.append(self.base.to_q @ w.base_velocity, w.qd_m)
@@ -207,13 +208,13 @@ class Oracle:
         w.biases = np.array([pin.getAcceleration(model, data, j, pin.WORLD).vector for j in joints])
 
     def _jacobian(self, joint: int, p: Array) -> Array:
-        """(3, n) Jacobian of the point of a joint's body that is now at p."""
+        """(3, n) Jacobian of the point p (3,) [m] in the world, fixed to a joint's body."""
         J = pin.getJointJacobian(self.model.pin, self.pin_data, joint, AXES)
         lever = pin.skew(p - self.pin_data.oMi[joint].translation)
         return (J[:3] - lever @ J[3:]) @ self.S
 
     def _bias(self, joint: int, p: Array) -> Array:
-        """(3,) acceleration of that point at q̈ = 0."""
+        """(3,) [m/s²] acceleration of the point p, fixed to a joint's body, at q̈ = 0."""
         a = pin.getClassicalAcceleration(self.model.pin, self.pin_data, joint, AXES)
         w, r = self._turning(joint), p - self.pin_data.oMi[joint].translation
         return a.linear + np.cross(a.angular, r) + np.cross(w, np.cross(w, r))
@@ -239,7 +240,7 @@ class Oracle:
         return self.pin_data.oMi[body.joint]
 
     def _distance(self, row: Row) -> float:
-        """[m] signed distance, the least of all shapes, by coal."""
+        """[m] smallest signed distance between the shapes of both bodies, by coal."""
         return min(
             coal.distance(
                 one,
@@ -263,7 +264,7 @@ class Oracle:
         return closest_points(a, row.a.core(T_a)[0], b, row.b.core(T_b), blend)
 
     def _motion(self, row: Row, p: Array, n: Array) -> tuple[Array, float, float]:
-        """(21): row, bias and rate of the distance along a normal fixed to the first body."""
+        """(21): J_r, J̇_r q̇ and ḋ of the distance along n, which is fixed to the body a."""
         a, b = row.a.joint, row.b.joint
         J = self._jacobian(b, p) - self._jacobian(a, p)
         v = J @ self.measured_qd
@@ -294,7 +295,7 @@ class Oracle:
         w.xdd_m = self.base.acceleration(*w.f.sum(axis=0)[:2], torque)  # (15) to (18)
 
     def _score(self, i: int, p: Array) -> tuple[float, Array]:
-        """(10), and the unit vector of its gradient."""
+        """The score (10) of pair i at p (3,) [m] in the base's frame; its unit gradient (3,)."""
         reach = self.model.description.reachability[self.rows[i].b.name]
         A, B, C = reach.A_per_m2, reach.B_m, reach.C
         out = p - self.model.p_base()
@@ -327,7 +328,7 @@ class Oracle:
         w.activation = w.B.max()
 
     def _pushed(self, i: int) -> tuple[Array, Array]:
-        """T_rep of the compared method, which moves the arm's closest point away from the base."""
+        """J and b of T_rep (controller `repulsive`): p_b of pair i moves away from the base."""
         w, joint, rep = self.w, self.rows[i].b.joint, self.config.repulsion
         J = self._jacobian(joint, w.p_b[i])
         J[:, : self.n_b] = 0.0
@@ -361,7 +362,7 @@ class Oracle:
         w.H, w.c = self._tracking(1.0, w.lm_damping, self.config.task.ee_weight)
 
     def _guided(self) -> None:
-        """Min (u − u_0)ᵀ M_aa⁻¹ (u − u_0), with the reaction of the force in u_0."""
+        """Min (u − u_0)ᵀ M_aa⁻¹ (u − u_0); u_0 has the force f_arm on the arm, only for `dbb`."""
         w, n_b = self.w, self.n_b
         f = self.config.force.f_arm * (self.name == DBB)
         share = np.clip(1 - w.d[: self.n_mob] / w.d_b, 0.0, 1.0)
@@ -369,7 +370,7 @@ class Oracle:
         w.H_low, w.c_low = w.M, np.append(np.zeros(n_b), w.h[n_b:] - u_0)
 
     def _posture(self) -> None:
-        """½ ‖q̈_m − k (q_p − q) + d q̇ + z r s⁵‖² + ½ w_b ‖q̈_b + k_b q̇_b‖²."""
+        """½ ‖q̈_m − k (q_p − q) + k_d q̇ + k_c h σ⁵‖² + ½ w_b ‖q̈_b + k_b q̇_b‖²."""
         w, task, (low, high) = self.w, self.config.task, self.model.q_limits
         half = (high - low) / 2
         s = (w.q_m - (low + high) / 2) / half
@@ -382,7 +383,7 @@ class Oracle:
         w.H_low, w.c_low = np.diag(weight), -weight * wanted
 
     def _end_effector(self, slowness: float) -> tuple[Array, float]:
-        """(26): ẍ_d − J̇ q̇ + k_v ė + k_p e, with k_p e limited to k_v times a speed; and λ."""
+        """(26): ẍ_d − J̇ q̇ + k_v ė + [k_p e], with [k_p e] limited by `task.ee_speed`; and λ."""
         w, task = self.w, self.config.task
         k_p, k_v = task.ee_stiffness / slowness**2, task.ee_damping / slowness
         most = k_v * task.ee_speed
@@ -395,7 +396,7 @@ class Oracle:
         return b, float(pull @ pull) / k_p**2
 
     def _tracking(self, slowness: float, give: float, weight: float) -> tuple[Array, Array]:
-        """Posture task plus ½ w (‖J q̈ − b‖² + λ ‖q̈ + k_v q̇‖²), the last norm in its metric."""
+        """Posture task plus ½ w (‖J q̈ − b‖² + λ ‖q̈ + k_v q̇‖²), λ term in posture's metric."""
         w, k_v = self.w, self.config.task.ee_damping / slowness
         b, _ = self._end_effector(slowness)
         H = w.H_low + weight * (give * w.H_low + w.J_ee.T @ w.J_ee)
@@ -404,13 +405,13 @@ class Oracle:
     def _with_rows(
         self, H: Array, c: Array, rows: slice, b: Array, fixed: int = 0
     ) -> tuple[Array, Array]:
-        """(29): springs of compliance (1 − β + ε)/β times J H⁻¹ Jᵀ."""
+        """(29): add springs of compliance (1 − β + `task.slack_weight`)/β times J H⁻¹ Jᵀ."""
         w, softness = self.w, self.config.task.slack_weight
         inverse = np.linalg.inv(H[fixed:, fixed:])
         H, c = H.copy(), c.copy()
         for J, b_i, beta in zip(w.J_sca[rows], b, w.B[rows], strict=True):
             if beta > 0.0:
-                give = J[fixed:] @ inverse @ J[fixed:] + 1e-12  # as the core bounds it from below
+                give = J[fixed:] @ inverse @ J[fixed:] + 1e-12  # as in `insert_rows`
                 stiffness = beta / ((1 - beta + softness) * give)
                 H, c = H + stiffness * np.outer(J, J), c - stiffness * b_i * J
         return H, c
@@ -418,7 +419,7 @@ class Oracle:
     # Limits
 
     def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
-        """Limits of torques, joints and distances: "none", "all", or "buffers" (d_b for links)."""
+        """All limits; `distances`: "none", "all" or "buffers" (d_min = d_b within the arm)."""
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
@@ -460,7 +461,7 @@ class Oracle:
         return np.sort([np.max(lower, axis=0), np.min(upper, axis=0)], axis=0)
 
     def _reachable(self, lower: Array, upper: Array, pushed: Array) -> Array:
-        """Limit the bounds by each joint's torque, and by its torque rate up to the speed limit."""
+        """Limit bounds (n_m,) by torque rate (to brake before the speed limit) and own torque."""
         w, n_b, qd_max = self.w, self.n_b, self.model.qd_max - self._margin
         inverse = np.linalg.inv(w.M[n_b:, n_b:])
         moved = np.diag(inverse)
@@ -477,7 +478,7 @@ class Oracle:
         return np.array([np.minimum(lower, there + own), np.maximum(upper, there - own)])
 
     def _barrier(self, k: int, slowness: float, buffers: bool, for_arm: bool) -> float:
-        """ḧ + 2 λ ḣ + λ² h >= 0 with h = d − d_min, bounded below by −v/λ."""
+        """Bound of J_r q̈ of row k by ḧ + 2 λ ḣ + λ² h >= 0, with h = d − d_min and h >= −2 v/λ."""
         w, keep = self.w, self.config.barrier
         rate, leaving = keep.rate / slowness, keep.max_separation_speed / slowness
         d_min = w.d_b if buffers and not self.rows[k].mobile else keep.d_min
@@ -486,7 +487,7 @@ class Oracle:
             d_dot = d_dot - np.linalg.norm(w.J[k, self.n_b :] * self._margin)
             rates.append(min(rate, self._fastest))
         return max(
-            -2 * each * d_dot - each**2 * max(w.d[k] - d_min, -leaving / each) - w.Jdqd[k]
+            -2 * each * d_dot - each**2 * max(w.d[k] - d_min, -2 * leaving / each) - w.Jdqd[k]
             for each in rates
         )
 
@@ -512,7 +513,7 @@ class Oracle:
             w.a_base_cmd = np.clip(w.a_base_cmd, -self.base.a_max, self.base.a_max)
 
     def _free_motion(self) -> Array | None:
-        """The QP of base and arm together, with slow gains and without the base's rows."""
+        """q̈ of the slow QP of base and arm without the base's rows; None without a solution."""
         w, n_b, task, rep = self.w, self.n_b, self.config.task, self.config.repulsion
         slow = task.base_time_scale
         if w.tracking:
@@ -533,7 +534,7 @@ class Oracle:
         )
 
     def _undragged(self) -> Array:
-        """Base acceleration nearest to a_des, and with little motion of a dragged end-effector."""
+        """Base acceleration near a_des that drags the end-effector little (`ee_hold`)."""
         w, base, hold = self.w, self.base, self.config.ee_hold
         reach = w.J_ee[:3, self.n_b :] * self.model.qd_max / hold.min_speed
         follows = reach @ reach.T
@@ -568,7 +569,7 @@ class Oracle:
             rows = slice(n_b, None)
             H, c = self._with_rows(w.H, w.c, rows, w.b_sca[rows], n_b)
             kept = "all" if self.name in (DBB, BARRIER) else "none"
-            w.C, w.l, w.u, w.slack_weight = limits = self._limits(1.0, kept, for_arm=True)
+            w.C, w.l, w.u, w.softness = limits = self._limits(1.0, kept, for_arm=True)
             w.n_limits = len(w.l)
             qdd = solve_qp(H, c, limits, self.base.to_q @ w.a_base_meas)
             if qdd is not None:

@@ -7,11 +7,11 @@ import numpy as np
 from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
-STEADY = 1.5  # [-] energy ratio above which a base reverses its direction
+STEADY = 1.5  # [-] energy ratio above which a moving car-like base reverses its direction
 
 
 class OracleBase:
-    """Numbers and maps of a base."""
+    """Parameters, linear maps and the command limits of one base."""
 
     def __init__(self, base: BaseKind) -> None:
         self.kind, self.mass, I = base.kind, base.mass_kg, base.inertia_kgm2
@@ -39,17 +39,17 @@ class OracleBase:
         return np.array([linear] * (2 if self.kind == "holonomic" else 1) + [angular])
 
     def measure(self, x: float) -> tuple[float, float]:
-        """The factor of R in (10) and its derivative by x."""
+        """The factor of R in (10), with its sign, and its derivative by x [m]."""
         if self.kind == "holonomic":
             return 1.0, 0.0
         return self._square * x * abs(x), 2 * self._square * abs(x)
 
     def acceleration(self, f_x: float, f_y: float, torque: float) -> Array:
-        """The base's acceleration by (17) and (18)."""
+        """(n_b,) the base's acceleration by (17) and (18), from forces [N] and torque [N m]."""
         return self.T.T @ np.array([f_x / self.mass, f_y / self.mass, torque / self._I])
 
     def admissible(self, command: Array, before: Array) -> Array:
-        """The command; for a car, the nearest velocity in its cone in the inertia's metric."""
+        """The command; for a car, its projection into the cone, with preference for `before`."""
         if self.kind != "car-like" or abs(command[1]) <= self.kappa * abs(command[0]):
             return command
         turn = self.kappa * np.sign(command[1])

@@ -10,13 +10,13 @@ from app.robot.state import Measurement
 Array = np.ndarray
 
 FEWEST = 8  # samples of the noise before the filter starts
-CLEAR = 0.01  # share of the speed limit; before that, a larger change is an external acceleration
+CLEAR = 0.01  # [-] of the speed limit: least unexplained change that counts before the filter
 PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
 SMALL = 1e-11  # [rad²] smallest variance for the outlier test
-SUDDEN = 2e4  # [1/s²] largest change of the external acceleration, relative to the speed limit
-RESPONSE = 0.004  # [s] response time of the filter
-SHAKE = 0.01  # [-] largest noise of a speed estimated so fast, relative to a speed limit
-FARTHEST = 10.0  # [-] in steps at a joint's speed limit
+SUDDEN = 2e4  # [1/s²] largest rate of the external acceleration, relative to the speed limit
+RESPONSE = 0.004  # [s] smallest response time of the filter
+SHAKE = 0.01  # [-] noise of the estimated speed, relative to its limit, that slows the filter
+FARTHEST = 10.0  # [-] largest plausible position change, in steps at the joint's speed limit
 
 
 class Estimate:
@@ -31,17 +31,17 @@ class Estimate:
             np.zeros((2, n_m)),
         )
         self.jumped = False
-        """Whether the arm cannot have moved to the last reading."""
+        """Whether the last reading is too far away for a motion of the arm."""
         self.last, self.samples, self.v_last = np.zeros((3, n_m)), 0, np.full(n_b, np.nan)
 
     def gap(self) -> None:
-        """A step without a measurement."""
+        """A step without a measurement: the base's acceleration is unknown in the next step."""
         self.v_last = np.full_like(self.v_last, np.nan)
 
     def update(
         self, m: Measurement, predicted: Array, blind_time: float, config: EstimateConfig
     ) -> None:
-        """A measurement; `predicted` (n_m,) is the acceleration due to torques and base, or NaN."""
+        """Take m; `predicted` (n_m,) [rad/s²] is the effect of torques and base, NaN if unknown."""
         q, qd, dt = m.q_m, m.qd_m, self._dt
         way = np.abs(q - self.x[0] - dt * self.x[1])
         self.jumped = bool(np.isfinite(predicted[0]) and (way > FARTHEST * dt * self._qd_max).any())
@@ -75,7 +75,7 @@ class Estimate:
         self.v_last = m.base_velocity.copy()
 
     def _learn(self, q: Array, qd: Array, predicted: Array, window: float) -> None:
-        """Noise of positions from third differences, of velocities from two positions."""
+        """Learn the noise of positions (third differences) and velocities (two positions)."""
         speed_before, now, unexplained_before = self.last
         speed = (q - now) / self._dt
         unexplained = self._dt * (speed - speed_before) - self._dt**2 * predicted

@@ -40,7 +40,7 @@ def signed_distance(placed: Placed, p: Array) -> tuple[Array, Array]:
 
 
 class Body:
-    """A convex body, or several together, carried by one joint."""
+    """A body of one or several convex shapes, moved by one joint."""
 
     def __init__(self, model: RobotModel, name: str) -> None:
         self.name, self.joint = name, model.body_joints[name]
@@ -54,11 +54,11 @@ class Body:
         return [(shape, T * placement) for shape, placement in self._shapes]
 
     def placed(self, T: pin.SE3) -> list[tuple[coal.CollisionGeometry, Placed]]:
-        """The same, each with coal's geometry."""
+        """Its shapes with the joint at T, each with coal's geometry."""
         return list(zip(self.geometries, self.shapes(T), strict=True))
 
     def core(self, T: pin.SE3) -> tuple[Array, Array]:
-        """Points (K, 3) [m], one of which is nearest to a plane face, with radii (K,) [m]."""
+        """Core points (K, 3) [m] with the joint at T, and radii (K,) [m]; see docs/method.md."""
         nodes, radii = [], []
         for shape, placement in self.shapes(T):
             if isinstance(shape, Box):
@@ -79,9 +79,11 @@ def closest_points(
 ) -> Array:
     """p_a, p_b, n and the point of the core (4, 3) between the shapes a and b.
 
-    The point of the core is the mean over the core of b with weights exp(−d/τ). The normal is the
-    mean over the shapes of a with such weights. The core of a box b also has its points that are
-    nearest to the corners of l_a.
+    The point of the core is the mean over all core points of b with weights exp(−d/τ). Here d is
+    the distance of a core point to a, minus the radius of the core point, and τ is `blend` [m]. The
+    normal is a mean over the shapes of a, with such weights for the distances of these shapes to
+    the point of the core. The points of a box of b that are nearest to `corners`, the core points
+    of a, are core points of b too.
     """
     nodes, radii = core
     for face in (each for each in b if isinstance(each[0], Box)):
@@ -105,17 +107,18 @@ def softmin(d: Array, blend: float) -> Array:
 
 RAYS = 360
 STEP = 0.01  # [m] between two heights, and along the arc over an edge
-CORNER = 0.01  # [m] between the ends of two rings that meet
+CORNER = 0.01  # [m] largest gap between the ends of two rings that meet
 
 
 class Ring(NamedTuple):
-    """The outline of one shape's offset, at all heights or at one height; points as x + iy."""
+    """The outlines of one shape's offset at all heights; points and tangents are x + iy."""
 
     heights: Array
     vertices: Array
     tangents: Array
     outside: Array
-    """[m] distance of a vertex to the other shapes' offsets, positive outside."""
+    """[m] signed distance of each vertex from the nearest offset of another shape, negative inside
+    of this offset; at most 1 m."""
 
 
 class Border:
@@ -127,7 +130,7 @@ class Border:
         self._rings = trace(key, d_b)
 
     def nearest(self, p: Array) -> tuple[Array, Array]:
-        """The point nearest to p (3,) [m] at its height, and the unit tangent there."""
+        """The border point nearest to p (3,) [m] at p's height, and the unit tangent there."""
         z = self._level(p[2])
         at, found = complex(p[0], p[1]), []
         ends: list[tuple[complex, complex, bool]] = []
@@ -140,14 +143,14 @@ class Border:
         return np.array([foot.real, foot.imag, p[2]]), np.array([t.real, t.imag, 0.0])
 
     def _level(self, z: float) -> float:
-        """The height with a ring nearest to z."""
+        """[m] the height nearest to z at which a ring exists."""
         levels = [float(np.clip(z, ring.heights[0], ring.heights[-1])) for ring in self._rings]
         return min(levels, key=lambda each: abs(each - z))
 
 
 @lru_cache
 def trace(key: tuple, d_b: float) -> tuple[Ring, ...]:
-    """The rings of each shape."""
+    """The outlines of each shape's offset at the distance d_b [m]; `key` has the placed shapes."""
     shapes = [(s, pin.SE3(np.reshape(R, (3, 3)), np.array(p))) for s, R, p in key]
     traced = [(shape, *trace_shape(shape, d_b)) for shape in shapes]
     rings = []
@@ -182,7 +185,7 @@ def trace_shape(placed: Placed, d_b: float) -> tuple[Array, Array]:
 
 
 def levels(bottom: float, top: float, d_b: float) -> Array:
-    """Heights from the floor to the highest point: equally spaced at the sides, then on the arc."""
+    """[m] heights of an offset above the floor: even beside the shape, by arc above and below."""
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / STEP)) + 1)[1:]
     arc[-1] -= 1e-3  # short of the flat top
     low = bottom if bottom > 0.8 * d_b else min(0.0, top)
@@ -193,7 +196,7 @@ def levels(bottom: float, top: float, d_b: float) -> Array:
 
 
 def slice_at(ring: Ring, z: float) -> tuple[Array, Array, Array]:
-    """Vertices, tangents and `outside` at a height, linear between two rings."""
+    """Vertices, tangents and `outside` of a ring at z [m], linear between two of its heights."""
     k = min(int(np.searchsorted(ring.heights, z, side="right")) - 1, len(ring.heights) - 2)
     share = (z - ring.heights[k]) / (ring.heights[k + 1] - ring.heights[k])
     vertices, tangents, outside = (
@@ -204,7 +207,7 @@ def slice_at(ring: Ring, z: float) -> tuple[Array, Array, Array]:
 
 
 def feet(p: complex, corners: Array, tangents: Array, outside: Array, found: list, ends: list):
-    """Add the feet of p on each edge, normal to its interpolated tangent, and the cut ends."""
+    """Add to `found` the feet of p on the edges by their tangents, and to `ends` the cut ends."""
     ahead, turns = ((p - corners) * tangents.conj()).real, np.diff(tangents)
     foot_there, cut = (ahead[:-1] >= 0.0) & (ahead[1:] < 0.0), outside < 0.0
     shown = ~(cut[:-1] & cut[1:])
@@ -231,7 +234,7 @@ def right_angle(to_p: complex, edge: complex, t: complex, turn: complex) -> floa
 
 
 def corner_feet(p: complex, found: list, ends: list) -> None:
-    """Add the feet on the corners where one ring ends and another begins."""
+    """Add to `found` the points nearest to p on the ends of rings, joined where two rings meet."""
     begins, met = [end for end in ends if end[2]], set()
     for at, t, is_begin in ends:
         if is_begin:
@@ -250,7 +253,7 @@ def corner_feet(p: complex, found: list, ends: list) -> None:
 
 
 def square(way: complex, along: complex) -> complex:
-    """The direction perpendicular to `way`, on the side of `along`."""
+    """The perpendicular of `way` on the side of `along`, with its length; `along` if way ≈ 0."""
     if abs(way) < 1e-9:
         return along
     return 1j * way if dot(1j * way, along) >= 0.0 else -1j * way

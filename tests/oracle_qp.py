@@ -10,10 +10,10 @@ NONE = np.zeros(0)
 
 
 def solve_qp(H: Array, c: Array, limits: tuple[Array, ...], fixed: Array = NONE) -> Array | None:
-    """Min ½ xᵀ H x + cᵀ x + Σ v_j²/(2 ε_j m) with l ≤ C x + v ≤ u, the first entries of x fixed.
+    """Min ½ xᵀ H x + cᵀ x + Σ v_j²/(2 s_j m) with l ≤ C x + v ≤ u, the first entries of x fixed.
 
-    v are the slacks of soft rows, m is the least C_j H⁻¹ C_jᵀ of these. None if hard rows
-    contradict each other.
+    `limits` are (C, l, u, s). v are the slacks of the soft rows (s_j > 0), and m is the smallest
+    C_j H⁻¹ C_jᵀ of these. None if hard rows contradict each other.
     """
     k, (C, l, u, softness) = len(fixed), limits
     if k:
@@ -25,7 +25,7 @@ def solve_qp(H: Array, c: Array, limits: tuple[Array, ...], fixed: Array = NONE)
 
 
 def nearest_within(H: Array, x: Array, limits: tuple[Array, ...]) -> Array | None:
-    """The point within the limits of `solve_qp` that is nearest to x in the metric H."""
+    """The point within the limits of `solve_qp` nearest to x in the metric H; None without one."""
     C, l, u, softness = limits
     below, above = l - C @ x, u - C @ x
     if max(below.max(initial=0.0), (-above).max(initial=0.0)) <= 1e-10:
@@ -61,7 +61,7 @@ def active_rows(A: Array, b: Array) -> Array | None:
 
 
 def change(H: Array, c: Array, limits: tuple[Array, ...], fixed: Array) -> Array | None:
-    """The point within the limits nearest to the optimum for fixed first entries alone."""
+    """Find the unlimited optimum with fixed first entries, then its `nearest_within` the limits."""
     k = len(fixed)
     x = np.append(fixed, np.linalg.solve(H[k:, k:], -c[k:] - H[k:, :k] @ fixed))
     return nearest_within(H, x, limits)

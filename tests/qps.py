@@ -16,10 +16,10 @@ from app.control.tasks import (
     Reference,
     add_tracking,
     end_effector_task,
+    insert_rows,
     pose_error,
     posture_objective,
 )
-from app.control.transition import insert_rows
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 
@@ -45,13 +45,13 @@ class Limits(NamedTuple):
     C: Array
     l: Array
     u: Array
-    slack_weight: Array
+    softness: Array
 
     @classmethod
     def of(cls, w: ControlStep) -> Self:
         """Limits of the arm's QP in a control step."""
         m = int(w.n_limits)
-        return cls(w.C[:m].copy(), w.l[:m].copy(), w.u[:m].copy(), w.slack_weight[:m].copy())
+        return cls(w.C[:m].copy(), w.l[:m].copy(), w.u[:m].copy(), w.softness[:m].copy())
 
     def and_also(self, others: Limits) -> Limits:
         """These limits and others."""
@@ -79,7 +79,7 @@ class EeTask(NamedTuple):
 
 
 def solved(objective: Objective, limits: Limits, fixed: Array = NONE) -> Array:
-    """The optimum (n,), by ProxQP where the active sets do not settle.
+    """The optimum (n,) by `solve_qp`, or by ProxQP if `solve_qp` does not converge.
 
     Raises:
         NoSolutionError: There is none.
@@ -89,7 +89,7 @@ def solved(objective: Objective, limits: Limits, fixed: Array = NONE) -> Array:
 
 
 def stepped(objective: Objective, limits: Limits, fixed: Array) -> Array:
-    """The optimum (n,) by `solve_qp_step`.
+    """The solution (n,) of `solve_qp_step`, or of ProxQP if that method does not converge.
 
     Raises:
         NoSolutionError: There is none.
@@ -115,7 +115,7 @@ def inserted(objective: Objective, rows: Rows, softness: float, fixed: int = 0) 
 
 
 def ee_task(at: RobotState | ControlStep, reference: Reference, task: TaskConfig) -> EeTask:
-    """T_2 for a reference."""
+    """T_2 for a reference, in the state `at`."""
     pose, velocity, acceleration = reference
     error = pose_error(at.p_ee, at.R_ee, pose.translation, pose.rotation)
     gains = task.ee_stiffness, task.ee_damping, task.ee_speed
@@ -126,7 +126,7 @@ def ee_task(at: RobotState | ControlStep, reference: Reference, task: TaskConfig
 def posture_of(
     model: RobotModel, at: RobotState | ControlStep, q_posture: Array, task: TaskConfig
 ) -> Objective:
-    """The posture task."""
+    """The posture task in the state `at`, towards q_posture (n_m,) [rad or m]."""
     gains = task.posture_stiffness, task.posture_damping, task.joint_centering
     base = task.base_weight, task.base_damping
     return Objective(*posture_objective(at.qd, at.q_m, q_posture, model.q_limits, *gains, *base))
@@ -135,12 +135,12 @@ def posture_of(
 def with_ee(
     posture: Objective, tracking: EeTask, at: RobotState | ControlStep, task: TaskConfig
 ) -> Objective:
-    """The objective with T_2 above the posture task."""
+    """The objective with T_2 (`tracking`) above the posture task, in the state `at`."""
     return Objective(*add_tracking(*posture, *tracking, task.ee_damping * at.qd, task.ee_weight))
 
 
 def joint_bounds_of(model: RobotModel, at: RobotState | ControlStep, limit: LimitConfig) -> Array:
-    """(2, n_m) bounds on q̈_m from position and speed limits."""
+    """(2, n_m) bounds on q̈_m from position and speed limits, in the state `at`."""
     limits, rates = (model.q_limits, model.qd_limits), (limit.position_rate, limit.velocity_rate)
     return joint_bounds(at.q_m, at.qd_m, *limits, *rates, np.inf)
 
@@ -148,7 +148,7 @@ def joint_bounds_of(model: RobotModel, at: RobotState | ControlStep, limit: Limi
 def robot_limits(
     model: RobotModel, at: RobotState | ControlStep, limit: LimitConfig, softness: float
 ) -> Limits:
-    """The arm's torque limits, which are hard, and the bounds of its joints."""
+    """The arm's hard torque limits, and the bounds of its joints with a softness, at a state."""
     n_m = model.n_m
     C, l, u = np.zeros((2 * n_m, model.n)), np.zeros(2 * n_m), np.zeros(2 * n_m)
     torque_rows(at.M, at.h, -model.tau_max, model.tau_max, C, l, u)

@@ -34,7 +34,7 @@ def with_mobile_shapes(shapes: tuple[Shape, ...]) -> RobotModel:
 
 
 def random_measurement(rng: np.random.Generator) -> Measurement:
-    """A random posture within the joint limits, with random velocities."""
+    """Random readings: pose and velocity of the base, joint positions within the limits, speeds."""
     model = husky_panda()
     return Measurement(
         rng.uniform(-3, 3, 3),

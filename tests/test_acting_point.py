@@ -44,23 +44,23 @@ def finder(
     request: pytest.FixtureRequest, offset: OffsetContours, field: ScoreField
 ) -> ActingPointFinder:
     borders = [dense_border(offset)] if request.param == "points" else []
-    return ActingPointFinder(BorderSearch(offset, borders), field)
+    return ActingPointFinder(BorderSearch(offset.table, borders), field)
 
 
 def alpha(d: float, score: float, force: ForceConfig) -> float:
-    """[m] the step size (13) with the parameters of a force."""
+    """[m] the step size (13) for the distance d [m] and a score, with the parameters `force`."""
     return step_size(d, score, force.alpha_gain, force.alpha_min, force.alpha_max)
 
 
 def on_side(x: float, side: float, d: float, z: float = 0.2) -> np.ndarray:
-    """A point at distance d from the base's side: the base is 0.69 m wide."""
+    """(3,) [m] the point (x, y, z) at d [m] from the base's left (`side` 1) or right (−1) side."""
     return np.array([x, side * (0.345 + d), z])
 
 
 @pytest.mark.parametrize("x", [-0.3, -0.05, 0.0, 0.05, 0.2])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("d", [0.02, 0.08, 0.12])
-def test_acting_point_is_on_the_border_at_equal_height_and_higher_score(
+def test_acting_point_is_on_the_border_at_equal_height_and_not_behind_p_n(
     finder: ActingPointFinder, x: float, side: float, d: float
 ) -> None:
     p_b = on_side(x, side, d)
@@ -95,7 +95,7 @@ def test_exact_offset_replaces_a_height_without_border_points(
     offset: OffsetContours, field: ScoreField
 ) -> None:
     empty = Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)))
-    finder = ActingPointFinder(BorderSearch(offset, [empty]), field)
+    finder = ActingPointFinder(BorderSearch(offset.table, [empty]), field)
     acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05), 0.05, FORCE)
     assert acting is not None
     assert acting.p_n[1] == pytest.approx(0.345 + D_B, abs=1e-4)

@@ -54,7 +54,7 @@ def test_moving_base_comes_to_rest_without_desired_acceleration(robot: RobotMode
 
 
 def test_acceleration_between_two_commands_counts_by_its_mean(robot: RobotModel) -> None:
-    """A pulse of 10 ms has the same effect as its mean over the period."""
+    """A pulse of 10 ms has the same effect as its mean over the command period."""
     pulse, mean = law(robot), law(robot)
     for k in range(100):
         a = pulse.update(np.array([3.0 if 40 <= k < 50 else 0.0, 0.0]), DT)

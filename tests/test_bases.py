@@ -10,8 +10,8 @@ import pytest
 from app.avoidance.acting_point import resultant_force
 from app.border.score import ScoreField, score_at
 from app.config import AdmittanceConfig
-from app.control.admittance import largest_command
 from app.control.drive import Drive
+from app.control.inputs import largest_command
 from app.robot.bases.car_like import CarLikeBase, nearest_in_cone
 from app.robot.bases.kind import planar
 from app.robot.state import RobotState
@@ -20,7 +20,7 @@ from tests.admittance import RunningAdmittance
 from tests.bases import KINDS, base_of, robot_on
 from tests.finite_differences import jacobian
 
-KAPPA, RADIUS = 0.7, 0.5  # [1/m], [m] of a car
+KAPPA, RADIUS = 0.7, 0.5  # [1/m] largest curvature, [m] radius of gyration of a car
 
 
 def car() -> CarLikeBase:
@@ -94,12 +94,12 @@ def test_plant_follows_its_drive_and_measures_the_motion(kind: str, plant: str) 
 
 
 def steps_of(drive: Drive, command: tuple[float, float], count: int) -> np.ndarray:
-    """(count, 2) [m/s, rad/s] velocities of the following steps."""
+    """(count, 2) [m/s, rad/s] velocities of the drive in the next `count` steps with a command."""
     return np.array([drive.step(command) for _ in range(count)])
 
 
 def test_a_small_command_is_followed_exponentially_with_the_time_constant() -> None:
-    """The limits act only on commands above v = a_max τ."""
+    """The acceleration limit acts only on commands above v = a_max τ."""
     base, dt, small = base_of("differential"), 0.001, np.array([0.05, 0.1])
     t = dt * np.arange(1, 301)[:, None]
     expected = small * (1 - np.exp(-t / base.drive_time_constant_s))

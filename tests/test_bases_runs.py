@@ -9,7 +9,7 @@ import pytest
 
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
-from app.control.control_loop import ControlLoop
+from app.control.controller import ControlLoop
 from app.errors import ConfigError, MeasurementError
 from app.robot.state import at_rest
 from app.simulation.plants import make_physics
@@ -28,13 +28,13 @@ PATHS = {
 
 @cache
 def border(kind: str) -> BorderData:
-    """The border that all runs of a base share."""
+    """The border that all runs with the base `kind` share."""
     return load_border_data(robot_on(kind))
 
 
 @cache
 def figures(kind: str, path: str, mode: str, physics: str = "kinematic") -> dict[str, object]:
-    """Figures of a run, simulated once for all tests."""
+    """Figures of a run of the base `kind` on a path of `PATHS`, simulated once for all tests."""
     start, move = PATHS[path]
     scenario = LINES["guiding-lateral"].changed(start=start, move=move, mode=mode, duration=3.0)
     return run_scenario(robot_on(kind), border(kind), scenario, Config(), physics=physics).figures
@@ -73,7 +73,7 @@ def test_an_unread_steering_angle_is_a_fault_with_finite_commands() -> None:
     good = at_rest(robot, np.array(robot.description.arm.ready_position))
     assert loop.step(good).step.solved
     unread = good._replace(drive=np.array([np.nan]))
-    for k in range(150):  # predicted for 0.1 s, but the robot rests
+    for k in range(150):  # the state is predicted for 0.1 s, then the fallback command follows
         command = loop.step(unread)
         assert "invalid" in command.faults, k
         assert np.isfinite(command.u_a).all()

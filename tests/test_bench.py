@@ -11,7 +11,7 @@ from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.config import Config
-from app.control.control_loop import ControlLoop
+from app.control.controller import ControlLoop
 from app.robot.model import RobotModel
 from benchmarks.step import bench as bench_module
 from benchmarks.step import paths as paths_module
@@ -45,7 +45,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def recorded(robot: RobotModel, border_data: BorderData) -> list[paths_module.Path]:
-    """The end of the lateral path, where both pairs of L_m are active, a fold, and tracking."""
+    """Short paths: lateral guiding with two active pairs of L_m (arm and base), fold, tracking."""
     with pytest.MonkeyPatch.context() as patch:
         lateral, *_, fold, tracking = paths_module.PATHS
         chosen = (lateral.changed(duration=2.5), fold.changed(duration=0.3))

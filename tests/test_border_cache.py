@@ -89,7 +89,7 @@ def test_a_file_of_another_key_or_format_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_flipped_byte_or_a_truncated_file_is_detected(tmp_path):
-    """The file is refused, unless zip does not read the flipped byte."""
+    """The file is refused if zip reads the flipped byte."""
     path = tmp_path / "x.npz"
     write(path, *pack(content(50), "k"))
     good = path.read_bytes()

@@ -1,4 +1,4 @@
-"""The exact offset of the mobile robot, compared with the distance to a box defined here."""
+"""The exact offset of the mobile base, compared with the distance to a box defined here."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_contours_above_the_top_shrink_and_end_at_the_buffer_distance(offset):
     assert offset.contours(-1e-3) == []
 
 
-def test_nearest_point_is_no_farther_than_the_points_of_the_polygon(offset):
+def test_nearest_point_is_as_far_as_the_polygon_within_1_5_mm(offset):
     rng = np.random.default_rng(1)
     share = np.linspace(0, 1, 200)[:, None, None]
     for _ in range(100):
@@ -87,8 +87,8 @@ def test_nearest_point_agrees_with_a_search_over_all_edges(offset):
 
 
 def nearest(offset: OffsetContours, p: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest point and the tangent there, in plan."""
-    foot = BorderSearch(offset).nearest(np.array([*p, z]))
+    """(2,) [m] the border point nearest to p (2,) [m] at height z, and (2,) its unit tangent."""
+    foot = BorderSearch(offset.table).nearest(np.array([*p, z]))
     assert foot is not None
     assert foot.p[2] == z
     assert foot.t[2] == 0.0
@@ -96,7 +96,7 @@ def nearest(offset: OffsetContours, p: np.ndarray, z: float) -> tuple[np.ndarray
 
 
 def nearest_by_edges(offset: OffsetContours, p: np.ndarray, z: float) -> np.ndarray:
-    """(2,) [m] the nearest foot of p, by bisection on each edge with its interpolated tangent."""
+    """`nearest` without the tangent, by bisection on each edge with its interpolated tangent."""
     k = min(
         int(np.searchsorted(offset.rings[0].heights, z, "right")) - 1,
         len(offset.rings[0].heights) - 2,

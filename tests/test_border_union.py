@@ -20,8 +20,8 @@ from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
 FLOOR = 0.1323  # [m] height of the shapes' link origin above the floor
-# Centre and half sides [m] of a deck and of a tower behind the arm; radius and axis of a post
-# beside it. In the base's frame, whose origin is on the floor.
+# Centre and half sides [m] of a deck and of a tower behind the arm; position, radius and top [m]
+# of a post beside the arm. In the base's frame, whose origin is on the floor.
 DECK = np.array([0.0, 0.0, 0.19]), np.array([0.495, 0.345, 0.19])
 TOWER = np.array([-0.37, 0.02, 0.6]), np.array([0.10, 0.20, 0.5])
 POST_AT, POST_RADIUS, POST_TOP = np.array([0.15, 0.28]), 0.05, 1.0
@@ -75,8 +75,8 @@ def dense_border(z: float) -> np.ndarray:
 
 @pytest.mark.parametrize("z", [0.05, 0.2, 0.41, 0.5, 0.525, 0.56, 0.9, 1.06, 1.13, 1.2])
 def test_nearest_point_agrees_with_a_dense_search(offset: OffsetContours, z: float):
-    """At heights with one contour, with several islands, and with the tower alone."""
-    surface = BorderSearch(offset)
+    """At heights with one contour, with several contours, and with the tower alone."""
+    surface = BorderSearch(offset.table)
     border = dense_border(z)
     for p in np.random.default_rng(0).uniform([-0.8, -0.6], [0.8, 0.6], (150, 2)):
         foot = surface.nearest(np.array([*p, z]))
@@ -85,7 +85,7 @@ def test_nearest_point_agrees_with_a_dense_search(offset: OffsetContours, z: flo
 
 
 def test_nearest_points_are_on_the_exact_offset(offset: OffsetContours):
-    surface = BorderSearch(offset)
+    surface = BorderSearch(offset.table)
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.3], (3000, 3))
     feet = np.array([surface.nearest(p).p for p in points])
@@ -94,7 +94,7 @@ def test_nearest_points_are_on_the_exact_offset(offset: OffsetContours):
 
 
 def test_tangent_is_perpendicular_and_has_the_base_on_its_left(offset: OffsetContours):
-    surface = BorderSearch(offset)
+    surface = BorderSearch(offset.table)
     for p in np.random.default_rng(2).uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.2], (500, 3)):
         foot = surface.nearest(p)
         assert np.linalg.norm(foot.t) == pytest.approx(1.0)
@@ -109,7 +109,7 @@ def test_distance_to_the_border_changes_no_faster_than_the_point_moves(offset: O
 
     The heights avoid the horizontal pieces of the offset, where the distance may jump too.
     """
-    surface = BorderSearch(offset)
+    surface = BorderSearch(offset.table)
     rng = np.random.default_rng(3)
     for _ in range(40):
         z = rng.choice([0.1, 0.3, 0.45, 0.52, 0.6, 1.1]) + rng.uniform(-0.004, 0.004)
@@ -122,9 +122,12 @@ def test_distance_to_the_border_changes_no_faster_than_the_point_moves(offset: O
 
 
 @pytest.mark.parametrize("z", [0.2, 0.45, 0.8])
-def test_foot_and_tangent_are_continuous_through_a_corner(offset: OffsetContours, z: float):
-    """The path passes the corner between the offsets of two shapes, inside the border."""
-    surface = BorderSearch(offset)
+def test_foot_and_tangent_are_continuous_off_the_medial_axis(offset: OffsetContours, z: float):
+    """The paths are circles: in the deck, above its front edge, and about the tower's axis.
+
+    Where two border points are equally near, the foot jumps, but its distance does not.
+    """
+    surface = BorderSearch(offset.table)
     depth = 0.05
     outline = {0.2: None, 0.45: (0.495, 0.0), 0.8: (-0.37, 0.02)}[z]
     turn = np.linspace(0.0, 2 * np.pi, 40001)
@@ -150,7 +153,7 @@ def test_two_towers_give_two_contours_and_a_frame_has_an_inner_one():
     offset = OffsetContours(with_mobile_shapes(towers), D_B)
     assert len(offset.contours(0.2)) == 2
     for x in (0.4, -0.4):
-        found = BorderSearch(offset).nearest(np.array([x, 0.0, 0.2]))
+        found = BorderSearch(offset.table).nearest(np.array([x, 0.0, 0.2]))
         assert found.p[:2] == pytest.approx([np.sign(x) * 0.35, 0.0], abs=1e-3)
     sides = [((0.5, 0.0), (0.05, 0.55)), ((0.0, 0.5), (0.55, 0.05))]
     frame = [
@@ -159,7 +162,7 @@ def test_two_towers_give_two_contours_and_a_frame_has_an_inner_one():
         for s in (1.0, -1.0)
     ]
     offset = OffsetContours(with_mobile_shapes(tuple(frame)), D_B)
-    within = BorderSearch(offset).nearest(np.array([0.25, 0.1, 0.2]))
+    within = BorderSearch(offset.table).nearest(np.array([0.25, 0.1, 0.2]))
     assert within.p[:2] == pytest.approx([0.3, 0.1], abs=1e-3)  # 0.45 m less d_b
     assert within.t[:2] == pytest.approx([0.0, -1.0], abs=1e-3)
 
@@ -185,13 +188,13 @@ def test_offset_of_shapes_of_any_kind_is_at_the_buffer_distance():
         np.testing.assert_allclose(d[shown[::4] > 4e-6], D_B, atol=2e-6)
         assert (d[shown[::4] < 0.0] < D_B + 4e-6).all()
     points = np.random.default_rng(4).uniform([-0.7, -0.6, 0.0], [0.7, 0.6, 1.2], (400, 3))
-    feet = [BorderSearch(offset).nearest(p) for p in points]
+    feet = [BorderSearch(offset.table).nearest(p) for p in points]
     lifted = np.array([foot.p for foot in feet])
     assert np.abs(body.distance(lifted) - D_B).max() < 0.002
 
 
 def test_contours_are_the_pieces_of_the_rings_on_the_offset(offset: OffsetContours):
-    """They cover the whole border, and each is on it and starts at another point."""
+    """The contours cover the whole border; each is on the border and has its own first point."""
     for z, count in ((0.2, 1), (0.45, 2), (0.5, 4), (0.8, 2), (1.2, 1)):
         pieces = offset.contours(z)
         assert len(pieces) == count

@@ -19,7 +19,7 @@ from tests.robots import needs_pybullet
 pytestmark = pytest.mark.browser
 
 BEGIN, END = 1.0, 1.2  # [s] of the marked interval
-PATIENCE = 300_000  # [ms] for files that are made at low priority beside a simulation
+PATIENCE = 300_000  # [ms] for files that are made beside a simulation
 
 
 @pytest.fixture(scope="module")

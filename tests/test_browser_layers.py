@@ -45,7 +45,7 @@ def tab(opened):
 
 
 class Layer(NamedTuple):
-    """A checkbox of the tab "View" and the places of its layer in the scene.
+    """A checkbox of the tab "View" and points of its layer in the scene.
 
     Attributes:
         box: Its label.
@@ -66,17 +66,17 @@ class Layer(NamedTuple):
 
 
 def from_snapshot(function: Callable[[Snapshot], object]) -> Callable[[Served], Array]:
-    """Places computed from the latest snapshot."""
+    """A function that returns (K, 3) [m] points of the latest snapshot, from `function`."""
     return lambda served: np.array(function(served.loop.latest())).reshape(-1, 3)
 
 
 def between(a: Array, b: Array) -> list[Array]:
-    """Places along a line."""
+    """Nine points (3,) [m] on the line from a to b, including its ends."""
     return [a + u * (b - a) for u in np.linspace(0.0, 1.0, 9)]
 
 
 def robot(served: Served) -> Array:
-    """Places on base and arm, in the robot's frame."""
+    """(K, 3) [m] points on base and arm, in the robot's frame."""
     base = [(x, y, z) for x in (-0.4, 0.0, 0.4) for y in (-0.25, 0.25) for z in (0.1, 0.3)]
     parts = served.server.shared.parts.kinematics
     snapshot = served.loop.latest()
@@ -85,7 +85,7 @@ def robot(served: Served) -> Array:
 
 
 def border(served: Served, pair: str = "lm-lEE", *, above: bool = False) -> Array:
-    """Points of a border in the base's frame; with `above`, only those above the base's top."""
+    """(K, 3) [m] border points in the base's frame; with `above`, only those above its top."""
     borders = served.server.shared.borders
     config = served.loop.latest().config.border
     points = borders.coloured(pair, "score", config, whole=above).points
@@ -93,7 +93,7 @@ def border(served: Served, pair: str = "lm-lEE", *, above: bool = False) -> Arra
 
 
 def contour(served: Served) -> Array:
-    """The slice of the nearest pair's border, in the base's frame."""
+    """(K, 3) [m] points of the slice of the nearest pair's border, in the base's frame."""
     snapshot = served.loop.latest()
     nearest = min((pair for pair in snapshot.pairs if pair.mobile), key=lambda pair: pair.d)
     borders = served.server.shared.borders
@@ -102,12 +102,12 @@ def contour(served: Served) -> Array:
 
 
 def closest_lines(snapshot: Snapshot) -> list[Array]:
-    """Places along the lines between closest points."""
+    """Points (3,) [m] in the world on the lines between closest points."""
     return [p for pair in snapshot.pairs for p in between(pair.p_a, pair.p_b)]
 
 
 def acting_points(snapshot: Snapshot) -> list[Array]:
-    """Places at the acting points and along the arrows above them."""
+    """Points (3,) [m] in the world: the acting points, and points on the arrows above them."""
     places = []
     for a in snapshot.acting:
         stem, top = np.array([0.0, 0.0, 0.4]), np.array([*a.p_act[:2], 0.46])
@@ -117,7 +117,7 @@ def acting_points(snapshot: Snapshot) -> list[Array]:
 
 
 def person_force(snapshot: Snapshot) -> list[Array]:
-    """Places along the arrow of the person's force, and above the base around its arrows."""
+    """Points (3,) [m] in the world on the person's force, and around the arrows above the base."""
     tip = snapshot.p_ee + METRES_PER_NEWTON * snapshot.hand_force
     base = np.append(snapshot.base_pose[:2], 0.45)
     around_base = [base + 0.22 * np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(0, 6, 1)]
@@ -125,7 +125,7 @@ def person_force(snapshot: Snapshot) -> list[Array]:
 
 
 def trails(served: Served) -> Array:
-    """Places along the trails of base and end-effector."""
+    """(K, 3) [m] points in the world on the trails of base and end-effector."""
     tracks = served.server.shared.tracks
     ways = [track.until(np.inf) for track in tracks.values()]
     return np.array([p for way in ways for a, b in pairwise(way) for p in between(a, b)])

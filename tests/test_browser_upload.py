@@ -104,7 +104,7 @@ def choose_file(tab: DashboardTab, path: Path) -> None:
 
 def wait_for_text(tab: DashboardTab, text: str) -> None:
     found = tab.page.get_by_text(text).filter(visible=True).first
-    found.wait_for(timeout=240_000)  # [ms] the work has low priority
+    found.wait_for(timeout=240_000)  # [ms] making a robot takes long
 
 
 def test_zip_becomes_a_robot_whose_base_avoids_the_end_effector(

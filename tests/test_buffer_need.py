@@ -10,16 +10,23 @@ import numpy as np
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.buffer_need import RESERVE, Approach, buffer_need, least_distance
-from app.control.buffer_watch import BufferReading, BufferWatch, approach_speeds, buffer_warning
+from app.control.buffer_watch import (
+    BufferReading,
+    BufferWatch,
+    approach_speeds,
+    buffer_warning,
+    needed_text,
+)
 from app.control.drive import Drive
+from app.control.tasks import activation
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import ClosestPoints
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from app.strict import Array
 from tests.admittance import RunningAdmittance
 
 FRONT = np.array([1.0, 0.0, 0.0]), np.array([0.65, 0.0, 0.4])
@@ -104,7 +111,7 @@ def test_required_buffer_is_the_d_b_whose_least_distance_is_the_reserve(base):
 
 
 def test_only_the_horizontal_part_of_an_oblique_force_moves_the_base(base):
-    """The factor counts twice: for the force, and for the base motion that changes the distance."""
+    """The horizontal share counts twice: for the force, and for the motion along the normal."""
     n, p = FRONT
     d_b, across = np.linspace(0.1, 0.4, 7), 0.8
     weak = [changed(force__f_max=f) for f in (40.0, 40.0 * across**2)]  # within the limits
@@ -149,8 +156,8 @@ def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
         (0.25, {"force__f_max": 150.0, "admittance__damping": 60.0}),
     ],
 )
-def test_simulation_confirms_the_required_buffer_as_tight_bound(base, v, options):
-    """The required d_b is safe; 45 % of it is not."""
+def test_simulation_confirms_the_required_buffer(base, v, options):
+    """With the required d_b the distance stays above the reserve, with 45 % of it not."""
     config = changed(**options)
     need = buffer_need(Approach(v, *FRONT), base, config)
     assert math.isfinite(need)
@@ -162,7 +169,7 @@ def test_simulation_confirms_the_required_buffer_as_tight_bound(base, v, options
 
 
 class Seen(list[ClosestPoints]):
-    """Closest points of pairs of L_m, in the form of a control step."""
+    """Closest points of pairs of arm and base, with the attributes of a control step."""
 
     def __init__(self, points: Iterable[ClosestPoints]) -> None:
         super().__init__(points)
@@ -179,7 +186,7 @@ class Seen(list[ClosestPoints]):
 
 @pytest.fixture
 def led(robot: RobotModel, border_data: BorderData):
-    """A function that returns state and pairs of L_m for an end-effector that nears the base."""
+    """A function that returns the state, and the pairs with the base, as the arm nears the base."""
     from app.simulation.scenarios.start import StartSolver
 
     q_m = StartSolver(robot, border_data.pairs, 0.15).solve((0.30, 0.72, 0.30))
@@ -198,16 +205,20 @@ def led(robot: RobotModel, border_data: BorderData):
 
 
 def test_approach_speed_is_the_closing_rate_for_a_base_at_rest(led):
-    """Compared with central differences."""
+    """The expected closing rate is the central difference of the distance."""
     h = 1e-5  # [s]
     before, after = led(0.1, late=-h)[1], led(0.1, late=h)[1]
     state, pairs = led(0.1)
+
+    def joints(points: ClosestPoints) -> Array:
+        return np.array([state.model.body_joints[body] for body in points.pair])
+
     for i, pair in enumerate(pairs):
-        v, closing = approach_speeds(state, pair.pair, pair.p_b, pair.n)
+        v, closing = approach_speeds(state.twists, joints(pair), pair.p_b, pair.n)
         assert v == closing
         assert closing == pytest.approx((before[i].d - after[i].d) / (2 * h), abs=1e-4)
     first = pairs[0]
-    v, _ = approach_speeds(state, first.pair, first.p_b, first.n)
+    v, _ = approach_speeds(state.twists, joints(first), first.p_b, first.n)
     assert v == pytest.approx(0.1, rel=0.1)
 
 
@@ -294,6 +305,10 @@ def test_buffer_warning_names_the_speed_and_the_required_d_b():
     text = buffer_warning(small, config) or ""
     assert "d_b = 0.15 m is too small" in text
     assert "0.12 m/s" in text
-    assert "0.24 m needed" in text
+    assert text.endswith("late: d_b of 0.24 m needed")
+    assert needed_text(0.30) == "d_b of 0.30 m needed"
+    assert needed_text(0.381) == "d_b of 0.39 m needed, at most 0.30 m can be set"
+    text = buffer_warning(small._replace(needed_max=0.381), config) or ""
+    assert text.count("at most 0.30 m can be set") == 1
     hopeless = small._replace(needed_max=math.inf)
     assert "no d_b suffices" in (buffer_warning(hopeless, config) or "")

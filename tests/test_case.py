@@ -62,7 +62,7 @@ def test_case_file_repeats_a_scenario_of_the_live_loop_bit_for_bit(played, robot
 
 
 def test_robot_ends_elsewhere_without_the_pull(played, robot, border_data):
-    """Otherwise the test above could not fail."""
+    """If the pull did not change the motion, the previous test could not fail."""
     state, case = played
     still = case.spec()._replace(scenario=case.scenario().changed(release_at=0.001))
     *_, last = (state_of(s) for s, _ in steps_of(still, robot, border_data))

@@ -94,7 +94,7 @@ def dbb(capfd, monkeypatch, loaded_once):
 
 
 def refused(outcome: Outcome, *words: str) -> None:
-    """Status 2, no standard output, one line with these words on standard error."""
+    """Check a refusal: status 2, no standard output, one error line that contains these words."""
     assert outcome.status == 2
     assert outcome.out == ""
     lines = outcome.err.splitlines()
@@ -517,6 +517,14 @@ FIGURES_OF_A_RUN = {
             "Distances are between convex bodies that enclose the links",
         ),
         ({"min_distance_m": {}}, "No contact; final end-effector error"),
+        *(
+            (
+                {"min_distance_m": {"lm-lEE": none, "l1-l3": 0.2}, "ee_error_final_m": none},
+                "No contact; smallest distance 200 mm (l1-l3); without a distance: lm-lEE; "
+                "final end-effector error is missing.",
+            )
+            for none in (None, math.nan)
+        ),
     ],
 )
 def test_verdict_names_contact_distance_and_end_effector_error(changes, text):
@@ -557,7 +565,7 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     printed, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert printed == ""
-    without = find_spec("pybullet") is None  # one more line: its meshes are missing too
+    without = find_spec("pybullet") is None  # adds a line: meshes are missing
     assert len(err.splitlines()) == 1 + without
     assert err.endswith("dbb: interrupted\n")
     assert list(out.iterdir()) == []
@@ -593,10 +601,41 @@ def test_closed_pipe_causes_no_error_message():
     assert process.returncode == 1
 
 
-@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "0<&- 1>&- 2>&-"])
-def test_command_works_with_closed_input_and_outputs(closed):
-    line = f'exec "{sys.executable}" -m app robots {closed}'
-    assert subprocess.run(["sh", "-c", line], cwd=PROJECT, timeout=60).returncode == 0
+@pytest.mark.parametrize(
+    ("words", "closed", "status"),
+    [
+        ("robots", "0<&-", 0),
+        ("robots", "0<&- 2>&-", 0),
+        ("robots --json", "1>&-", 2),
+        ("robots", "0<&- 1>&- 2>&-", 2),
+        ("--help", "1>&-", 2),
+        ("robots --help", "1>&-", 1),
+        ("config --out {}", "0<&- 2>&-", 0),
+    ],
+)
+def test_command_without_an_input_works_and_without_an_output_fails(
+    words, closed, status, tmp_path
+):
+    line = f'exec "{sys.executable}" -m app {words.format(tmp_path / "a.toml")} {closed}'
+    done = subprocess.run(["sh", "-c", line], cwd=PROJECT, timeout=60, stderr=subprocess.PIPE)
+    assert done.returncode == status
+    assert (b"standard output: Bad file" in done.stderr) == (status == 2 and "2>" not in closed)
+
+
+@pytest.mark.parametrize("columns", ["1", "5", "0"])
+def test_help_ends_in_a_narrow_terminal(columns):
+    process = command("reach", "--help", env={**os.environ, "COLUMNS": columns})
+    assert "--seed" in process.communicate(timeout=60)[0]
+
+
+@pytest.mark.parametrize("form", ["--out=~/a.toml", "--out ~/a.toml"])
+def test_home_is_expanded_in_a_path(dbb, form, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert dbb("config", *form.split()).status == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["a.toml"]
+    assert dbb("config", "--config=~/a.toml").status == 0
+    refused(dbb("screenshot", "~/no.json", "--at", "1", "--out=~/a.png"), f"{tmp_path}/no.json")
 
 
 def test_output_encoding_without_a_character_gets_its_escape_code():

@@ -21,7 +21,7 @@ QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01
 
 
 class SeenError(Exception):
-    """Carries the arguments of a command instead of running its work."""
+    """Carries the configuration of a command, and prevents its work."""
 
 
 @pytest.fixture
@@ -152,6 +152,16 @@ def test_config_prints_the_defaults_and_overwrites_no_file(capsys, tmp_path):
 def test_config_completes_the_parameters_of_a_file(capsys, mine):
     main(["config", "--config", str(mine)])
     assert capsys.readouterr().out == save_config(CONFIG)
+
+
+def test_config_copies_name_and_hosts_of_the_file(capsys, tmp_path):
+    mine, out = tmp_path / "a.toml", tmp_path / "b.toml"
+    mine.write_text('name = "mine"\n[border]\nd_b = 0.2\n[server]\nallow_host = ["a.b", "c"]\n')
+    main(["config", "--config", str(mine), "--out", str(out)])
+    assert read_config(out) == read_config(mine) != ("", Config(), ())
+    capsys.readouterr()
+    main(["config", "--config", str(mine)])
+    assert capsys.readouterr().out == out.read_text(encoding="utf-8")
 
 
 def test_config_as_json_describes_every_parameter(capsys, mine):

@@ -28,7 +28,10 @@ def interrupted() -> None:
 
 @pytest.fixture(autouse=True)
 def default_handler(monkeypatch) -> Iterator[None]:
-    """Set Python's own SIGINT handler and no deadline; a failure must not end the test run."""
+    """Set Python's own SIGINT handler, and postpone the end of the process after a signal.
+
+    Otherwise a test that fails could end the test run.
+    """
     monkeypatch.setattr("app.jobs.progress._LONGEST", 3600.0)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -157,7 +160,7 @@ def test_a_signal_ends_a_command_with_a_blocked_main_thread(number, guarded, tmp
 HANGING = DEAF.replace("ctypes.CDLL", "ctypes.PyDLL").replace(
     "kept =", "from app.jobs import progress\nprogress._PATIENCE = 1.0\nkept ="
 )
-"""It holds Python's global lock, so that no thread of the process can run."""
+"""This program holds Python's global lock, so that no thread of its process can run."""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -119,7 +119,7 @@ def compiled_once(tmp_path_factory) -> Path:
 @pytest.fixture
 def installed(compiled_once) -> Iterator[Path]:
     """Compiled kernels, copied so that every user may read them, as in a container image."""
-    folder = Path(tempfile.mkdtemp(prefix="dbb-kernels-"))  # pytest's is private
+    folder = Path(tempfile.mkdtemp(prefix="dbb-kernels-"))  # pytest's folder is private
     shutil.copytree(compiled_once, folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
     folder.chmod(0o755)
     yield folder
@@ -127,7 +127,7 @@ def installed(compiled_once) -> Iterator[Path]:
 
 
 def prefix(kind: str, folder: Path) -> list[str]:
-    """Command prefix that runs a command as another reader of a folder."""
+    """The words before a command that make it a reader `kind` of a folder, such as another user."""
     if kind == "another process":
         return []
     before = AS_NOBODY if kind == "another user" else (*READ_ONLY, str(folder))

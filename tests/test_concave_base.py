@@ -1,4 +1,4 @@
-"""Avoidance with a mobile robot of several convex parts: the arm avoids each of them."""
+"""Avoidance with a base of several convex parts: the arm avoids each of them."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_both_faces_of_a_corner_limit_the_arm(
 
 
 def reaction(output: ControlStep) -> Array:
-    """(n_m,) [N m] the reaction of the force in the objective of a guided arm."""
+    """(n_m,) [N m] reaction of a guided arm to the force on the base, from the step's objective."""
     return output.h[2:] - output.c_low[2:] - output.u_free
 
 

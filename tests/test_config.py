@@ -1,4 +1,4 @@
-"""Every parameter has a unit, a help text and a range that is enforced."""
+"""Each parameter has a help text and enforced valid values; a number has a unit and a range."""
 
 from __future__ import annotations
 

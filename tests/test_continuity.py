@@ -19,7 +19,7 @@ from tests.reproduction import short_run, sources_of
 
 @pytest.fixture(scope="module")
 def sources(robot: RobotModel, border_data: BorderData) -> Sources:
-    """The first 3 s of the lateral guiding, which ends in the buffer."""
+    """The whole lateral guiding within 3 s; the end-effector ends in its buffer."""
     run = short_run(robot, border_data, LATERAL, 3.0)
     return sources_of(robot, border_data, {LATERAL: run})
 

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from app.border.cache import BorderData
 from app.config import Config, slowed
 from app.control import CONTROLLERS
-from app.control.admittance import response
+from app.control.algorithm import response
 from app.control.controller import Controller
 from app.control.quantities import ControlStep
 from app.control.tasks import Reference, free_arm_torque, reaction_torque
@@ -35,9 +35,10 @@ from tests.qps import (
 
 ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6).replace("limit.velocity_rate", 30.0)
-"""Torques may change at once. Joint limits act early, so that free states are far from them."""
+"""Torques may change at once. The low rate makes speed limits act early: states without active
+limits are far from these."""
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
-"""The end-effector's task has almost no weight, so that the base follows (29)."""
+"""The hold of the end-effector has almost no weight, so that the base follows (29)."""
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
 def unheld_step(
     controller: Controller, m: Measurement, reference: Reference | None = None
 ) -> ControlStep:
-    """A first step with almost no weight on the end-effector's task."""
+    """A first step with the configuration `UNHELD`."""
     controller.reset()
     controller.configure(UNHELD)
     output = controller.step(m, reference).copy()
@@ -225,13 +226,17 @@ def near_limits(robot: RobotModel, controller: Controller, seed: int) -> Measure
 
 
 def missing(state: RobotState, base: np.ndarray) -> float:
-    """[m/s²] error of a fixed end-effector that the arm cannot compensate with slowed limits.
+    """[m/s²] acceleration of the end-effector that remains if the arm tries to keep it at rest.
+
+    The joint limits have the slow approach rates of `app.config.slowed`.
 
     Args:
         state: State of the robot.
         base: (2,) the commanded base acceleration; the admittance law responds to it.
     """
-    gain, drag = response(state.model.description.base, UNHELD.admittance)
+    law, by_axis = UNHELD.admittance, state.model.description.base.by_axis
+    inertia, damping = by_axis(law.mass, law.inertia), by_axis(law.damping, law.angular_damping)
+    gain, drag = response(inertia, damping, law.period)
     moved = state.model.J_m_inv @ (gain * (base - drag * state.measurement.base_velocity))
     slow = slowed(UNHELD)
     hold = Reference(state.T_world_ee, np.zeros(6), np.zeros(6))

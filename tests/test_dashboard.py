@@ -28,7 +28,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.border.score import ScoreField
 from app.config import BorderConfig
-from app.dashboard.drag import Grip
+from app.dashboard.drag import DragHandles, Grip
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
@@ -36,7 +36,9 @@ from app.dashboard.panels import Moment
 from app.dashboard.panels.help import CARDS, CLOSE, NEXT, PULL, SHOW, SHOWN, WATCH
 from app.dashboard.panels.run import (
     FREE,
+    METHOD_TITLES,
     TITLES,
+    ComparePanel,
     RunPanel,
     machine_rows,
     outcomes_html,
@@ -76,7 +78,7 @@ from app.errors import ConfigError, LoopError, RobotFileError, ServerError
 from app.onboarding.read.links import read_mesh
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
 from app.robot.state import Measurement, RobotState
-from app.simulation.loop.commands import Compare, Pause, Play, Pull, Release, Reset
+from app.simulation.loop.commands import Compare, Pause, Play, Pull, Release, Reset, Restart
 from app.simulation.people import PullReading, held_point
 from app.simulation.trace.snapshot import PairReading, Refusal, Score
 from app.simulation.trace.trace import Trace
@@ -134,10 +136,18 @@ def wait_for(condition, seconds=20.0):
 # The pull
 
 
+def grip_of(sink, client=None, timeline=None):
+    client = client or Recorder()
+    client.client_id = 7
+    return Grip(
+        sink, Notifier(sink), client, timeline or SimpleNamespace(live=True, go_live=lambda: None)
+    )
+
+
 def held(link=None):
     """An active grip, the recorder of its commands, and a client that receives its notices."""
     sink, client = Recorder(), Recorder()
-    grip = Grip(sink, Notifier(sink), 7)
+    grip = grip_of(sink, client)
     grip.take(*(link or ()))
     return grip, sink, client
 
@@ -147,9 +157,9 @@ LINK = ("panda_joint3", (0.0, 0.1, 0.2))
 
 @pytest.mark.parametrize("link", [None, LINK])
 def test_drag_pulls_and_its_end_releases(link):
-    grip, sink, client = held(link)
+    grip, sink, _ = held(link)
     for x in (0.5, 0.4):
-        grip.pull(np.array([x, 0.0, 0.8]), client)
+        grip.pull(np.array([x, 0.0, 0.8]))
     grip.release()
     assert sink.commands == [
         Pull((0.5, 0.0, 0.8), *(link or ()), who=7),
@@ -160,18 +170,49 @@ def test_drag_pulls_and_its_end_releases(link):
 
 
 def test_released_grip_releases_only_once():
-    grip, sink, client = held()
-    grip.pull(np.array([0.5, 0.0, 0.8]), client)
+    grip, sink, _ = held()
+    grip.pull(np.array([0.5, 0.0, 0.8]))
     grip.release()
     grip.release()
     assert sink.commands[1:] == [Release(7)]
 
 
 def test_released_grip_does_not_pull():
-    grip, sink, client = held()
+    grip, sink, _ = held()
     grip.release()
-    grip.pull(np.array([9.0, 9.0, 9.0]), client)
+    grip.pull(np.array([9.0, 9.0, 9.0]))
     assert sink.commands == []
+
+
+def test_remaining_events_of_a_drag_have_no_effect_on_a_pull_by_keys():
+    grip, sink, _ = held()
+    grip.release()  # the simulation has restarted
+    grip.nudge(np.array([1.0, 0.0, 0.0]), ScriptedLoop(husky_panda()).latest())
+    grip.pull(np.array([9.0, 9.0, 9.0]))
+    [pull] = sink.commands
+    assert max(pull.target) < 9.0
+
+
+def test_drag_of_a_viewer_who_sees_the_past_shows_the_present_and_pulls_nothing():
+    timeline = SimpleNamespace(live=False)
+    timeline.go_live = lambda: setattr(timeline, "live", True)
+    grip = grip_of(sink := Recorder(), client := Recorder(), timeline)
+    for _ in range(2):
+        assert sink.commands == []
+        grip.take()
+        grip.pull(np.array([0.5, 0.0, 0.8]))
+    assert [type(command) for command in sink.commands] == [Pull]
+    assert client.notes == [("Now", "The page showed the past. Pull again.")]
+
+
+def test_keys_of_a_viewer_who_sees_the_past_pull_the_present_end_effector(loop):
+    timeline = SimpleNamespace(live=False)
+    timeline.go_live = lambda: setattr(timeline, "live", True)
+    grip = grip_of(sink := Recorder(), client := Recorder(), timeline)
+    grip.nudge((1.0, 0.0, 0.0), snapshot := loop.latest())
+    [pull] = sink.commands
+    assert np.linalg.norm(np.subtract(pull.target, snapshot.p_ee)) < 0.1
+    assert client.notes == []
 
 
 def test_refused_pull_is_not_released():
@@ -181,10 +222,10 @@ def test_refused_pull_is_not_released():
                 raise LoopError("busy")
             super().send(command)
 
-    grip = Grip(sink := FullSink(), Notifier(sink), 7)
+    grip = grip_of(sink := FullSink())
     grip.take()
     with pytest.raises(LoopError):
-        grip.pull(np.array([0.5, 0.0, 0.8]), Recorder())
+        grip.pull(np.array([0.5, 0.0, 0.8]))
     grip.release()
     assert sink.commands == []
     assert not grip.holds_anything
@@ -198,33 +239,68 @@ def test_no_pull_follows_a_release_by_another_thread():
                 releasing.join(0.2)  # without a lock, the release comes first
             super().send(command)
 
-    sink, client = SlowSink(), Recorder()
-    grip = Grip(sink, Notifier(sink), 7)
+    grip = grip_of(sink := SlowSink())
     releasing = threading.Thread(target=grip.release)
     grip.take()
-    grip.pull(np.array([0.5, 0.0, 0.8]), client)
+    grip.pull(np.array([0.5, 0.0, 0.8]))
     releasing.join()
     assert [type(command) for command in sink.commands] == [Pull, Release]
 
 
 def test_taking_another_point_releases_the_first():
-    grip, sink, client = held()
+    grip, sink, _ = held()
     for _ in range(2):
-        grip.pull(np.array([0.5, 0.0, 0.8]), client)
+        grip.pull(np.array([0.5, 0.0, 0.8]))
         grip.take(*LINK)
     first, second = Pull((0.5, 0.0, 0.8), who=7), Pull((0.5, 0.0, 0.8), *LINK, who=7)
     assert sink.commands == [first, Release(7), second, Release(7)]
     assert not grip.holds_end_effector
 
 
+@pytest.mark.parametrize("link", [None, LINK])
+def test_keys_do_not_change_a_drag(link, loop):
+    grip, sink, _ = held(link)
+    grip.pull(np.array([0.95, 0.1, 0.5]))
+    grip.nudge(np.array([1.0, 0.0, 0.0]), loop.latest())
+    assert len(sink.commands) == 1
+    grip.release_keys()
+    assert grip.holds_anything
+
+
+def test_gizmo_returns_only_after_the_end_of_a_drag_that_a_restart_has_released(loop):
+    """During the drag, the browser ignores a new position."""
+    grip, _, client = held()
+    gizmo = SimpleNamespace(on_update=lambda _: None, position=np.zeros(3))
+    scene = SimpleNamespace(add_transform_controls=lambda *_, **__: gizmo)
+    handles = DragHandles(scene, SimpleNamespace(links=None), grip, Notifier(client), {})
+    event = SimpleNamespace(phase="start", target=gizmo, client=client)
+    handles._drag_gizmo(event)
+    grip.release()
+    handles.update(loop.latest())
+    assert not gizmo.position.any()
+    for event.phase in ("end", "update"):  # which can come in this order
+        handles._drag_gizmo(event)
+    handles.update(loop.latest())
+    np.testing.assert_array_equal(gizmo.position, loop.latest().p_ee)
+
+
+def test_keys_pull_again_after_their_release(loop):
+    grip, sink, _ = held()
+    grip.release()
+    for _ in range(2):
+        grip.nudge(np.array([1.0, 0.0, 0.0]), loop.latest())
+        grip.release_keys()
+    assert [type(command) for command in sink.commands] == 2 * [Pull, Release]
+
+
 def test_targets_below_the_floor_stop_at_it_with_one_notice_per_drag():
     grip, sink, client = held()
     for _ in range(3):
-        grip.pull(np.array([0.5, 0.0, -0.3]), client)
+        grip.pull(np.array([0.5, 0.0, -0.3]))
     assert {command.target for command in sink.commands} == {(0.5, 0.0, 0.0)}
     assert len(client.notes) == 1
     grip.take()
-    grip.pull(np.array([0.5, 0.0, -0.3]), client)
+    grip.pull(np.array([0.5, 0.0, -0.3]))
     assert len(client.notes) == 2
 
 
@@ -255,6 +331,14 @@ def test_repeated_notices_are_merged_and_counted():
         notifier.warn(client, text)
     assert [text for _, text in client.notes] == ["Too much", "Too much (2 times)", "Too little"]
     assert client.standing == ["Too little"]
+
+
+def test_a_message_after_the_end_of_an_equal_one_is_not_counted(monkeypatch):
+    client, notifier = Recorder(), Notifier(Recorder())
+    for seconds in (0.0, 60.0):
+        monkeypatch.setattr("app.dashboard.notifications.monotonic", lambda s=seconds: s)
+        notifier.warn(client, "too much")
+    assert [text for _, text in client.notes] == ["Too much", "Too much"]
 
 
 def test_notifier_keeps_no_reference_to_a_disconnected_client():
@@ -337,7 +421,7 @@ def test_reset_releases_every_grip(dashboard, loop):
     with RawClient(dashboard.address):
         grip = page_of(dashboard).grip
         grip.take()
-        grip.pull(loop.latest().p_ee + np.array([0.1, 0.0, 0.0]), None)
+        grip.pull(loop.latest().p_ee + np.array([0.1, 0.0, 0.0]))
         drawn = dashboard.pictures
         wait_for(lambda: dashboard.pictures > drawn + 1, 20.0)
         assert loop.latest().pulls
@@ -864,6 +948,54 @@ def test_repeated_demonstration_keeps_its_scenario_until_a_pull(loop, guided, mo
     assert loop.commands[-2:] == [Compare(), Reset()]
 
 
+@pytest.mark.parametrize("way", ["close", "escape", "tour"])
+def test_a_comparison_of_the_guide_ends_with_its_card(loop, guided, way):
+    """The robot stays where it is; a comparison that a viewer has chosen continues."""
+    page, say, shows = guided
+    for chosen in ((), ("none", "repulsive")):
+        page.guide.go("tour 5" if way == "tour" else "welcome")
+        say("card", SHOW if way == "tour" else WATCH)
+        wait_for(lambda: page.guide._compares)
+        shows("tour 5" if way == "tour" else "watch")
+        if chosen:
+            loop.send(Compare(chosen))
+        loop.commands.clear()
+        say(*(("escape",) if way == "escape" else ("card", CLOSE)))
+        shows("")
+        assert loop.commands == ([] if chosen else [Compare()])
+        assert [ghost.controller for ghost in loop.latest().ghosts] == list(chosen)
+    say("escape")  # without a card
+    shows("")
+    assert loop.commands == []
+
+
+def test_a_comparison_of_the_guide_ends_with_its_viewer(loop, guided):
+    page, say, shows = guided
+    say("card", WATCH)
+    shows("watch")
+    loop.commands.clear()
+    page.end()
+    assert loop.commands == [Compare()]
+
+
+def test_the_measured_result_replaces_the_expectation_on_the_card(loop, guided, monkeypatch):
+    page, _, shows = guided
+    page.guide.watch("watch")
+    shows("watch")
+    near = [Score(name, d, *5 * [0.0], 0.0, 0) for name, d in (("dbb", 0.072), ("none", 0.002))]
+    ended = replace(loop.latest(), scenario="", scores=tuple(near))
+    told = []
+    monkeypatch.setattr(page.channel, "tell", lambda *words: told.append(words))
+    page.guide.update(Moment(ended, ended, judge(ended)))
+    texts = [words[2] for words in told if words[0] == "card"]
+    (text,) = (each for each in texts if each.startswith("Result."))
+    assert text.startswith(
+        "Result. Solid, with avoidance: no contact, smallest distance 72 mm. "
+        "Violet, without avoidance: no contact, smallest distance 2 mm. The scenario is "
+    )
+    assert "runs into" not in text
+
+
 def test_end_of_the_demonstration_does_not_stop_a_newer_one(loop, guided, monkeypatch):
     monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
     page, say, shows = guided
@@ -922,7 +1054,8 @@ def test_every_log_quantity_can_be_added_to_and_removed_from_a_plot(dashboard, l
         page = page_of(dashboard)
         client.set_widget(page.channel._box, '["1", "seen", "plots"]')
         columns = Trace.of_snapshots(husky_panda(), [loop.latest()]).columns
-        assert {column.name for column in columns} <= set(dashboard.shared.quantities)
+        assert {column.name for column in columns} - set(dashboard.shared.quantities) == {"t_s"}
+        assert page._plots._name.value == "base_x_m"
         plots, name, title = page._plots, "q_panda_joint4_rad", "end-effector error [mm]"
         client.set_widget(plots._name, name)
         client.set_widget(plots._into, title)
@@ -935,6 +1068,48 @@ def test_every_log_quantity_can_be_added_to_and_removed_from_a_plot(dashboard, l
                 np.testing.assert_allclose(plot.data[2][-1], loop.latest().q_m[3], atol=1e-3)
             assert len(plot.data) == lines + 2
     assert dashboard.error is None
+
+
+def test_a_curve_without_a_value_is_reported_and_the_list_explains_the_column(dashboard):
+    with RawClient(dashboard.address) as client:
+        page = page_of(dashboard)
+        plots, told = page._plots, []
+        page._notifier.tell = lambda _, title, text: told.append(f"{title}: {text}")
+        client.set_widget(plots._name, "door_angle_rad")
+        wait_for(lambda: "door that the end-effector holds" in plots._name.hint)
+        client.set_widget(buttons_of(page, "Curve"), "Add")
+        wait_for(lambda: told)
+    assert told[0].startswith("Empty curve: door_angle_rad has no value"), told
+
+
+def test_a_restart_by_another_viewer_ends_a_pull_with_a_message(dashboard, loop):
+    with RawClient(dashboard.address):
+        page, told = page_of(dashboard), []
+        page._notifier.tell = lambda _, title, text: told.append(title)
+        page.grip.take()
+        loop.send(Restart())
+        wait_for(lambda: told)
+        assert not page.grip.holds_anything
+    assert told == ["Pull ended"]
+
+
+def test_only_the_start_of_a_comparison_reports_that_the_timeline_starts_again(dashboard):
+    with RawClient(dashboard.address):
+        page, told = page_of(dashboard), []
+        panel = next(each for each in page.viewer.panels if isinstance(each, ComparePanel))
+        page._notifier.tell = lambda _, title, text: told.append(title)
+        panel._choose()
+        assert told == []
+        panel._chosen = lambda: [METHOD_TITLES["none"]]
+        panel._choose()
+    assert told == ["New run"]
+
+
+def test_view_of_the_door_is_refused_without_a_door(dashboard):
+    with RawClient(dashboard.address):
+        viewer = page_of(dashboard).viewer
+        with pytest.raises(ConfigError, match="no door"):
+            viewer.look("door")
 
 
 def test_a_curve_that_is_added_while_a_page_is_drawn_appears_with_the_next_values(dashboard):
@@ -971,7 +1146,7 @@ def test_posing_that_ends_during_a_drag_does_not_begin_again(dashboard, monkeypa
 
         monkeypatch.setattr(explorer, "reach", reach_late)
         panel._enter(None)
-        panel._move_end_effector(dashboard.shared.loop.latest().p_ee)
+        panel._viewer.grip.reach(dashboard.shared.loop.latest().p_ee)
         assert reached.wait(20.0)
         drawn = dashboard.pictures
         wait_for(lambda: dashboard.pictures > drawn + 1)
@@ -1063,7 +1238,7 @@ def test_reported_contact_gives_the_verdict_and_the_sentence(loop, field, named)
     explained = SimpleNamespace(solved=False, near=())
     snapshot = replace(loop.latest(), explanation=explained, **{field: True})
     assert judge(snapshot).state == "contact"
-    assert sentence(snapshot).startswith(f"Contact: {named}. ")
+    assert sentence(snapshot).startswith(f"{named.capitalize()} touch. ")
 
 
 def test_abnormal_readings_are_coloured(loop):

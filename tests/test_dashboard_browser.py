@@ -146,6 +146,27 @@ def test_dragging_the_gizmo_pulls_the_end_effector_and_a_drop_releases_it(tab, s
     wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
 
 
+@pytest.mark.parametrize("cause", ["selected text", "the system"])
+def test_a_drag_that_the_browser_cancels_ends(tab, served, cause):
+    loop, page = served.loop, served.page()
+    wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
+    if cause == "selected text":
+        tab.page.keyboard.press("Control+a")  # also selects the canvas
+        tab.drag_gizmo(GIZMO, axis=1, metres=0.1, scale=SCALE)
+    else:
+        [at] = tab.pixels(GIZMO, tab.arrow(GIZMO, 1, SCALE)[None]).tolist()
+        for kind, up in (("touchStart", 0.0), ("touchMove", 10.0), ("touchMove", 30.0)):
+            tab.fingers(kind, [{"x": at[0], "y": at[1] - up}])
+        wait_for(lambda: page.grip.holds_end_effector, what="the pull")
+        tab.fingers("touchCancel", [])
+    tab.page.mouse.move(
+        *(np.add(tab.canvas_box()[:2], 20.0)).tolist()
+    )  # a stuck gizmo would follow
+    wait_for(lambda: loop.pulls()[-1] is None and not page.grip.holds_anything, what="the release")
+    wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
+    tab.page.evaluate("() => getSelection().removeAllRanges()")
+
+
 @needs_pybullet
 def test_link_dragged_by_the_mouse_is_pulled_and_shows_the_force(tab, served):
     loop = served.loop
@@ -231,7 +252,7 @@ def test_folders_and_buttons_work_by_keyboard_alone(tab, served):
         pytest.fail(f"{text} is not reached")
 
     tab.open_tab("Why")
-    inside = tab.page.get_by_text("Avoidance does not act")
+    inside = tab.page.get_by_text("There are no details for this instant.")
     reach("Details")
     keys.press("Enter")
     inside.wait_for()

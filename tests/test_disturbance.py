@@ -27,7 +27,7 @@ def q_start(robot: RobotModel, border_data: BorderData) -> np.ndarray:
 
 
 class Spy:
-    """A plant that records its inputs."""
+    """A plant that records the velocity commands of its base."""
 
     def __init__(self, physics) -> None:
         self._physics, self.commands = physics, []

@@ -72,7 +72,7 @@ def marked(thing: object) -> frozenset[int]:
 
 
 def public_functions() -> Iterator[tuple[str, object]]:
-    """All public functions, classes, methods and properties except those of dashboard and CLI."""
+    """All public functions, classes, methods and properties outside of dashboard and CLI."""
     for info in pkgutil.walk_packages(app.__path__, "app."):
         if info.name.split(".")[1] in {"dashboard", "cli", "__main__"}:
             continue

@@ -28,7 +28,7 @@ Array = np.ndarray
 
 DT = 0.002  # [s]; twice the period of a run
 UP = np.array([0.0, 0.0, 1.0])
-SEEDS = range(6)  # both sides with each kind of initial guess
+SEEDS = range(6)  # both sides with each kind of error of the assumed radial direction
 
 
 def turned(angle: float) -> Array:
@@ -72,8 +72,9 @@ class Hinged:
         return pin.SE3(R @ self.closed.rotation, self.hinge + R @ arm)
 
     def wrench(self, angle: float) -> Wrench:
-        """(3,) [N] and (3,) [N m] of the end-effector on the handle, about the end-effector's
-        origin.
+        """Force (3,) [N] and torque (3,) [N m] of the end-effector on the handle.
+
+        The torque is about the end-effector's origin.
         """
         handle = self.handle(angle)
         force = self.stiffness * (self.ee.translation - handle.translation)
@@ -112,7 +113,7 @@ class Hinged:
 
 
 def random_door(seed: int) -> tuple[Hinged, float]:
-    """A door, and the error [rad] of the initial guess."""
+    """A random door, and the error [rad] of the radial direction that is assumed at the start."""
     rng = np.random.default_rng(seed)
     door = Hinged(
         side=(-1.0) ** seed,

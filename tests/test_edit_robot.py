@@ -118,6 +118,11 @@ def test_the_source_description_is_read_within_its_budget(
         save_by_hand(source, tmp_path / "mine", CHANGES)
 
 
+def test_missing_source_description_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match=r"gone.robot\.toml: cannot be read"):
+        save_by_hand(tmp_path / "gone", tmp_path / "mine", CHANGES)
+
+
 def test_a_save_overwrites_only_the_edited_robot_itself(tmp_path: Path) -> None:
     source, own = robot_folder("husky_panda"), tmp_path / "mine"
     save_by_hand(source, own, CHANGES)

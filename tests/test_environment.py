@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from app import system
+from app.cli.main import main
+from app.cli.options import configured
 from app.config_file import decode_config
 from app.errors import CaseError, ConfigError, LogError, UnknownNameError
 from app.robot import assets
@@ -106,6 +108,61 @@ def test_robots_are_found_in_every_folder_of_a_list(
     assert load_robot("mine_1").name == "mine_1"
     with pytest.raises(UnknownNameError, match=f"mine_2.*does not exist: {tmp_path}/none"):
         load_robot("mine_2")
+
+
+def test_copied_folder_is_a_robot_with_the_name_of_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = shutil.copytree(assets.ASSETS / "husky_panda", tmp_path / "moved")
+    urdf = made / "robot.urdf"
+    urdf.write_text(f"{urdf.read_text(encoding='utf-8')}<!-- moved -->", encoding="utf-8")
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    assert load_robot("moved").name == "moved"
+    assert assets.urdf_path(load_robot("moved")) == urdf
+    assert "moved" in assets.robot_names()
+
+
+@pytest.mark.parametrize(
+    ("used", "hidden", "why"),
+    [
+        ("delivered", "a/tiago", "{}/a/tiago is not used, because a delivered robot has the same"),
+        ("a/mine", "b/mine", "{0}/b/mine is not used, because the robot in {0}/a/mine has the"),
+    ],
+)
+def test_a_folder_that_another_robot_hides_is_named(
+    used: str, hidden: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    for each in {used, hidden} - {"delivered"}:
+        shutil.copytree(assets.ASSETS / "tiago", tmp_path / each)
+    name, why = Path(hidden).name, why.format(tmp_path)
+    listed = f"{assets.ASSETS}:{tmp_path / 'a'}:{tmp_path / 'b'}:{tmp_path / 'a'}"
+    monkeypatch.setenv("DBB_ROBOTS", listed)
+    assert assets.hidden_robot(name).startswith(why)
+    assert [assets.hidden_robot(each) for each in ("husky_panda", "nothing")] == ["", ""]
+    main(["robots"])
+    assert capsys.readouterr().err.count(why) == 1
+    said: list[str] = []
+    monkeypatch.setattr("app.cli.options._log.warning", lambda _, text: said.append(text))
+    configured(name, None)  # as for all commands with parameters
+    assert [text.startswith(why) for text in said] == [True]
+
+
+@pytest.mark.parametrize("backend", ["nosuch", "module://matplotlib_inline.backend_inline"])
+def test_backend_of_a_notebook_does_not_disturb_a_command(backend: str) -> None:
+    code = (
+        "import os, app.studies.pulls.parameters\nfrom app.cli import main\n"
+        f"assert os.environ['MPLBACKEND'] == {backend!r}\n"  # a program that imports `app`
+        "main(['--version'])\nimport matplotlib\nprint(matplotlib.get_backend())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=PROJECT,
+        env={**os.environ, "MPLBACKEND": backend},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout.splitlines()[1:] == ["agg"], done.stderr
 
 
 @pytest.mark.parametrize(

@@ -48,13 +48,16 @@ class RunningEstimate:
 
     @property
     def noise(self) -> Array:
-        """(2, n_m) standard deviations of positions and velocities."""
+        """(2, n_m) [rad, rad/s] standard deviations of positions and velocities."""
         return np.sqrt(self._variances)
 
     def update(
         self, read: Measurement, state: RobotState, u_a: Array | None, c: EstimateConfig, dt: float
     ) -> Measurement:
-        """The readings, replaced by the estimate; `state` is the state before them."""
+        """Update the estimate; return the readings with the estimated positions and velocities.
+
+        `state` and the torques `u_a` are those of the previous step.
+        """
         known, robot = np.empty((0, len(read.q_m))), state.model
         if self._v_last is not None and u_a is not None:
             qdd_b = robot.J_m_inv @ (read.base_velocity - self._v_last) / dt
@@ -78,7 +81,7 @@ class PushedArm:
         self.state.update(self.measurement)
 
     def move(self, u_a: Array, push: Array) -> None:
-        """Simulate one period with the torques `u_a` and `push`, both (7,) [N m]."""
+        """Simulate one control period with the torques `u_a` and `push`, both (7,) [N m]."""
         state, m = self.state, self.measurement
         qdd = np.linalg.solve(state.M[2:, 2:], u_a + push - state.h[2:])
         qd = m.qd_m + DT * qdd

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from app.control.control_loop import ControlLoop
+from app.control.controller import ControlLoop
 from app.robot.state import at_rest
 
 pytestmark = pytest.mark.slow
@@ -18,7 +18,7 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
 def example(name: str) -> ModuleType:
-    """The module of an example."""
+    """Import the example with this name, and return its module."""
     spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None

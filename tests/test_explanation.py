@@ -29,7 +29,7 @@ from tests.qps import Limits, Objective, Rows, ee_task, inserted, solved
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
-"""The end-effector's task has almost no weight, so that the base follows (29)."""
+"""The hold of the end-effector has almost no weight, so that the base follows (29)."""
 REST = np.zeros(2)
 SEEDS = range(4)
 
@@ -177,7 +177,7 @@ def test_forces_and_normals_do_not_depend_on_the_base_pose(robot, dbb):
 @pytest.mark.parametrize("name", ["dbb", "repulsive", "barrier", "none"])
 @pytest.mark.parametrize("off", [0.0, 0.8])
 def test_the_end_effectors_slack_is_the_residual_of_its_task(robot, controllers, name, off):
-    """With an error of 0.8 m the task demands 720 m/s², beyond the torque limits."""
+    """With an error of 0.8 m the task demands 30 m/s² (`ee_speed`), beyond the torque limits."""
     controller, m = controllers[name], near(robot, "lm-lEE", 2)
     reference = here(controller, m, off=off)
     why, output = explained(controller, m, reference)
@@ -283,7 +283,7 @@ def test_a_bound_is_reported_exactly_if_relaxing_it_changes_the_result(robot, db
     softness = np.repeat([0.0, 1e-6], 3)
     limits = Limits(np.eye(9)[:6], np.full(6, -0.3), np.full(6, 0.3), softness)
     qdd, w = solved(objective, limits), dbb.last.copy()
-    w.C[:6], w.l[:6], w.u[:6], w.slack_weight[:6] = limits
+    w.C[:6], w.l[:6], w.u[:6], w.softness[:6] = limits
     w.n_limits[()], w.qdd[:] = 6, qdd
     low, high = met(w)
     assert (low | high).any()

@@ -69,7 +69,7 @@ def test_the_arm_stops_a_hard_pull_without_contact_or_overspeed(
         if step.t > until:
             break
     assert nearest > least
-    # Only the person drives the end-effector; it reached 4.3 m/s when joint limits moved others.
+    # If a joint limit accelerated the other joints, the end-effector would reach 4.3 m/s.
     assert fastest < 1.1 * speed
 
 

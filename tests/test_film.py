@@ -32,8 +32,8 @@ from app.simulation.run import filmed
 from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
-SIZE = 64, 48
-RATE = 10.0
+SIZE = 64, 48  # [px]
+RATE = 10.0  # [1/s]
 
 
 def grey(count: int) -> Iterator[Image.Image]:
@@ -140,7 +140,7 @@ def test_invalid_arguments_are_one_line(
 
 @pytest.fixture(scope="module")
 def run(robot: RobotModel, border_data: BorderData) -> list[Snapshot]:
-    """Start and end of a run of 0.1 s, with a ghost."""
+    """Snapshots at 0 s and 0.1 s of a run, with a ghost."""
     scenario = scenario_of(robot.description, "guiding-front")
     both = [
         filmed(RunSpec("husky_panda", scenario, Config(), name), robot, border_data, [0.0, 0.1])
@@ -160,6 +160,15 @@ def test_caption_changes_with_time_and_ghost(run: list[Snapshot]) -> None:
     assert (one != alone).any(axis=-1).sum() > 100  # the ghost's line
 
 
+def test_caption_of_a_posture_has_no_time(run: list[Snapshot]) -> None:
+    def drawn(t: float, *, posed: bool) -> np.ndarray:
+        plain = Image.new("RGB", (640, 360), (20, 20, 20))
+        return np.array(captioned(plain, replace(run[0], t=t), Look(), posed=posed))
+
+    np.testing.assert_array_equal(drawn(1.0, posed=True), drawn(24.32, posed=True))
+    assert (drawn(24.32, posed=True) != drawn(24.32, posed=False)).any()
+
+
 def test_story_names_method_cause_distance_and_base_motion(run: list[Snapshot]) -> None:
     x, y, phi = run[0].base_pose
     gone = replace(run[0], base_pose=np.array([x + 0.3, y - 0.4, phi]))
@@ -174,7 +183,7 @@ def test_story_names_method_cause_distance_and_base_motion(run: list[Snapshot]) 
     texts = [line if isinstance(line, str) else line[0] for line in story(without, run[0])]
     assert texts[0] == "Without avoidance"
     assert texts[1] == "task: the end-effector follows a line, error 86 mm"
-    assert texts[2] == "arm hits its base"
+    assert texts[2] == "arm overlaps its base by 10 mm"
 
 
 def test_side_by_side_pictures_keep_their_order() -> None:

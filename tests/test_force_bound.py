@@ -43,7 +43,7 @@ class Near:
                 return
 
     def distance(self) -> Distance:
-        """The distance of that pair in the present state."""
+        """The distance of the nearest pair in the present state."""
         found, i = (
             self._monitor.find_nearest(Config().activation.closest_point_smoothing),
             self._nearest,
@@ -53,7 +53,7 @@ class Near:
         return Distance(float(found.d[i]), J[i], float(d_dot[i]))
 
     def bound(self, d: float | None = None) -> float:
-        """[N] the bound of that pair; `d` [m] replaces its distance."""
+        """[N] the bound of the nearest pair; `d` [m] replaces the pair's distance."""
         distance, state = self.distance(), self.state
         d = distance.d if d is None else d
         M, g, tau_max = state.M, state.g, state.model.tau_max

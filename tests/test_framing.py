@@ -158,7 +158,7 @@ class Eye:
 
 @pytest.fixture
 def looking(monkeypatch: pytest.MonkeyPatch) -> tuple[Camera, Eye, ScriptedLoop]:
-    """A following camera on a page that still has the width of its window."""
+    """A camera that follows the base, before panels reduce the width of the page's scene."""
     eye, loop = Eye(), ScriptedLoop(husky_panda())
     monkeypatch.setattr(camera_module, "monotonic", lambda: eye.time)
     client: Any = SimpleNamespace(camera=eye, atomic=nullcontext)

@@ -515,7 +515,7 @@ def test_uploads_are_bounded_in_size_and_number():
 
 
 def test_only_upload_widgets_accept_a_file():
-    """By either message, viser would make the file the value of any named element."""
+    """Start and parts of an upload name an element; viser would set its value to the file."""
     slider, button = (SimpleNamespace(value=value) for value in (0.3, viser.UploadedFile("", b"")))
     uploads = Uploads(1000)
     pass_on(announced(9), uploads=uploads, widget=button)

@@ -1,4 +1,4 @@
-"""The arm keeps its end-effector in place while the base moves; the commanded base motion then."""
+"""How well the arm holds its end-effector while the base moves, and the limited base motion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.config import EeHoldConfig
-from app.control.transition import limit_ee_drag, uncompensated_base_jacobian
+from app.control.tasks import limit_ee_drag, uncompensated_base_jacobian
 from app.robot.assets import package_roots
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -42,9 +42,9 @@ def uncompensated(state: RobotState, speed: float) -> Array:
 def limited_base_acceleration(
     state: RobotState, wanted: Array, held: Array, weight: float, drag: Array
 ) -> Array:
-    """(n_b,) base acceleration with limited drag of the end-effector.
+    """(n_b,) base acceleration with limited drag of the end-effector, by `limit_ee_drag`.
 
-    `weight` is the end-effector's weight in base masses.
+    `weight` is the end-effector's weight in base masses; the other arrays are its arguments.
     """
     mass = weight * state.model.description.base.mass_kg
     return limit_ee_drag(wanted, held, inertia_of(state), mass, drag)
@@ -84,7 +84,7 @@ def test_stretch_base_stops_in_the_direction_that_its_arm_lacks() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_base_acceleration_minimises_its_cost(seed: int) -> None:
-    """The gradient of (a - a_w)ᵀ I (a - a_w) + w m |R K (a - a_h)|² vanishes."""
+    """The gradient of (a - a_w)ᵀ I (a - a_w) + w m |D (a - a_h)|² vanishes, with D = `taken`."""
     rng = np.random.default_rng(seed)
     state = random_state(rng)
     wanted, held, taken = rng.normal(size=2), rng.normal(size=2), rng.normal(size=(3, 2))

@@ -51,9 +51,9 @@ def test_counts_exclude_self_variadic_parameters_and_blank_lines() -> None:
 
 def test_the_files_of_a_control_step_include_the_papers_algorithms() -> None:
     found = house.step_files()
-    assert found[0] == "app/control/control_loop.py"
-    assert {"app/control/algorithm.py", "app/robot/link_pairs.py"} <= set(found)
-    assert {"app/avoidance/acting_point.py", "app/avoidance/task.py"} <= set(found)
+    assert found[0] == "app/control/controller.py"
+    assert {"app/control/algorithm.py", "app/control/tasks.py"} <= set(found)
+    assert {"app/avoidance/acting_point.py", "app/border/nearest.py"} <= set(found)
     assert len(found) == len(set(found))
     assert not any(name.startswith(("app/simulation", "app/dashboard")) for name in found)
     measures = {measure.what: measure.value for measure in house.measures(found)}

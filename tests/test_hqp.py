@@ -5,7 +5,8 @@ import pytest
 
 from app.border.cache import BorderData
 from app.border.dbb import Cloud
-from app.border.nearest import BorderSearch, border_of
+from app.border.nearest import BorderSearch
+from app.border.offset import border_of
 from app.config import BorderConfig, Config
 from app.control import controller as controller_module
 from app.control.controller import Controller
@@ -27,7 +28,7 @@ def level(rng: np.random.Generator, rows: int) -> Task:
 
 
 def levels(seed: int, *rows: int) -> list[Task]:
-    """Levels with these numbers of rows, and a last one that closes the null space."""
+    """Levels with these numbers of rows, and a last level of full rank."""
     rng = np.random.default_rng(seed)
     lowest = Task(np.diag(np.sqrt([1e3, 1e3, 1, 1, 1, 1, 1, 1, 1])), rng.normal(size=N))
     return [*(level(rng, m) for m in rows), lowest]
@@ -129,7 +130,10 @@ def test_results_of_the_paper_section_4_2(
 
 
 def test_hqp_jumps_where_dbb_is_continuous() -> None:
-    """On one random path of arm and base within the buffer: 0.3 rad/s² against 6e-7."""
+    """The jump of the base's angular acceleration is 0.3 rad/s² with `hqp`, 6e-7 rad/s² with `dbb`.
+
+    The path is one random motion of arm and base within the buffer.
+    """
     jumps = {}
     for name in ("hqp", "dbb"):
         report = continuity(Options(controller=name), 1, 0.1, refined=1, first=1, kinds=TRACKING)

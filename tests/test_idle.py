@@ -60,7 +60,6 @@ def test_simulation_rests_without_viewers_and_continues_for_the_next_one(dashboa
     left, before, begin = loop.latest(), working_time(), time.monotonic()
     time.sleep(MEASURED)
     share = (working_time() - before) / (time.monotonic() - begin)
-    print(f"{100 * share:.1f} % of a core")
     assert share < 0.1
     assert loop.latest() is left
     assert loop.silence < 1.0, "a resting loop still responds"

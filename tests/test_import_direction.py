@@ -80,7 +80,7 @@ def test_a_module_imports_only_from_its_own_and_earlier_layers(path: Path) -> No
     ("layer", "source", "culprit"),
     [
         ("robot", "import app.border.dbb", "app.border.dbb"),
-        ("border", "from app.avoidance.task import activation", "app.avoidance.task"),
+        ("border", "from app.control.tasks import activation", "app.control.tasks"),
         ("avoidance", "from app import control", "app.control"),
         ("control", "def f():\n    from ..simulation import person", "app.simulation"),
         ("config", "from . import robot", "app.robot"),

@@ -1,4 +1,4 @@
-"""However a process ends, its child processes end within 5 s, and temporary files are removed."""
+"""However a process ends, its child processes end; pools of processes, their jobs and progress."""
 
 from __future__ import annotations
 
@@ -17,7 +17,16 @@ import pytest
 from app.errors import LoopError
 from app.jobs.pool import Workers
 from app.jobs.process import run_in_process
-from tests.jobs import add, add_slowly, add_twice_over, killed_at_first, nap, touch
+from tests.jobs import (
+    add,
+    add_slowly,
+    add_twice_over,
+    killed_at_first,
+    nap,
+    refuse_context,
+    touch,
+    unpicklable,
+)
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -107,7 +116,7 @@ def work(receiver, sender): pass
 STARTING = """
 import sys, time, types
 from app.jobs.process import Child
-slow = types.ModuleType("slow")  # that this process has at once
+slow = types.ModuleType("slow")  # only the child has to import it
 exec("def work(receiver, sender): pass", vars(slow))
 sys.modules["slow"] = slow
 child = Child(slow.work, leads_group=len(sys.argv) > 1)
@@ -185,7 +194,7 @@ with Workers(int, processes=2) as workers:
 
 
 def test_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> None:
-    """Nor does it import its parent's main module, which has no `__main__` guard."""
+    """The child also does not import its parent's main module, which has no `__main__` guard."""
     script, folder = tmp_path / "script.py", tmp_path / "foreign"
     script.write_text(CHILD)
     for name in ("app", "tests", "multiprocessing", "numpy"):
@@ -202,6 +211,26 @@ def test_job_may_take_longer_than_the_patience_of_its_guard() -> None:
     """The patience counts only from the end of the parent."""
     done = run_in_process(nap, 4.5, report=print, cancelled=threading.Event())
     assert done == 4.5
+
+
+OWN_HANDLER = """
+import os, signal, time
+from app.jobs import progress
+
+progress._PATIENCE = 0.5
+signal.signal(signal.SIGTERM, lambda *_: print("handled", flush=True))
+with progress.ending_signals_raised():
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(2.0)
+print("continues", flush=True)
+"""
+
+
+def test_a_signal_that_other_code_handles_does_not_end_the_process(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(OWN_HANDLER)
+    out, err = start(script, tmp_path).communicate(timeout=60.0)
+    assert (out.split(), err) == (["handled", "continues"], "")
 
 
 def test_pool_has_as_many_processes_as_available_cores(monkeypatch) -> None:
@@ -228,7 +257,7 @@ def test_pool_reports_the_share_of_all_jobs_during_the_work(processes: int) -> N
     assert shares == sorted(shares)
     assert {*shares} >= {k / 16 for k in range(13, 17)}  # reports during the last job, and its end
     assert len({*shares}) == 16
-    assert {thread for _, thread in told} == {threading.current_thread()}  # receives Ctrl-C
+    assert {thread for _, thread in told} == {threading.current_thread()}  # which gets Ctrl-C
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -268,6 +297,20 @@ def test_killed_worker_is_replaced_and_its_job_repeated_twice(tmp_path: Path) ->
         with pytest.raises(LoopError, match="killed at the same job 3 times"):
             list(workers.map(killed_at_first, [str(tmp_path / "always-9")]))
         assert len({*(tmp_path / "killed-3").read_text().splitlines()}) == 3
+        assert [*workers.map(add, [1, 2])] == [1, 2]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_error_of_the_context_is_raised_when_a_result_is_read(processes: int) -> None:
+    no_context = pytest.raises(ValueError, match="no context")
+    with Workers(refuse_context, processes) as workers, no_context:
+        list(workers.map(add, [1, 2]))
+
+
+def test_result_that_cannot_be_pickled_is_named() -> None:
+    with Workers(int, processes=2) as workers:
+        with pytest.raises(LoopError, match=r"cannot be sent: .*lambda"):
+            list(workers.map(unpicklable, [1]))
         assert [*workers.map(add, [1, 2])] == [1, 2]
 
 

@@ -23,7 +23,8 @@ MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 """The arm's left-right mirror image, joint by joint."""
 LOW = np.array([0.3, 0.5, -0.3, -2.6, -0.5, 1.2, 0.0])
 HIGH = np.array([2.2, 1.6, 0.6, -1.2, 0.5, 2.6, 1.0])
-"""[rad] postures with the end-effector low beside, in front of or above the base."""
+"""[rad] `LOW` and `HIGH` are the bounds of random joint positions. The end-effector is near the
+base: beside it, in front of it or above it."""
 
 
 @cache
@@ -77,7 +78,8 @@ def jump_on(path: tuple[Array, Array], demand: Callable[[Array], Array]) -> floa
 def test_the_base_demand_is_continuous_along_random_paths() -> None:
     """Only a jump stays large when a path is refined to steps of 5e-8 rad.
 
-    On the medial axis of the base's outline no method is continuous; there the force vanishes.
+    Above the medial axis of the base's outline, the nearest point of the border jumps. This causes
+    no jump of the demand, because the force is zero above the base.
     """
     paths = paths_in_the_buffer(60)
     assert max(jump_on(path, base_demand) for path in paths) < 1e-3

@@ -19,7 +19,7 @@ from benchmarks.law.pulls import cases, play
 pytestmark = pytest.mark.slow
 
 ARC, TIME = 1.4, 7.0
-"""[rad] about the base's vertical axis, [s] for the arc."""
+"""[rad] angle of the arc about the base's vertical axis, and [s] duration of the motion."""
 
 
 def test_ordinary_arc_satisfies_joint_and_torque_rate_limits(

@@ -47,7 +47,7 @@ def test_neighbours_are_no_candidates_and_outer_bodies_come_first(model):
 
 
 def test_distances_agree_with_the_capsules_segment_and_the_box(model):
-    """The reference is independent: dense points of the capsule's axis and the box."""
+    """The reference: the smallest distance of 20,001 points of the axis from the box, minus r."""
     reader = PairDistances(model, [Pair("lm", "lEE")])
     data = model.pin.createData()
     last = model.description.body("lEE")

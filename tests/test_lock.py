@@ -31,7 +31,7 @@ ENVIRONMENTS = [
 
 
 def locked(extra: str) -> dict[Requirement, int]:
-    """The pins of a file of `requirements/` with the number of their hashes."""
+    """The pinned packages in `requirements/EXTRA.txt`, each with the number of its hashes."""
     text = (PROJECT / "requirements" / f"{extra}.txt").read_text(encoding="utf-8")
     blocks = re.split(r"\n(?=\S)", re.sub(r"^#.*\n", "", text, flags=re.M).strip())
     return {

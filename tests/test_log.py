@@ -190,7 +190,10 @@ def test_metadata_are_checked_field_by_field(csv_lines):
     (head, *rest), read = csv_lines
     for change, words in (
         (lambda d: d["dbb_log"].update(robto="x"), "robto: unknown field .did you mean 'robot'"),
-        (lambda d: d["dbb_log"].update(format=3), "format.*newer version"),
+        (lambda d: d["dbb_log"].update(format=3), "format is 3, .* reads 2; a newer version"),
+        (lambda d: d["dbb_log"].update(format=1), "format is 1, .* reads 2; an older version"),
+        (lambda d: d["dbb_log"].update(format=1, old=0), "format is 1, .*; an older version"),
+        (lambda d: d["dbb_log"].update(format="x"), "format: Input should be 2"),
         (lambda d: d["dbb_log"].pop("joints"), "joints: missing"),
         (lambda d: d["dbb_log"]["config"]["border"].update(d_b=9.0), r"config\.border\.d_b"),
         (lambda d: d["dbb_log"]["joint_units"].pop(), "joint_units"),

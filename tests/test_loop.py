@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import fields
 
 import numpy as np
 import pinocchio as pin
@@ -73,7 +74,7 @@ def until(loop: SimulationLoop, holds: Callable[[Snapshot], bool]) -> Snapshot:
 def arrays(snapshot: Snapshot) -> list[np.ndarray]:
     """All arrays in a snapshot, those in its readings included."""
     records = [
-        vars(snapshot).values(),
+        [getattr(snapshot, field.name) for field in fields(snapshot)],
         *snapshot.pairs,
         *snapshot.acting,
         *snapshot.pulls,

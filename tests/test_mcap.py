@@ -56,7 +56,7 @@ def folder(robot: RobotModel, trace: Trace, tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture(scope="module")
 def read(folder: Path) -> Read:
-    """Time [s] and message of each topic."""
+    """All messages by their topics, each with its time [s]."""
     found = defaultdict(list)
     with (folder / "run.mcap").open("rb") as file:
         decoders = [DecoderFactory(), RosDecoderFactory()]

@@ -58,7 +58,7 @@ def realised(controller: Controller, output: ControlStep) -> np.ndarray:
 
 
 def bound(Jdqd: float, d_dot: float, d: float, config: BarrierConfig) -> float:
-    """[m/s²] the bound of a barrier."""
+    """[m/s²] `barrier_bound` for the distance d [m], with the parameters of a configuration."""
     return barrier_bound(Jdqd, d_dot, d - config.d_min, config.rate, config.max_separation_speed)
 
 
@@ -66,7 +66,7 @@ def bound(Jdqd: float, d_dot: float, d: float, config: BarrierConfig) -> float:
 def test_repulsion_adds_no_acceleration_of_the_base(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
-    """Its base follows the tasks without avoidance; a guided base comes to rest."""
+    """With `repulsive`, the base follows the other tasks; a guided base comes to rest."""
     controller = Controller(robot, border_data, Config(), name="repulsive")
     m = near(robot, seed, 0.02, 0.12)
     output = controller.step(m)
@@ -106,7 +106,7 @@ def test_fully_active_repulsion_realises_the_closest_points_acceleration(
 def test_realised_acceleration_satisfies_the_barriers(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
-    """For any demanded acceleration of the end-effector, by base and arm together."""
+    """Base and arm together satisfy them, even if the reference accelerates into the base."""
     controller = Controller(robot, border_data, AT_ONCE, name="barrier")
     m = near(robot, seed, 0.051, 0.08, speed=0.02)
     controller.step(m)
@@ -166,7 +166,7 @@ def test_every_method_equals_none_far_from_the_base(
 def run_a_line(
     robot: RobotModel, data: BorderData, name: str, config: Config, start: tuple[float, ...]
 ) -> tuple[float, float, float]:
-    """(clearance, final error, base's path) of the tracking line in 4 s on the kinematic plant."""
+    """Clearance [m], final error [m] and ∫ |v| + |ω| dt [m + rad] of the tracking line in 4 s."""
     scenario = scenario_by_name("tracking").changed(start=start, duration=4.0)  # type: ignore[arg-type]
     q_m = StartSolver(robot, data.pairs, config.border.d_b).solve(scenario.start, seed=0)
     session = Session(robot, data, config, controller=name, physics="kinematic")

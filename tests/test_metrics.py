@@ -25,6 +25,7 @@ from app.simulation.trace.log_file import write_trace
 from app.simulation.trace.metrics import NEAR, metrics, sign_changes
 from app.simulation.trace.snapshot import QUANTITIES
 from app.simulation.trace.trace import Recorder, Trace
+from app.simulation.trace.words import number_text
 from tests.steps import kept
 
 ARM = ("l1-lEE", "l1-l3", "l2-lEE")
@@ -251,3 +252,8 @@ def test_each_quantity_has_the_unit_of_its_joint_or_base(name: str, base: list[s
     assert [n for n in floats if not n.endswith(units) and not n.startswith(bare)] == []
     turning = [n for n in columns if n.startswith(("base_", "command_", "avoidance_"))]
     assert all(("rad" in n) == ("w_" in n or "yaw" in n or "aw_" in n) for n in turning)
+
+
+def test_missing_and_infinite_numbers_have_the_same_text() -> None:
+    value = {"a_m": None, "b_m": [float("nan"), 1.5], "c_m": float("inf")}
+    assert number_text(value, "never") == "a_m never, b_m never, 1.5, c_m never"

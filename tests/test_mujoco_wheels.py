@@ -46,7 +46,7 @@ def stiff(state: RobotState) -> np.ndarray:
 
 
 def run(plant: MujocoWheels, seconds: float, command, force=NOBODY) -> list:
-    """Measurements before each step."""
+    """Drive with a command, and return the measurements before each step."""
     state, trace = RobotState(MODEL), []
     for _ in range(round(seconds / plant.dt)):
         trace.append(plant.measure())
@@ -56,7 +56,7 @@ def run(plant: MujocoWheels, seconds: float, command, force=NOBODY) -> list:
 
 
 def rates(trace: list) -> np.ndarray:
-    """(n, 2) velocities of a trace's last half second."""
+    """(n, 2) [m/s, rad/s] velocities of the base in the last half second of a run."""
     return np.array([m.base_velocity for m in trace[-500:]])
 
 
@@ -101,11 +101,19 @@ def test_four_wheels_nearly_follow_the_command_without_jerks(command):
 
 
 def test_effective_track_of_skid_steering_is_wider_than_its_wheels():
-    """It is (a² + b²) / b for equally loaded wheels at (±a, ±b); a load in front reduces it."""
+    """Its half is (a² + b²) / b with equal loads at (±a, ±b), and less with a load in front."""
     plant = MujocoWheels(MODEL)
     a, b = plant.wheels.centres[plant.wheels.centres.min(axis=1) > 0][0][:2]
     assert b < plant.half_track < (a**2 + b**2) / b
     assert MujocoWheels(two_wheeled()).half_track == MODEL.description.base.half_track_m
+
+
+def test_heading_does_not_wrap(plant):
+    plant.reset(np.array([0.0, 0.0, 3.0]), READY)
+    headings = [m.base_pose[2] for m in run(plant, 1.0, (0.0, 0.6))]
+    assert headings[0] == pytest.approx(3.0, abs=1e-3)
+    assert headings[-1] > np.pi
+    assert np.abs(np.diff(headings)).max() < 1e-3
 
 
 def test_wheels_roll_as_far_as_the_base_drives(plant):

@@ -109,7 +109,10 @@ def test_check_has_no_row_for_a_robot_without_nested_links(toy: Toy) -> None:
 
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])
 def test_a_plant_reports_the_collisions_that_the_fit_finds(toy: Toy, engine: str) -> None:
-    """The upper arm always overlaps the torso; a contact depends only on the other units."""
+    """The upper arm always overlaps the torso; a contact depends only on the other links.
+
+    A unit, as in `app.onboarding.fit.units`, is a group of links that moves as one rigid body.
+    """
     others = toy.meetings.random.distances[:, [column(toy, k) for k in (4, 5, 6, 7)]].min(axis=1)
     built = toy.meetings.random.distances[:, column(toy, UPPER)]
     assert (built < -0.01).all()
@@ -127,5 +130,5 @@ def test_a_plant_reports_the_collisions_that_the_fit_finds(toy: Toy, engine: str
 
 
 def column(toy: Toy, unit: int) -> int:
-    """Column of the distance between the base and a unit."""
+    """Index of the pair of the base and a unit, the column of its distances."""
     return toy.meetings.pairs.index((0, unit))

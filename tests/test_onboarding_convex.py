@@ -32,7 +32,7 @@ FITS = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
 
 
 def cloud(seed: int, stretch: tuple[float, float, float] = (0.3, 0.1, 0.05)) -> np.ndarray:
-    """Points in a rotated ellipsoid away from the origin."""
+    """Points in a rotated ellipsoid with a random centre."""
     rng = np.random.default_rng(seed)
     turn = pin.Quaternion(*(q / np.linalg.norm(q) for q in [rng.normal(size=4)])).matrix()
     points = rng.normal(size=(300, 3))

@@ -89,7 +89,7 @@ def test_the_arm_has_the_moving_joints_between_base_and_tip(tmp_path: Path) -> N
 
 
 def test_links_between_the_base_frame_and_the_first_joint_are_the_base(tmp_path: Path) -> None:
-    """`--base` is a footprint without geometry, below the base itself."""
+    """`--base` is a footprint without geometry, the parent of the base itself."""
     footprint = [link("footprint"), joint("stands", "fixed", "footprint", "base", xyz="0 0 0.15")]
     first = 'name="pan" type="revolute"><parent link="column"/>'
     assert first in TOY
@@ -148,7 +148,7 @@ def test_joints_treated_as_rigid_are_reported_except_above_the_base(
 
 
 def rocking(*, xs: tuple[float, ...], axis: str) -> str:
-    """The robot with a beam on each side that carries two wheels and turns about its middle."""
+    """The robot with a rocking beam on each side, with wheels at `xs` [m]; `axis` is the beam's."""
     parts = [link("base", solid('<box size="0.6 0.4 0.2"/>', mass=30))]
     for side, y in (("left", 0.2), ("right", -0.2)):
         parts += [link(f"{side}_beam", solid('<box size="0.3 0.02 0.02"/>'))]
@@ -188,7 +188,13 @@ def test_wheels_on_rockers_are_found_like_rigid_wheels(
 def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:
     reported = refused(tmp_path, suspended(travel=0.06))
     assert "no pair of wheels" in reported
+    assert "left_axle hangs on left_spring, which moves by 0.06 m: too far for a spring" in reported
     assert "--kind holonomic" in reported  # for a base with one fork for each wheel
+
+
+def test_joints_of_the_arm_are_no_reason_for_missing_wheels(tmp_path: Path) -> None:
+    text = TOY.replace('type="continuous"', 'type="fixed"').replace('"revolute"', '"continuous"')
+    assert "(no joint turns without limits)" in refused(tmp_path, text)
 
 
 def test_the_option_for_wheels_requires_wheels_of_the_base(tmp_path: Path) -> None:
@@ -206,6 +212,102 @@ def test_a_wheel_that_is_not_round_is_refused(tmp_path: Path) -> None:
     assert "left_axle is not a wheel" in reported
     assert "not round" in reported
     assert "--wheels LEFT RIGHT" in refused(tmp_path, square)
+
+
+TYRE = '<mesh filename="tyre.stl"/>'
+HUB = '<cylinder radius="0.03" length="0.06"/>'
+
+
+@pytest.mark.parametrize(
+    ("shapes", "rpy", "r"),
+    [
+        ([WHEEL], "1.5708 0 0", 0.1),
+        ([TYRE, HUB], "1.5708 0 0", 0.1),
+        ([HUB, TYRE], "1.5708 0 0", 0.1),
+        (['<sphere radius="0.1"/>', HUB], "0 0 0", 0.1),
+        ([WHEEL], "1.7 0 0", 0.1),  # a camber
+        ([WHEEL], "0 0 0", None),  # its axis is not the joint's
+        (['<box size="0.2 0.2 0.04"/>', '<sphere radius="0.01"/>'], "1.5708 0 0", None),
+    ],
+)
+@pytest.mark.parametrize("fixed", [False, True])
+def test_the_radius_of_a_wheel_is_the_largest_about_its_axis(
+    shapes: list[str], rpy: str, r: float | None, fixed: bool, tmp_path: Path
+) -> None:
+    """The shapes may be on links that are fixed to the wheel and have other frames."""
+    tyre = trimesh.creation.cylinder(radius=0.1, height=0.04, sections=64)
+    tyre.export(tmp_path / "tyre.stl")
+    parts = cart()
+    for side in ("left", "right"):
+        at = "0 0 0" if fixed else rpy
+        content = "".join(
+            solid(shape, rpy=at, mass=float(k == 0)) for k, shape in enumerate(shapes)
+        )
+        k = next(k for k, part in enumerate(parts) if f'<link name="{side}_wheel"' in part)
+        parts[k] = link(f"{side}_wheel", "" if fixed else content)
+        if fixed:
+            parts.append(link(f"{side}_tyre", content))
+            parts.append(joint(f"{side}_rim", "fixed", f"{side}_wheel", f"{side}_tyre", rpy=rpy))
+    text = robot([*parts, *arm()])
+    if r is None:
+        with pytest.raises(RobotFileError, match="is not round about its axis"):
+            parse(request(tmp_path, text))
+        return
+    wheels = parse(request(tmp_path, text)).wheels
+    assert wheels.r == pytest.approx(r)
+    assert wheels.T_base_floor.translation[2] == pytest.approx(-0.05 - r)
+
+
+def car(front: str = WHEEL, height: float = -0.05) -> list[str]:
+    """A base with two driven and two steered wheels; `front` is the shape of the steered ones."""
+    parts = [part.replace('xyz="0.05 ', 'xyz="-0.2 ') for part in cart()]
+    for side, y in (("left", 0.2), ("right", -0.2)):
+        parts += [link(f"{side}_knuckle"), link(f"{side}_front", solid(front, rpy="1.5708 0 0"))]
+        steer = {"xyz": f"0.2 {y} {height}", "limit": 'lower="-0.5" upper="0.5" effort="5"'}
+        roll = {"axis": "0 1 0", "limit": 'effort="20" velocity="12"'}
+        parts += [joint(f"{side}_steer", "revolute", "base", f"{side}_knuckle", **steer)]
+        parts += [joint(f"{side}_roll", "continuous", f"{side}_knuckle", f"{side}_front", **roll)]
+    return parts
+
+
+@pytest.mark.parametrize(
+    ("place", "shape"),
+    [
+        (None, ""),
+        ("-0.1 0 0.3", BOX),  # a camera
+        ("0.2 0 0.3", BOX),
+        ("0 0 0.3", '<cylinder radius="0.04" length="0.1"/>'),  # a round shoulder
+        ("0 0 -0.11", BOX),  # near the floor, but not round
+    ],
+)
+def test_only_wheels_on_the_floor_count_as_steered(
+    place: str | None, shape: str, tmp_path: Path
+) -> None:
+    parts = car()
+    if place:
+        turned = solid(shape, rpy="1.5708 0 0")
+        parts += [link("pan_link"), link("tilt_link", turned)]
+        parts += [joint("look", "revolute", "base", "pan_link", xyz=place)]
+        parts += [joint("tilt", "revolute", "pan_link", "tilt_link", axis="0 1 0")]
+    made = parse(request(tmp_path, robot([*parts, *arm()]), kind="car-like"))
+    steering = made.wheels.steering
+    assert steering is not None
+    assert steering.joints == ("left_steer", "right_steer")
+    assert steering.rolling == ("left_roll", "right_roll")
+    assert steering.wheelbase == pytest.approx(0.4)
+    assert any("look" in each for each in held_still(made)) is (place is not None)
+
+
+@pytest.mark.parametrize(
+    ("front", "height"),
+    [(BOX, -0.05), (WHEEL, -0.02), ('<cylinder radius="0.07" length="0.04"/>', -0.05)],
+)
+def test_steered_links_count_if_none_of_them_is_a_wheel_on_the_floor(
+    front: str, height: float, tmp_path: Path
+) -> None:
+    made = parse(request(tmp_path, robot([*car(front, height), *arm()]), kind="car-like"))
+    assert made.wheels.steering is not None
+    assert made.wheels.steering.joints == ("left_steer", "right_steer")
 
 
 def test_a_wheel_with_a_vertical_axle_is_refused(tmp_path: Path) -> None:
@@ -505,16 +607,46 @@ def test_a_xacro_of_macros_alone_is_refused_with_the_file_to_give(tmp_path: Path
         parse(Request(str(path), "base", "hand", tmp_path / "made"))
 
 
-@pytest.mark.parametrize("folder", ["", "parts/"])
-def test_a_relative_include_is_in_the_folder_of_its_xacro(folder: str, tmp_path: Path) -> None:
-    """As in ROS, and not in the working directory."""
+@pytest.mark.parametrize("added", ["", '<xacro:if value="$(arg tall)"/>'])
+@pytest.mark.parametrize("name", ["length", "width", "tall", "lenght"])
+def test_an_argument_that_no_xacro_declares_is_refused(
+    added: str, name: str, tmp_path: Path
+) -> None:
+    """The file declares `length`, its include `width`; `tall` is used without a declaration."""
     pytest.importorskip("xacrodoc")
-    (tmp_path / folder).mkdir(exist_ok=True)
-    write(tmp_path / folder, robot([*cart(), *arm()]), "toy.xacro")
-    text = (
-        '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-        f'<xacro:include filename="{folder}toy.xacro"/></robot>'
+    head = '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    declared = '<xacro:arg name="{}" default="0.34"/>'
+    write(tmp_path, f"{head}{declared.format('width')}</robot>", "a.xacro")
+    text = TOY.replace('length="0.34"', 'length="$(arg length)"').replace(
+        '<robot name="toy">',
+        f'{head}{declared.format("length")}<xacro:include filename="a.xacro"/>{added}',
     )
+    path = write(tmp_path, text, "toy.xacro")
+    entries = (f"{name}:=1", *(["tall=1"] if added else []))
+    options = Request(str(path), "base", "hand", tmp_path / "made", xacro=entries)
+    if name == "lenght" or (name == "tall" and not added):
+        near = r" \(did you mean 'length'\?\)" if name == "lenght" else ""
+        with pytest.raises(DbbError, match=f"--xacro '{name}'{near}; choose from: length, "):
+            parse(options)
+        return
+    extents = parse(options).geometry["upper"].shapes[0].hull.extents
+    assert extents[2] == pytest.approx(1.0 if name == "length" else 0.34)
+
+
+def test_an_argument_of_a_urdf_without_xacro_is_refused(tmp_path: Path) -> None:
+    assert "argument of --xacro 'r'" in refused(tmp_path, TOY, xacro=("r=1",))
+
+
+@pytest.mark.parametrize("folder", ["", "parts/", "$(dirname)/", "$(dirname)/parts/"])
+def test_a_relative_include_is_in_the_folder_of_its_xacro(folder: str, tmp_path: Path) -> None:
+    """As in ROS, and not in the working directory; `$(dirname)` is the folder of each file."""
+    pytest.importorskip("xacrodoc")
+    own = tmp_path / folder.replace("$(dirname)/", "")
+    own.mkdir(exist_ok=True)
+    head = '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename='
+    write(own, robot([*cart(), *arm()]), "parts.xacro")
+    write(own, f'{head}"$(dirname)/parts.xacro"/></robot>', "toy.xacro")
+    text = f'{head}"{folder}toy.xacro"/></robot>'
     path = write(tmp_path, text, "toy.urdf.xacro")
     assert parse(Request(str(path), "base", "hand", tmp_path / "made")).arm.tip == "hand"
 
@@ -585,7 +717,7 @@ def test_materials_of_one_name_in_two_files_keep_their_colours(tmp_path: Path) -
 
 
 def test_names_of_an_arm_are_distinct_from_all_others(tmp_path: Path) -> None:
-    """Also if a name already has the prefix, or a joint the name of the mounting joint."""
+    """Here a name already has the prefix, and a joint has the name of the mounting joint."""
     plate = [link("plate"), joint("arm_on_base", "fixed", "base", "plate")]
     alone = [part for part in arm() if 'name="mount"' not in part]
     alone += [link("arm_base"), joint("more", "fixed", "hand", "arm_base")]
@@ -666,6 +798,30 @@ def test_a_mimic_joint_preserves_its_relation_if_its_leader_is_shifted(
     urdf = rebased_urdf(parse(request(tmp_path, text)), name="toy", header="test")
     mimic = ElementTree.fromstring(urdf).find("joint[@name='follower']/mimic")
     assert float(mimic.get("offset")) == pytest.approx(offset)
+
+
+def test_a_finger_with_very_wide_limits_covers_one_turn(tmp_path: Path) -> None:
+    found = []
+    for kind, limit in (("continuous", ""), ("revolute", 'lower="-1e6" upper="1e6" effort="1"')):
+        turn = joint("spin", kind, "hand", "finger", limit=f'{limit} velocity="1"' if limit else "")
+        part = link("finger", solid('<box size="0.02 0.04 0.1"/>'))
+        tree = make_tree(ElementTree.fromstring(TOY.replace("</robot>", part + turn + "</robot>")))
+        chain = [tree.joints[name] for name in ARM_JOINTS]
+        found.append(filled(tree, read_geometry(tree), chain)["finger"].corners)
+    np.testing.assert_allclose(found[1], found[0])
+
+
+def test_a_finger_on_a_screw_of_many_turns_covers_its_whole_way(tmp_path: Path) -> None:
+    limit = 'lower="0" upper="60" effort="1" velocity="1"'
+    motor = joint("motor", "revolute", "hand", "screw", limit=limit)
+    slide = joint("slide", "prismatic", "hand", "finger", axis="0 1 0", limit='lower="0" upper="1"')
+    slide = slide.replace("</joint>", '<mimic joint="motor" multiplier="0.001"/></joint>')
+    part = link("finger", solid('<box size="0.02 0.02 0.1"/>')) + link("screw")
+    text = TOY.replace("</robot>", part + motor + slide + "</robot>")
+    tree = make_tree(ElementTree.fromstring(text))
+    chain = [tree.joints[name] for name in ARM_JOINTS]
+    y = filled(tree, read_geometry(tree), chain)["finger"].corners[:, 1]
+    assert [y.min(), y.max()] == pytest.approx([-0.01, 0.07], abs=1e-6)
 
 
 LIFT = 'lower="-2.5" upper="2.5"'

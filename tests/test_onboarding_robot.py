@@ -117,7 +117,7 @@ def made(finished: tuple[NewRobot, BorderData]) -> NewRobot:
 
 
 def written(made: NewRobot, **changes: object) -> RobotModel:
-    """The model of the written robot with changes in its description."""
+    """The model of the robot `made`, from its files, with `changes` of description fields."""
     folder = made.request.out
     stated = load_description(folder / "robot.toml")
     content = stated.model_dump() | {"urdf": str(folder / "robot.urdf")} | changes
@@ -199,7 +199,7 @@ def test_folder_of_the_current_directory_is_no_installed_package(
 
 @pytest.mark.parametrize("folder", ["a & b", 'a"b', "toy", "link", "../toy-other/../toy"])
 def test_own_meshes_are_named_relative_to_the_robots_folder(tmp_path: Path, folder: str) -> None:
-    """For any name of the folder, and any path to it."""
+    """The folder's name can have special characters, and its path a symbolic link or `..`."""
     beside = tmp_path / "toy-other" / "m.stl"
     beside.parent.mkdir()
     beside.write_bytes(b"solid")
@@ -420,7 +420,7 @@ def test_arm_that_cannot_reach_the_base_gets_no_lines_and_no_warning(tmp_path: P
     assert not any("line" in warning for warning in high.warnings)
 
 
-def test_pair_that_hardly_ever_meets_may_have_no_border(
+def test_pair_that_hardly_ever_meets_may_have_no_border_points(
     finished: tuple[NewRobot, BorderData],
 ) -> None:
     """The exact offset replaces the points, as for a Stretch whose tube hardly meets its base."""
@@ -544,6 +544,19 @@ def test_robot_made_for_another_buffer_is_checked_with_that_buffer(
         return ready_row(model, data).numbers["beyond_buffer_m"]
 
     assert beyond(0.10) - beyond(0.15) == pytest.approx(0.05)
+
+
+def test_ready_posture_at_a_joint_limit_is_warned_of_also_without_pairs(
+    finished: tuple[NewRobot, BorderData],
+) -> None:
+    made, data = finished
+    model, alone = (
+        written(made),
+        replace(data, pairs=replace(data.pairs, mobile=(), manipulator=())),
+    )
+    assert ready_row(model, alone).outcome == "passed"
+    model.q_lower = np.array(model.description.arm.ready_position)
+    assert ready_row(model, alone).outcome == "warned"
 
 
 def test_ready_posture_is_outside_the_buffer_and_within_the_limits(made: NewRobot) -> None:
@@ -705,7 +718,8 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
     assert stops.watching_buffer(limits, meetings, 0.15) == (0.15, "")
     monkeypatch.setattr(stops, "LEAST", 1.0)  # no limit may reduce a joint's range
-    assert with_stops(parsed.limits, bare, parsed.arm, meetings) is parsed.limits
+    for posture in (None, ready):
+        assert with_stops(parsed.limits, bare, parsed.arm, meetings, posture) is parsed.limits
     smaller, why = stops.watching_buffer(parsed.limits, meetings, 0.15)
     assert "upper is nearer than 0.15 m to base" in why
     pair = (base.index, upper.index)
@@ -758,7 +772,7 @@ def test_coarse_border_is_used_at_once_and_then_refined(
     assert asked.get(timeout=10) == (job.sample_border, "husky_fit")
 
 
-def test_paper_robot_made_from_its_urdf_has_the_same_dynamics(husky: RobotModel) -> None:
+def test_paper_robot_made_from_its_urdf_has_the_same_mass_matrix(husky: RobotModel) -> None:
     """Equal mass matrices of the rebased and the shipped URDF in random postures."""
     import pinocchio as pin
 
@@ -846,7 +860,7 @@ def test_warns_if_links_are_in_the_floor_or_in_the_base(made: NewRobot) -> None:
     assert hand.endswith("check --mount-xyz, --mount-rpy and --ready")
     bodies = [body.model_dump() for body in made.model.description.bodies]
     size = bodies[0]["shapes"][0]["size_m"]
-    bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # as high as above the column
+    bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # encloses the column
     column = reported(replace(made, model=written(made, bodies=bodies)))
     assert [re.findall(r"\w+", each.partition(": ")[2])[0] for each in column] == [
         "column",

@@ -131,7 +131,7 @@ def test_body_with_too_few_reached_points_encloses_whole_links(met: int) -> None
 
 
 def test_surface_points_of_a_gripper_include_its_fingertip() -> None:
-    """Otherwise the body that encloses the surface points could leave out the fingertip."""
+    """Without them the body that encloses the surface points could leave out the fingertip."""
     palm, finger = trimesh.creation.icosphere(5, 0.05), trimesh.creation.box((0.01, 0.01, 0.1))
     finger.apply_translation((0.0, 0.0, 0.15))
     shapes = tuple(

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 ABOVE, OUT, DOWN = (-0.10, 0.20, 0.60), (0.05, 0.60, 0.52), (0.15, 0.53, 0.28)
 """[m] Points above the deck, beside its edge, and at the side inside the buffer. At the start the
-base is at the origin facing +x, its side at y = 0.29 and its top at z = 0.38.
+base is at the origin facing +x, its side at y = 0.345 and its top at z = 0.38.
 """
 LEG = 2.0  # [s] from one point to the next
 
@@ -39,7 +39,7 @@ def steps(robot: RobotModel, border_data: BorderData) -> list[Step]:
 def test_no_contact_and_every_qp_has_a_solution(steps):
     assert not any(any(step.contacts) or not step.control.solved for step in steps)
     least = min(min(step.distances[:2]) for step in steps)
-    assert least > 0.95 * Config().barrier.d_min  # soft, and guided at 0.1 m/s
+    assert least > 0.95 * Config().barrier.d_min  # the barrier is soft
 
 
 def test_normal_turns_from_vertical_to_horizontal(steps):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.score import ScoreField
 from app.config import Config
+from app.control.tasks import activation
 from app.robot.model import RobotModel
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.session import DT

@@ -135,7 +135,7 @@ def test_a_body_of_two_shapes_is_refused_with_its_name(
 
 
 def drive(x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """(N, 10) configurations of the base along these poses, with the arm at rest."""
+    """(N, 10) configurations: base at x, y [m] and yaw [rad], (N,) each; arm at `READY`."""
     return np.column_stack([x, y, yaw, np.tile(READY, (len(x), 1))])
 
 

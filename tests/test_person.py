@@ -34,7 +34,7 @@ def test_static_force_saturates_at_the_limit_towards_the_target():
     np.testing.assert_allclose(force, [24.0, 32.0, 0.0], rtol=1e-9)
 
 
-def test_force_never_exceeds_the_limit():
+def test_force_of_a_hand_without_a_mass_never_exceeds_the_limit():
     rng = np.random.default_rng(0)
     person = PersonHand(PersonConfig(f_max=17.0, stiffness=2000.0, damping=200.0), DT)
     strongest = 0.0
@@ -153,10 +153,10 @@ def test_hand_moves_at_1_5_mps_at_most_and_does_not_overshoot():
 
 @pytest.mark.parametrize("mass", [0.0, 2.0])
 @pytest.mark.parametrize("speed", [0.0, 0.8])
-def test_grasp_causes_no_jump_of_the_force(mass, speed):
+def test_grasp_starts_with_the_force_of_the_damper_alone(mass, speed):
     person = PersonHand(PersonConfig(mass=mass, damping=25.0), DT)
     first = person.force(AT, np.array([speed, 0.0, 0.0]), AT + np.array([0.3, 0.0, 0.0]))
-    assert np.linalg.norm(first) <= 25.0 * speed + 0.1  # the force of the damper alone
+    assert np.linalg.norm(first) <= 25.0 * speed + 0.1
 
 
 @pytest.mark.parametrize("stretch", [0.05, 0.6])

@@ -146,7 +146,7 @@ def test_force_on_the_end_effector_satisfies_the_equation_of_motion(plant):
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_torque_into_a_joint_limit_stays_stable(plant, joint, sign):
-    """With half of the torque limit for 1 s the joint stays at its limit."""
+    """With half of the torque limit for 1 s the joint stays at its position limit."""
     limits = MODEL.q_lower if sign < 0 else MODEL.q_upper
     q = np.array([0.0, -0.3, 0.0, -0.8, 0.0, 1.6, 0.8])  # all limits can be reached from here
     q[joint] = limits[joint] - sign * 0.15

@@ -186,7 +186,7 @@ def test_lines_with_equal_nearest_distance_keep_their_order() -> None:
 def test_a_line_that_ends_farther_inside_replaces_a_shallow_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """On a line from 0.35 m to 0.2 m beside the base, the paper's arm does not come near enough."""
+    """On a line that ends 0.2 m beside the base, the arm's distance stays above `INNER` d_b."""
     monkeypatch.setattr(postures, "_FARTHEST", 0.35)
     monkeypatch.setattr(postures, "_OUTSIDE", 0.2)
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
@@ -225,7 +225,7 @@ def figures_of_run(data: BorderData, place: Place, d_b: float) -> dict[str, Any]
 def test_a_base_gives_way_if_it_moves_and_the_clearance_suffices(
     move: float, least: float, d_b: float, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The paper's line, a line that ends outside the buffer, and a too large required distance."""
+    """The paper's line, shorter lines, a too large required clearance, and a narrow buffer."""
     monkeypatch.setattr(postures, "CLEARANCE", least)
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
     place = Place((0.3, 0.72, 0.3), (0.0, move, 0.0), 0.0, "")
@@ -280,7 +280,7 @@ def test_a_missing_line_names_the_obstacles_and_the_largest_buffer_distance(
         return find_place(with_buffer(d_b), pairs_of(with_buffer(d_b)), name)
 
     said = found(0.3)
-    assert "lm-lEE would be inside its buffer (" in said
+    assert "end-effector – base would be inside its buffer of " in said
     least = float(said.partition("; --buffer-distance ")[2].removesuffix(" can give a line"))
     assert isinstance(found(least), Place)
     assert isinstance(found(round(least + 0.01, 2)), str)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from app.config import Config
 from app.errors import LoopError, TargetError
 from app.simulation.loop.commands import Configure, Pause, Play, Pull, Release, Reset
-from app.simulation.loop.process_loop import ProcessLoop, loop_child
+from app.simulation.loop.process_loop import ProcessLoop, _post, loop_child
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.session import Session
 from app.simulation.trace.trace import History
@@ -139,6 +140,43 @@ def test_error_that_cannot_be_pickled_arrives_as_text(robot):
     loop.stop()
 
 
+def test_a_busy_child_loses_no_snapshot(robot):
+    """It forwards all new snapshots, also if several have come since the last check."""
+    loop, sent = ScriptedLoop(robot), []
+    first = loop.latest()
+    batches = [[0.0], [0.02, 0.04, 0.06], [0.08]]
+
+    def poll(_):
+        if not batches:
+            raise EOFError
+        for t in batches.pop(0):
+            history.add(replace(first, t=first.t + t))
+        return False
+
+    history = History()
+    history.add(first)
+    child = SimpleNamespace(
+        error=None, silence=0.0, latest=lambda: history.latest, history=history.after
+    )
+    with pytest.raises(EOFError):
+        _post(child, SimpleNamespace(poll=poll), SimpleNamespace(send=sent.append))
+    times = [round(each.t - first.t, 3) for each in sent if each is not None]
+    assert list(dict.fromkeys(times)) == [0.0, 0.02, 0.04, 0.06, 0.08]
+
+
+def test_old_snapshots_of_a_history_are_bytes_with_the_same_content(robot):
+    snapshot, history = ScriptedLoop(robot).latest(), History()
+    for k in range(1100):
+        history.add(replace(snapshot, t=0.02 * k))
+    first, *_, last = history.after(-1.0)
+    assert last.snapshot is history.latest
+    assert first.snapshot is first.snapshot is not snapshot
+    for field in fields(snapshot):
+        before, after = (getattr(s, field.name) for s in (snapshot, first.snapshot))
+        assert repr(before) == repr(after)
+    assert first.snapshot.config is snapshot.config
+
+
 def test_history_is_ordered_and_restarts_when_time_goes_back(robot):
     snapshot = ScriptedLoop(robot).latest()
     history = History()
@@ -147,7 +185,7 @@ def test_history_is_ordered_and_restarts_when_time_goes_back(robot):
     changed = replace(snapshot, t=0.06, paused=True)
     history.add(changed)
     assert [s.t for s in history.after(0.01)] == [0.02, 0.04, 0.06]
-    assert history.after(0.05) == [changed]
+    assert [s.snapshot for s in history.after(0.05)] == [changed]
     history.add(replace(snapshot, t=0.0))
     assert [s.t for s in history.after(-1.0)] == [0.0]
     assert history.latest.t == 0.0

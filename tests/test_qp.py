@@ -45,7 +45,8 @@ def by_least_distance(objective: Objective, limits: Limits) -> Array:
 
     The shortest v with G v ≥ h is -r[:-1] / r[-1] with r = E w - f. Here E is Gᵀ above hᵀ,
     f = (0, …, 0, 1), and w ≥ 0 minimises ‖E w - f‖. Each soft limit adds a component of v, which
-    relaxes it by √(ε c) times its value; c is the least C_i H⁻¹ C_iᵀ of all soft limits.
+    relaxes it by ε √κ times its value; κ is the least C_i H⁻¹ C_iᵀ of all soft limits, and ε² is
+    the row's softness.
     """
     (H, c), (C, l, u, softness) = objective, limits
     L, free = np.linalg.cholesky(H), -np.linalg.solve(H, c)
@@ -247,7 +248,7 @@ def test_qp_is_solved_within_the_torque_limits_in_random_states(
         assert output.solved
         limits = Limits.of(output)
         missed = misses(limits, output.qdd)
-        assert missed[limits.slack_weight == 0.0].max() <= room
+        assert missed[limits.softness == 0.0].max() <= room
         u_a = output.M[2:] @ output.qdd + output.h[2:]
         np.testing.assert_allclose(output.u_cmd, u_a, atol=room)  # nothing is clipped afterwards
         counts["limited"] += missed.max() > 1e-6

@@ -8,11 +8,11 @@ import pytest
 from app.border.score import fit_parabola, radial_profile
 
 KNOWN = (525.9, 0.575, 100.0)  # [1/m², m, -] paper, §2.3.2
-EDGES = (0.151, 0.999)  # [m] where (9) with KNOWN is at least 5
+EDGES = (0.151, 0.999)  # [m] (9) with KNOWN is at least 5 between them
 
 
 def ball(count: int, radius: float = 1.4, seed: int = 0) -> np.ndarray:
-    """Distances of points that are uniform in a ball."""
+    """[m] distances from the centre of points that are uniform in a ball."""
     return radius * np.cbrt(np.random.default_rng(seed).uniform(size=count))
 
 

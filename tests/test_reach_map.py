@@ -79,7 +79,7 @@ def slide(urdf: str) -> str:
 
 
 def places(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 4, 4) T_base_point at joint positions (N, k), and (N, 6, k) its Jacobian, in the base.
+    """(N, 4, 4) T_base_point at joint positions (N, k), and its Jacobian (N, 6, k) in base axes.
 
     All joints must turn about their z axes.
     """
@@ -104,7 +104,7 @@ def places(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def misses(T: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """(N, 6) [m] and [rad] errors of poses relative to targets (N, 4, 4), in the base."""
+    """(N, 6) [m] and [rad] errors of poses relative to targets (N, 4, 4), in axes of the base."""
     E = T[:, :3, :3] @ targets[:, :3, :3].transpose(0, 2, 1)
     twice = np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]])
     sine = np.linalg.norm(twice, axis=0) / 2

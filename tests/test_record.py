@@ -143,7 +143,7 @@ def test_a_scenario_shows_its_progress_and_then_its_figures(snapshot, d, result)
     past.extend([at_time(snapshot, 7.98, "way-out"), at_time(snapshot, 8.0, "", d=-1.0, x=9.0)])
     text = shown_html(course)
     for part in (
-        f"way-out ended: {result}<",
+        f"way-out with dbb ended: {result}<",
         f"{1000 * d:.0f} mm".replace("-", "−"),
         "30 N",
         "0.80 m",
@@ -161,7 +161,7 @@ def test_result_of_changed_options_says_so(snapshot, farther, title):
     course = Course()
     run = [at_time(snapshot, 0.0, scenario.name), at_time(snapshot, 8.0, "")]
     Past(snapshot, course).extend([replace(each, case=RunCase.of(spec)) for each in run])
-    assert f"guiding-lateral{title} ended" in course_html(course, "", robot)
+    assert f"guiding-lateral{title} with dbb ended" in course_html(course, "", robot)
 
 
 def test_saved_case_has_the_changes_during_the_run_also_after_its_end(snapshot):
@@ -208,20 +208,25 @@ def test_a_saved_interval_has_seed_and_plant_and_a_report_ends_with_its_scenario
 
 def test_caption_of_a_picture_is_that_of_the_drawn_posture(snapshot, monkeypatch):
     captions = []
-    monkeypatch.setattr(save, "captioned", lambda _, shown, __: captions.append(shown))
+    monkeypatch.setattr(
+        save, "captioned", lambda _, shown, *__, posed, **___: captions.append((shown, posed))
+    )
     monkeypatch.setattr(save, "png", lambda _: b"")
     posed, past = at_time(snapshot, 2.0, ""), at_time(snapshot, 1.0, "")
-    timeline = SimpleNamespace(shown=lambda: past)
+    grip = SimpleNamespace(reach=lambda _: None)  # the gizmo moves the posture
     panel = SimpleNamespace(
-        _viewer=SimpleNamespace(timeline=timeline, view=SimpleNamespace(dark=True)),
+        _viewer=SimpleNamespace(grip=grip, view=SimpleNamespace(dark=True)),
         _scene=lambda *_: None,
         _size=lambda: (64, 64),
-        _drawn=past,
+        _drawn=(past, False),
     )
     SavePanel._picture(panel)
     SavePanel.update(panel, SimpleNamespace(shown=posed))
     SavePanel._picture(panel)
-    assert captions == [past, posed]
+    grip.reach = None
+    SavePanel.update(panel, SimpleNamespace(shown=past))
+    SavePanel._picture(panel)
+    assert captions == [(past, False), (posed, True), (past, False)]
 
 
 def test_result_on_a_robot_without_a_line_for_the_scenario(snapshot):
@@ -234,7 +239,7 @@ def test_result_on_a_robot_without_a_line_for_the_scenario(snapshot):
     course = Course()
     run = [at_time(snapshot, 0.0, scenario.name), at_time(snapshot, 8.0, "")]
     Past(snapshot, course).extend([replace(each, case=case) for each in run])
-    assert "guiding-front (options changed) ended" in course_html(course, "", robot)
+    assert "guiding-front (options changed) with dbb ended" in course_html(course, "", robot)
 
 
 @pytest.mark.parametrize(
@@ -272,14 +277,14 @@ def test_a_scenario_whose_last_snapshots_are_missing_has_ended(snapshot, missing
     course = Course()
     past = Past(snapshot, course)
     past.extend([at_time(snapshot, 8.0 - missing, "guiding-front"), at_time(snapshot, 8.0, "")])
-    assert "guiding-front ended: no contact" in shown_html(course)
+    assert "guiding-front with dbb ended: no contact" in shown_html(course)
 
 
 def test_an_early_end_is_reported_as_a_stop_and_cleared_by_a_reset(snapshot):
     course = Course()
     past = Past(snapshot, course)
     past.extend([at_time(snapshot, 3.0, "guiding-front"), at_time(snapshot, 3.02, "")])
-    assert "guiding-front stopped at 3.0 s" in shown_html(course)
+    assert "guiding-front with dbb stopped at 3.0 s" in shown_html(course)
     assert "Preparing refrigerator" in course_html(
         course, "preparing refrigerator", husky_panda().description
     )
@@ -288,7 +293,7 @@ def test_an_early_end_is_reported_as_a_stop_and_cleared_by_a_reset(snapshot):
 
 
 def near(snapshot, t, d, **more):
-    """A snapshot with the first pair at distance d [m]; its buffer is 0.15 m."""
+    """The snapshot at t [s] with the first pair at distance d [m]; its buffer is 0.15 m."""
     first, *others = snapshot.pairs
     pair = first._replace(d=d, beta=max(0.0, 1.0 - d / 0.15))
     return replace(snapshot, t=t, pairs=(pair, *others), **more)
@@ -306,12 +311,18 @@ def test_the_timeline_stores_extremes_and_each_event_once(snapshot):
         near(snapshot, 0.06, -0.01),
         near(snapshot, 0.08, 0.2, config=tuned),
         near(snapshot, 3.0, 0.1, scenario="way-out"),
+        near(snapshot, 3.1, 0.1, scenario="way-out"),
     ]
     past.extend(run)
-    assert list(strip.rows) == [(0.0, -0.01, pytest.approx(1.0, abs=0.1))]
+    assert strip.rows[0] == (0.0, -0.01, pytest.approx(1.0, abs=0.1), 0.15)
+    assert len(strip.rows) == 2
     assert strip.nearest is run[3]
     assert strip.hardest is run[1]
-    assert list(strip.past) == [run[3]]
+    [stored] = strip.past
+    assert (stored.t, stored.run) == (run[3].t, run[3].run)
+    assert stored.snapshot.nearest.d == run[3].nearest.d
+    assert stored.snapshot.config is run[3].config
+    assert stored.snapshot is stored.snapshot
     events = [(event.t, event.kind, event.text) for event in strip.events.values()]
     assert events == [
         (0.02, "person", "a person pulls the robot"),

@@ -311,9 +311,7 @@ def at_handle(make, setting: Setting, request):
 
 
 def pushing(force, torque=(0.0, 0.0, 0.0)) -> Callable[[RobotState], Array]:
-    """Torques of a compensated, damped arm whose end-effector exerts this wrench, in the world
-    frame.
-    """
+    """Torques of a compensated, damped arm whose end-effector exerts a wrench, in the world."""
     w = np.array([*force, *torque], dtype=float)
     return lambda state: state.g[2:] - 8.0 * state.qd[2:] + state.J_ee[:, 2:].T @ w
 
@@ -444,7 +442,7 @@ def test_grasp_stays_firm_while_the_door_opens(robot: RobotModel, setting: Setti
 def whole_run(
     robot: RobotModel, setting: Setting, controller: str, ends: Callable[[Step], bool]
 ) -> tuple[dict[str, Any], list[Step]]:
-    """Figures and every hundredth step, at twice the paper's rate, for at most 21 s."""
+    """Figures and every 100th step, at twice the paper's rate, until `ends` or 21 s."""
     session = session_of(setting, robot, controller)
     scenario = RefrigeratorScenario()
     faster = scenario.changed(opening_rate=2 * scenario.opening_rate)

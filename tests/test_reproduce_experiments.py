@@ -80,7 +80,7 @@ def test_figures_request_exactly_the_experiments_that_they_need():
 
 
 def test_all_experiments_fit_into_a_quarter_of_an_hour():
-    """At half of real time on one core, two cores need 500 s for 500 s of simulation."""
+    """If each core simulates at half of real time, two cores need 500 s for 500 s of simulation."""
     assert experiments.duration(report.experiments_for(list(FIGURES))) < 500.0
 
 

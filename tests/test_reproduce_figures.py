@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
+from app.control.tasks import activation
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.run import RunResult

@@ -96,6 +96,14 @@ def test_markup_in_texts_is_escaped(section):
     assert "a &lt; b" in text
 
 
+def test_links_to_figures_of_one_section_differ(section):
+    titles = "§4.3: density of the border", "§4.3: a continuous border"
+    parts = [section(f"part{k}")._replace(title=title) for k, title in enumerate(titles)]
+    links = paper_page(parts, [], "about").partition("<nav>")[2].partition("</nav>")[0]
+    assert ">density of the border<" in links
+    assert ">a continuous border<" in links
+
+
 def test_figures_precede_the_claims(section):
     text = Reader(paper_page([section()], [claim(True)], "")).text
     assert text.index("says <this>") < text.index("it <works>")

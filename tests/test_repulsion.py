@@ -8,9 +8,9 @@ import pytest
 from finite_differences import jacobian
 
 from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
-from app.avoidance.task import generate_rep_acc
 from app.border.cache import BorderData
 from app.config import RepulsionConfig
+from app.control.tasks import generate_rep_acc
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
@@ -27,7 +27,7 @@ class Motion(NamedTuple):
 
     @property
     def xdd(self) -> float:
-        """[m/s²] acceleration that separates the pair."""
+        """[m/s²] desired acceleration (20) of the distance; a positive one separates the pair."""
         return generate_rep_acc(self.d_dot, CONFIG.k_p, CONFIG.k_v)
 
 
@@ -88,7 +88,7 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
     """(N, 2) [m/s²] error of d̈ = J q̈ + J̇ q̇, and the error with |v_⊥|²/d added.
 
     Compared with central differences of the library's distance along exact motions, for the pairs
-    of L_m in the buffer, where closest points do not change to another side of a body.
+    with the base in the buffer, where closest points do not change to another side of a body.
     """
     rng, state = np.random.default_rng(0), RobotState(robot)
     monitor, reader = (

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from app.errors import ConfigError, UnknownNameError
-from app.onboarding.request import BOUNDS, Request, check_request
+from app.onboarding.request import BOUNDS, Request, check_request, named, package_folders
+from app.robot.assets import ASSETS
 
 
 def toy_request(**fields: object) -> Request:
@@ -41,3 +43,30 @@ def test_contradictory_options_are_refused() -> None:
             check_request(toy_request(**fields))
     with pytest.raises(UnknownNameError, match="choose from: car-like, differential, holonomic"):
         check_request(toy_request(kind="hovering"))
+
+
+@pytest.mark.parametrize("name", ["tiago", "mine"], ids=["delivered", "own"])
+def test_the_name_of_an_existing_robot_is_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = shutil.copytree(ASSETS / "tiago", tmp_path / "first" / "mine")
+    monkeypatch.setenv("DBB_ROBOTS", f"{own.parent}:{tmp_path / 'second'}")
+    with pytest.raises(ConfigError, match=f"--out: the robot '{name}' exists in .*/{name}; choose"):
+        check_request(Request("toy.urdf", "base", "hand", tmp_path / "second" / name))
+    check_request(Request("toy.urdf", "base", "hand", own))  # `whole_folder` refuses its content
+    check_request(Request("toy.urdf", "base", "hand", tmp_path / "second" / "new"))
+
+
+def test_home_is_expanded_in_the_folder_of_a_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "a").mkdir()
+    assert package_folders(("a=~/a",)) == {"a": tmp_path / "a"}
+
+
+@pytest.mark.parametrize("sign", ["=", ":="])
+def test_arguments_of_a_xacro_are_accepted_in_the_form_of_ros(sign: str) -> None:
+    assert named("--xacro", [f"a{sign}1", f"b{sign}x:=y"], "VALUE") == {"a": "1", "b": "x:=y"}
+    with pytest.raises(ConfigError, match="not of the form NAME=VALUE"):
+        named("--xacro", [f"{sign}1"], "VALUE")

@@ -72,8 +72,11 @@ def test_a_caption_names_command_commit_and_machine(counting: Path) -> None:
     for stated in ("`make results ARGS=counting`", "abc1234", results.machine()):
         assert stated in caption
     assert "not measured" not in caption
-    results.write("counting", {"a": results.read("counting")["a"]})
+    rows = results.read("counting")
+    results.write("counting", {"a": rows["a"]})
     assert results.caption("counting").endswith(" Empty cells are not measured yet.*")
+    results.write("counting", {"a": rows["a"], "b": rows["b"] | {"commit": "other00"}})
+    assert "at commits abc1234 and other00, on" in results.caption("counting")
 
 
 def test_stored_numbers_have_six_digits_and_other_values_stay() -> None:

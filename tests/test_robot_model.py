@@ -77,7 +77,7 @@ def test_every_link_with_a_collision_shape_belongs_to_one_body():
 
 
 def least_signed_distance(p: np.ndarray, shapes: list, placements: list) -> float:
-    """[m] distance of a point to a union of shapes; negative inside."""
+    """[m] distance of p (3,) [m] to the union of the placed shapes; negative inside."""
     probe, at, request = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), p), coal.DistanceRequest()
     return min(
         coal.distance(

@@ -15,7 +15,7 @@ SEEDS = range(5)
 
 
 def moved(m: Measurement, dq: np.ndarray) -> Measurement:
-    """A measurement after a small displacement (wheels, arm) of a robot with rolling wheels."""
+    """The measurement m after a small displacement dq of wheels and arm [rad]; the wheels roll."""
     forward, turn = husky_panda().J_m @ dq[:2]
     x, y, phi = m.base_pose
     middle = phi + turn / 2

@@ -198,7 +198,7 @@ def test_a_replaced_robot_is_freed_without_a_garbage_collection() -> None:
 
 
 def test_the_command_frees_the_first_robot(monkeypatch: pytest.MonkeyPatch) -> None:
-    loops, freed = Loops(), []
+    loops, ended = Loops(), []
 
     def change(server: DashboardServer) -> None:
         shared = server.shared
@@ -206,18 +206,37 @@ def test_the_command_frees_the_first_robot(monkeypatch: pytest.MonkeyPatch) -> N
         del shared
         with viewer(server):
             choose(server, OTHER)
-        gc.collect()
-        freed.extend(ref() is None for ref in old)
-        server.stop()
+        # The switch's thread may still collect garbage; a second collection would then do nothing.
+        wait_for(lambda: not any(ref() for ref in old), what="the release of the first robot")
+        ended.append(True)
 
     monkeypatch.setattr(DashboardServer, "run_forever", change)
+    serve_small_border(monkeypatch, loops)
+    assert ended == [True]
+
+
+def serve_small_border(monkeypatch: pytest.MonkeyPatch, loops: Loops) -> None:
+    """Run `dbb serve` with a small border and without a simulation's process."""
     monkeypatch.setattr(serve, "load_model", lambda _: RobotModel(husky_panda().description))
     monkeypatch.setattr(serve, "_border", lambda _: BorderData(None, clouds(), "cache"))  # type: ignore[arg-type]
     monkeypatch.setattr(serve._First, "q_start", lambda *_: None)
     monkeypatch.setattr(serve._First, "begin_loop", lambda _, *about: loops(*about[:4]))
     asked = serve.Serving(port=0)
     serve._serve(serve._First(Setup(), Config(), asked, None, None))  # type: ignore[arg-type]
-    assert freed == [True] * 3
+
+
+def test_ctrl_c_directly_after_the_address_ends_the_command(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("app.dashboard.server.give_back", interrupted)
+    serve_small_border(monkeypatch, Loops())
+    printed, errors = capfd.readouterr()
+    assert printed == ""
+    assert errors.startswith("Dashboard at ")
+    assert len(errors.splitlines()) == 1
 
 
 @pytest.mark.parametrize("frozen", [False, True])
@@ -240,7 +259,7 @@ def test_give_back_frees_reference_cycles(frozen: bool) -> None:
 
 
 def test_a_served_page_does_not_wait_for_a_collection_of_the_robot() -> None:
-    """A collection scans the pages' objects only; otherwise it takes 0.3 s and delays all pages."""
+    """A collection scans only the pages' objects. A scan of all objects would take 0.3 s."""
     with served_dashboard() as (server, _):
         existing = len(gc.get_objects())
         thread = threading.Thread(target=server.run_forever)
@@ -259,10 +278,23 @@ def test_a_change_releases_the_pull_of_a_viewer() -> None:
         page = next(iter(server.pages.values()))
         assert isinstance(old, ScriptedLoop)
         page.grip.take()
-        page.grip.pull(old.latest().p_ee, None)
+        page.grip.pull(old.latest().p_ee)
         assert isinstance(old.commands[-1], Pull)
         choose(server, OTHER)
         assert old.pulls()[-1] is None
+
+
+def test_the_message_mentions_parameters_only_if_some_differ_from_their_defaults() -> None:
+    notes: list[str] = []
+    with served_dashboard(start_loop=Loops()) as (server, _), viewer(server):
+        server._notifier.tell = lambda *args: notes.append(args[-1])  # type: ignore[method-assign]
+        choose(server, OTHER)
+        wait_for(lambda: len(notes) == 1, what="the first message")
+        server.shared.tuning.set("border.d_b", 0.2)
+        choose(server, "husky_panda")
+        wait_for(lambda: len(notes) == 2, what="the second message")
+    assert notes[0] == "The other robot is in use."
+    assert notes[1].endswith(" is in use; your changed parameters keep their values.")
 
 
 def test_unsuitable_parameters_are_reset_and_the_viewers_notified() -> None:

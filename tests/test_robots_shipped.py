@@ -90,6 +90,7 @@ def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
     description = load_robot("husky_ur5")
     row = arm_row(RobotModel(description))
     assert row.numbers["left_out_poses"] > 50
+    assert row.outcome == "warned"
     assert ", which a pair can detect with --buffer-distance 0.0" in row.text
     arm = description.arm
     lower, upper = np.full((2, 6), [[-np.pi], [np.pi]])

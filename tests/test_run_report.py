@@ -13,7 +13,9 @@ import pytest
 
 from app.cli.main import main
 from app.config import Config
+from app.errors import LogError
 from app.simulation.trace.log_file import read_trace, write_trace
+from app.simulation.trace.metrics import verdict
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.simulation.trace.trace import Trace
 from app.studies.run_report import config_changes, key_numbers, run_report, spans
@@ -23,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 
 def moving_log() -> Trace:
-    """The base drives a quarter of a circle of 2 m to the left; distances fall from 0.3 m to 0."""
+    """The base drives a left quarter circle of 2 m radius; distances fall from 0.3 m to 0."""
     snapshots = []
     for k, s in enumerate(random_snapshots(2, 101)):
         angle = np.pi / 2 * k / 100
@@ -120,6 +122,43 @@ def test_dbb_report_reports_wrong_files_in_one_error(tmp_path, capsys):
         err = capsys.readouterr().err
         assert err.startswith("dbb: error: ")
         assert words in err
+
+
+def test_values_that_are_not_finite_are_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr("app.studies.style.DPI", 20)
+    bad = (np.nan, [-1]), (-np.inf, [-1]), (np.inf, slice(None))
+    log, path = moving_log(), tmp_path / "log.parquet"
+    write_trace(path, log)
+    whole = pq.read_table(path)
+    damaged = whole
+    numbers = [f.name for f in whole.schema if str(f.type) == "double" and f.name != "t_s"]
+    for k, name in enumerate([*numbers, *numbers[::-1]]):  # each one alone, then all together
+        cells = np.array(whole[name].to_pylist(), dtype=float)
+        value, rows = bad[(numbers.index(name) + (k >= len(numbers))) % 3]
+        cells[rows] = value
+        column = whole.schema.get_field_index(name)
+        damaged = (whole if k < len(numbers) else damaged).set_column(column, name, [cells])
+        pq.write_table(damaged, path)
+        read = read_trace(path)
+        json.dumps(key_numbers(read), allow_nan=False)
+        verdict(key_numbers(read))
+    page = run_report(read)
+    assert "Values are missing in the log, in base_x_m (" in page
+    assert "other columns" in page
+    pq.write_table(whole, path)
+    assert "Values are missing" not in run_report(read_trace(path))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_time_that_is_not_finite_is_refused(value, tmp_path):
+    path = tmp_path / "log.parquet"
+    write_trace(path, moving_log())
+    table = pq.read_table(path)
+    times = table["t_s"].to_numpy().copy()
+    times[-1] = value
+    pq.write_table(table.set_column(0, "t_s", [times]), path)
+    with pytest.raises(LogError, match="a time is not a finite number"):
+        read_trace(path)
 
 
 def test_an_older_log_without_newer_quantities_has_numbers_and_a_report(tmp_path: Path):

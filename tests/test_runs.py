@@ -115,7 +115,7 @@ def test_arm_does_not_touch_the_floor(name: str):
 
 @pytest.mark.parametrize("name", GUIDED)
 def test_torques_do_not_jump(name: str):
-    """Torques stay below their rate limit, which would hide a jump."""
+    """The rates of the torques stay below their limit; at the limit, a jump would be hidden."""
     assert figures(name)["torque_jump_max_nm"] < 0.75 * Config().limit.torque_rate * DT
 
 
@@ -146,8 +146,10 @@ def test_no_collision_on_wheels_in_contact():
 
 
 def test_mirrored_pull_gives_the_mirrored_motion(robot: RobotModel, border_data: BorderData):
-    """Only approximately: the clouds are sampled, the links' centres of mass are beside the plane,
-    and the guided arm has no posture, so its elbow drifts differently.
+    """The motions agree only approximately.
+
+    The clouds are sampled, the links' centres of mass are beside the plane, and the guided arm has
+    no posture, so its elbow drifts differently.
     """
     q_left = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(
         LINES["guiding-lateral"].start

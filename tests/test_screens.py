@@ -39,7 +39,7 @@ def drawn(tab: DashboardTab) -> dict[str, int]:
 
 
 def settled(tab: DashboardTab, holds: Callable[[dict[str, int]], object], what: str) -> dict:
-    """Counts of a picture, once they satisfy `holds` and no longer change."""
+    """Counts of a picture, once they satisfy `holds` and rest; `what` is for the failure's text."""
     seen: list[dict[str, int]] = [{}]
 
     def rests() -> bool:
@@ -79,6 +79,27 @@ def test_settings_have_no_field_for_another_server(browser, served):
         .filter((each) => each.offsetHeight && each.value.startsWith("ws")).length"""
     )
     assert addresses == 0
+    tab.close()
+
+
+@pytest.mark.parametrize("size", [PHONE, TABLET], ids=lambda size: str(size[0]))
+def test_plots_keep_their_width_within_the_panel(browser, served, size):
+    """Without a limit, a plot and the drawer around it widen each other."""
+    tab = DashboardTab(browser, served.server.address, size)
+    tab.page.evaluate("() => dbbPanels.open('Plots')")
+    tab.wait("() => dbbTest.plot('distance [m]')")
+    tab.page.wait_for_timeout(800)  # [ms] the panel slides open
+    edges = """() => [...document.querySelectorAll(".uplot")].map((plot) => {
+        const rect = (element) => element.getBoundingClientRect();
+        const panel = rect(plot.closest(".mantine-ScrollArea-viewport")).right;
+        const right = Math.max(...[...plot.querySelectorAll("*")].map((each) => rect(each).right));
+        return [plot.offsetWidth, right <= panel + 0.5 && panel <= innerWidth];
+    })"""
+    before = tab.page.evaluate(edges)
+    assert before
+    assert all(visible for _, visible in before)
+    tab.page.wait_for_timeout(2500)  # [ms] the width changed within 1.5 s
+    assert tab.page.evaluate(edges) == before
     tab.close()
 
 

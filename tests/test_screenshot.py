@@ -58,7 +58,7 @@ def taken(take):
 
 
 def share(a, b, least=8):
-    """[-] share of the pixels that differ."""
+    """[-] share of the pixels in which a and b (H, W, 3) differ by more than `least`."""
     assert a.shape == b.shape
     return float((np.abs(a - b).max(axis=-1) > least).mean())
 
@@ -224,8 +224,9 @@ except BrowserError:
 @pytest.mark.browser
 @pytest.mark.parametrize("word", ["--headless", "run-driver"])
 def test_killed_browser_is_reported_and_its_temporary_files_are_removed(word: str) -> None:
-    """The browser or playwright's driver is killed. The test runs in a separate process, because
-    the browser of other tests must survive.
+    """The browser or playwright's driver is killed.
+
+    The test runs in a separate process, because the browser of other tests must survive.
     """
     with tempfile.TemporaryDirectory() as short:  # the path of a browser's socket has a limit
         found = subprocess.run(

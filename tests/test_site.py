@@ -19,7 +19,7 @@ _BORDER = "() => dbbPage.ready() && dbbPage.has('/robot/border_lm-lEE')"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    """A site of a short run with two controllers."""
+    """The folder of a static web site with replays of a short run with two controllers."""
     out = tmp_path_factory.mktemp("site")
     run = scenario_of(husky_panda().description, "guiding-front").changed(duration=0.5)
     with pytest.MonkeyPatch.context() as changed:

@@ -23,7 +23,7 @@ from app.studies.pulls.envelope import (
     tally_by_halves,
 )
 from app.studies.pulls.parameters import StudyParameters, StudyRange
-from app.studies.pulls.report import summary_of
+from app.studies.pulls.report import draw_clearance, draw_errors, summary_of
 from app.studies.runs import Row
 
 if sys.version_info >= (3, 11):
@@ -204,6 +204,32 @@ def test_damaged_envelope_error_names_the_file(tmp_path, monkeypatch):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(StudyError, match=r"envelope\.toml"):
             Envelope.stated()
+
+
+def test_values_beyond_the_axes_are_drawn_at_their_ends():
+    rows = [
+        {**row(k, 20.0, 0.5, 0.1, 0), "kind": "side", "min_clearance_m": value}
+        | {"ee_error_final_m": value}
+        for k, value in enumerate((-0.1, 1e-9, 0.2, 0.9, 5.0))
+    ]
+    for draw in (draw_errors.draw, draw_clearance.draw):
+        left, right = draw(rows, Envelope.stated(), 0.15).axes[:2]
+        assert sum(bar.get_height() for bar in left.patches) >= len(rows)
+        drawn = right.collections[0].get_offsets()[:, 0]
+        low, high = right.get_xlim()
+        assert ((low <= drawn) & (drawn <= high)).all()
+
+
+@pytest.mark.parametrize(
+    ("report_s", "counts"),
+    [(None, (1, 0, 0)), (0.9, (1, 0, 0)), (1.1, (1, 1, 1)), (2.0, (1, 1, 0))],
+)
+def test_a_report_counts_only_after_the_fault_begins(report_s, counts):
+    events = {"kind": "side", "redraws": 0, "release_at_s": None, "regrasp_at_s": None}
+    fault = {"sensor_delay_s": 0.1, "fault_at_s": 1.0, "fault_lag_s": report_s}
+    rows = [{**row(0, 20.0, 0.5, 0.1, 0), **events, **fault}]
+    summary, _ = summary_of(rows, StudyParameters(), 0.15)
+    assert tuple(summary["faults"]["sensor_delay"].values()) == counts
 
 
 def test_entry_into_the_buffer_is_judged_by_the_robots_d_b():

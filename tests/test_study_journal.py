@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import tracemalloc
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from app.errors import StudyError
+from app.studies.pulls import study as module
+from app.studies.pulls.parameters import StudyParameters
 from app.studies.pulls.study import Journal
 
 IDENTITY = {"seed": 1, "ranges": {"speed": [0.1, 0.5]}, "code": "abc"}
@@ -38,6 +41,23 @@ def test_row_is_on_the_disk_before_add_returns(tmp_path):
             lines = (tmp_path / "cases.jsonl").read_text(encoding="utf-8").splitlines()
             assert len(lines) == k
             assert json.loads(lines[-1]) == row
+
+
+def test_progress_counts_only_the_cases_of_the_study(tmp_path, monkeypatch):
+    class Workers(nullcontext):
+        def map(self, _, numbers, **__):
+            return ({"case": number} for number in numbers)
+
+    parameters = StudyParameters()
+    with Journal(tmp_path, module.identity_of(parameters)) as journal:
+        for number in (0, 1, 7, 8, 9):
+            journal.add({"case": number})
+    monkeypatch.setattr(module, "Workers", lambda *_: Workers())
+    monkeypatch.setattr(module.case, "load_sources", lambda _: None)
+    monkeypatch.setattr(module, "_write", lambda rows, *_: {"cases": len(rows)})
+    seen: list[float] = []
+    assert module.study(parameters, 4, tmp_path, on_progress=seen.append) == {"cases": 4}
+    assert seen == [2, 3, 4]
 
 
 @pytest.mark.parametrize("left", range(1, 24))
@@ -82,6 +102,11 @@ def test_second_journal_in_one_folder_is_refused(tmp_path):
     busy = pytest.raises(StudyError, match="another dbb study uses")
     with Journal(tmp_path, IDENTITY), busy:
         Journal(tmp_path, IDENTITY)
+    fill(tmp_path, 1)
+
+
+def test_folder_without_locks_is_used(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "claim", lambda file: None)
     fill(tmp_path, 1)
 
 

@@ -77,7 +77,7 @@ def here(capfd: pytest.CaptureFixture[str], *args: str) -> tuple[int, str, str]:
 
 
 def refused(outcome: tuple[int, str, str], *words: str) -> None:
-    """Status 2, no standard output, one line with these words on standard error."""
+    """Check a refusal: status 2, no standard output, one error line that contains these words."""
     status, out, err = outcome
     assert (status, out) == (2, ""), err
     (line,) = err.splitlines()

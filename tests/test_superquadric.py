@@ -65,7 +65,7 @@ def gauge(p: Array, shape: Superquadric) -> Array:
 
 
 def coal_distance(shape: Superquadric, other: coal.CollisionGeometry, pose: pin.SE3) -> float:
-    """[m] signed distance between the placed shape and another at a pose."""
+    """[m] signed distance between the placed shape and the shape `other` at a pose."""
     at = shape.placement()
     return coal.distance(
         shape.coal_geometry(),

@@ -128,7 +128,7 @@ def test_a_fast_target_close_above_the_deck_is_reached_in_time(
     speed: float,
     hold: float,
 ) -> None:
-    """Links above the end-effector would enter their buffers unless the base moves away in time.
+    """With a base that is too slow, links above the end-effector would enter their buffers.
 
     On the wheel axis, the end-effector passes the base's edge, where the normal is partly vertical,
     so the force on the base is smaller.

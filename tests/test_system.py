@@ -39,7 +39,7 @@ MODULES = {
     "syslog",
     "termios",
 }
-"""Modules that exist only on some systems, and the one that calls C."""
+"""Modules that are missing or differ on some systems, and `ctypes`, which calls C."""
 NAMES = {
     "os": {
         "epoll",
@@ -279,6 +279,12 @@ def test_mount_point_is_rejected_before_the_work(
     write = system.whole_file if out.suffix else system.whole_folder
     with pytest.raises(OutputError, match="mount point"), write(out):
         pytest.fail("the work began")
+
+
+def test_folder_that_fills_during_the_work_is_named(tmp_path: Path) -> None:
+    out = tmp_path / "robot"
+    with pytest.raises(OutputError, match=f"cannot write to {out}"), system.whole_folder(out):
+        (out / "first").mkdir(parents=True)
 
 
 def test_in_a_removed_folder_only_absolute_paths_are_written(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,7 @@ from app.dashboard.record import BIN, Strip
 from app.dashboard.scene.scene import SceneData
 from app.dashboard.timeline import MOST_MARKED, Timeline
 from app.errors import ConfigError, LogError
+from app.simulation.trace import trace
 from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
@@ -39,8 +41,11 @@ class Past:
     def latest(self):
         return self._history.latest
 
-    def history(self, after):
+    def stored(self, after=-1.0):
         return self._history.after(after)
+
+    def history(self, after):
+        return [stored.snapshot for stored in self._history.after(after)]
 
 
 def line_of(past: Past) -> Timeline:
@@ -82,6 +87,44 @@ def test_instants_older_than_a_minute_are_shown_at_lower_resolution():
     assert timeline.shown().t == pytest.approx(10.0, abs=2 * BIN)
     timeline.go_to(-5.0)
     assert timeline.shown().t == pytest.approx(0.0, abs=2 * BIN)
+
+
+def test_steps_beyond_the_last_minute_reach_the_next_stored_instant():
+    timeline = line_of(Past(90.0))
+    timeline.go_to(10.0)
+    at = timeline.shown().t
+    timeline.step(FRAME)
+    assert at < timeline.shown().t <= at + 4 * BIN
+    timeline.step(-FRAME)
+    assert timeline.shown().t == pytest.approx(at)
+
+
+def test_a_mark_of_the_end_at_the_start_is_refused_and_keeps_the_start():
+    timeline = line_of(Past(6.0))
+    timeline.go_to(3.0)
+    timeline.mark_begin()
+    with pytest.raises(LogError, match="later than the start"):
+        timeline.mark_end()
+    assert (timeline.begin, timeline.end) == (pytest.approx(3.0), None)
+
+
+def test_an_end_without_a_start_marks_the_longest_interval():
+    timeline = line_of(Past(400.0))
+    timeline.mark_end()
+    assert timeline.begin == pytest.approx(400.0 - MOST_MARKED, abs=2 * BIN)
+
+
+def test_plots_unpack_one_snapshot_per_interval(monkeypatch):
+    past = Past(90.0)
+    unpacked, loads = [], pickle.loads
+    monkeypatch.setattr(trace.pickle, "loads", lambda b: unpacked.append(b) or loads(b))
+    timeline = line_of(past)
+    assert len(timeline.between(70.0, 90.0, 0.08)) == pytest.approx(250, abs=1)
+    assert unpacked == []
+    found = timeline.between(40.0, 60.0, 0.08)
+    assert len(found) == len(unpacked) == pytest.approx(250, abs=1)
+    assert [s.t for s in found] == [s.t for s in timeline.between(40.0, 60.0, 0.08)]
+    assert len(unpacked) == len(found)
 
 
 def test_restart_returns_to_live_and_removes_an_open_mark():
@@ -165,8 +208,6 @@ def test_whole_history_is_exported_without_marks():
 
 def test_interval_without_a_duration_is_refused():
     timeline = line_of(Past(6.0))
-    mark(timeline, 5.0, 5.01)
-    timeline.unmark()
     timeline.go_to(0.0)
     timeline.mark_end()
     with pytest.raises(LogError, match="no duration"):

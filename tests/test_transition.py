@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from app.avoidance.task import activation, generate_avoidance_task
+from app.control.tasks import activation, generate_avoidance_task
 from tests.qps import Objective, Rows, inserted, least
 
 Array = np.ndarray
@@ -129,7 +129,7 @@ def random_path(seed: int, steps: int) -> Array:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_smooth_activations_cause_jumps_only_in_the_printed_blend(seed: int) -> None:
-    """Ten times smaller steps change the result by about a tenth, unless it jumps."""
+    """Ten times smaller steps change a continuous result by about a tenth; a jump remains."""
     problem = Problem(seed)
     coarse, fine = (largest_step(problem.solve, random_path(seed, n)) for n in (1000, 10_000))
     assert fine < 0.2 * coarse
@@ -138,7 +138,7 @@ def test_smooth_activations_cause_jumps_only_in_the_printed_blend(seed: int) -> 
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_cost_grows_linearly_with_the_rows(seed: int) -> None:
+def test_twice_the_rows_cost_less_than_four_times_the_time(seed: int) -> None:
     """An algorithm over combinations of 60 rows would not finish."""
     rng = np.random.default_rng(seed)
     objective = Problem(seed).objective

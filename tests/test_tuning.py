@@ -79,6 +79,7 @@ class Desk:
         self.tuning = Tuning(self.sink, Config(), clock=self.clock)
         self.viewers = [self.viewer(server) for server in servers]
         self.panels = [TuningPanel(viewer) for viewer in self.viewers]
+        self.newest = SimpleNamespace(changing="", paused=False)
 
     def viewer(self, server):
         """A client with its own server."""
@@ -93,7 +94,7 @@ class Desk:
 
     def update(self):
         for panel in (panel for viewer in self.viewers for panel in viewer.panels):
-            panel.update(None)
+            panel.update(SimpleNamespace(newest=self.newest))
 
 
 @pytest.fixture(scope="module")
@@ -228,6 +229,18 @@ def test_change_after_undo_discards_the_redo_steps():
     with pytest.raises(ConfigError, match="nothing to redo"):
         tuning.redo()
     assert tuning.config.value(D_B) == 0.25
+
+
+def test_a_gain_too_large_for_the_stated_period_is_refused_and_not_stored():
+    tuning = Tuning(sink := Sink(), Config(), clock=Clock())
+    tuning.set("repulsion.k_v", 100.0)
+    with pytest.raises(ConfigError, match="too large for a control period of 8 ms"):
+        tuning.set("disturbance.stated_period", 0.008)
+    with pytest.raises(ConfigError, match="too large for a control period of 8 ms"):
+        tuning.load(tuning.config.replace("disturbance.stated_period", 0.008))
+    assert tuning.config == Config().replace("repulsion.k_v", 100.0)
+    tuning.set(D_B, 0.2)
+    assert len(sink.commands) == 2
 
 
 def test_history_is_bounded():
@@ -406,6 +419,28 @@ def test_undo_and_redo_buttons_report_when_nothing_is_left(desk):
     assert desk.tuning.config.value(D_B) == 0.2
     assert "Nothing to redo" in press(gui, "Changes", "Redo").notes[0]
     assert desk.tuning.config.value(D_B) == 0.2
+
+
+def test_reset_of_all_reports_when_all_parameters_have_their_defaults(desk):
+    gui = desk.panels[0]._gui
+    assert "Nothing to reset" in press(gui, "Changes", "Reset all").notes[0]
+    put(desk.handle(D_B), 0.2, Person())
+    assert press(gui, "Changes", "Reset all").notes == []
+    assert desk.tuning.config == Config()
+
+
+def test_a_note_explains_a_slow_change_and_that_it_waits_during_a_pause(desk):
+    note = desk.panels[1].changing
+    desk.update()
+    assert note.content == ""
+    desk.newest.changing = "Buffer d_b: 0.150 m, changing to 0.250 m"
+    desk.update()
+    assert desk.newest.changing in note.content
+    assert "slowly" in note.content
+    desk.newest.paused = True
+    desk.update()
+    assert desk.newest.changing in note.content
+    assert "paused" in note.content
 
 
 def test_defaults_of_one_folder_do_not_reset_the_others(servers):

@@ -1,4 +1,4 @@
-"""viser's private names are used only in one file, and exist in viser."""
+"""viser's private names exist in viser; in `app`, one file uses them, and a second its messages."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ ALSO = {"gate.py": {"_messages"}}
 
 
 def private(path: Path) -> set[str]:
-    """Names with an underscore of other objects than `self`, and private modules of viser."""
+    """Private attributes used on objects except `self` and `before`; private viser imports."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Attribute):
@@ -172,7 +172,7 @@ def test_is_loopback_detects_local_addresses(host, alone) -> None:
 
 @pytest.mark.parametrize("persistent", [False, True])
 def test_removal_of_a_node_is_sent_before_it_is_created_again(persistent: bool) -> None:
-    """Otherwise the page keeps the former pose, as viser sends no default pose.
+    """Without the removal the page keeps the former pose, because viser sends no default pose.
 
     Persistent messages, which later clients receive from the start, need no removal.
     """

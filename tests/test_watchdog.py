@@ -31,7 +31,7 @@ def visitor(served):
     with RawClient(served.server.address) as raw:
         page = served.page()
         page.grip.take()
-        page.grip.pull(np.array([0.6, 0.0, 0.7]), None)
+        page.grip.pull(np.array([0.6, 0.0, 0.7]))
         yield raw, page
 
 
@@ -56,7 +56,7 @@ def test_pull_ends_if_its_browser_sleeps_but_not_without_motion(served):
 def test_pull_continues_while_a_busy_browser_moves_it_without_answers(served):
     with visitor(served) as (raw, page), raw.asleep():
         for x in np.linspace(0.6, 0.5, 20):
-            page.grip.pull(np.array([x, 0.0, 0.7]), None)
+            page.grip.pull(np.array([x, 0.0, 0.7]))
             time.sleep(0.1)
             assert page.grip.holds_anything
 

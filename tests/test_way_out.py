@@ -1,4 +1,4 @@
-"""Starts inside a buffer or in contact have their stated kind, and the robot leaves them gently."""
+"""Starts in a buffer or in penetration have the requested kind; the robot leaves them gently."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every dependency has a wheel for each supported Python and platform."""
+"""Every dependency has a wheel for each promised Python and platform."""
 
 from __future__ import annotations
 

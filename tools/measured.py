@@ -71,8 +71,8 @@ class ResultSet(NamedTuple):
         runs: Arguments after `python -m` of a command that prints JSON, by the name of the row.
         keep: Selects the stored numbers from the output.
         table: Markdown of the numbers by the names of their rows; some rows may be missing.
-        default: Whether the set is measured if no set is named. It is False for a set that needs a
-            browser or a package index.
+        default: Whether the set is measured if no set is named. It is False, for example, for a
+            set that needs a browser or a package index.
     """
 
     runs: Mapping[str, Sequence[str]]
@@ -88,15 +88,16 @@ def grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def metres(value: float | None) -> str:
-    """A length in metres to millimetres, with a true minus; empty without a value."""
+    """A length in metres with three decimals and a true minus; empty without a value."""
     return "" if value is None else f"{value:.3f} m".replace("-", "−")
 
 
 def millimetres(value: float | None) -> str:
-    """A length in millimetres: two significant digits, at least tenths; empty without a value."""
+    """A length in millimetres, with one decimal below 10 mm; empty without a value."""
     if value is None:
         return ""
-    return f"{1e3 * value:.1f} mm" if value < 0.01 else f"{1e3 * value:.0f} mm"
+    digits = 1 if abs(value) < 0.00995 else 0
+    return f"{1e3 * value:.{digits}f} mm".replace("-", "−")
 
 
 def number(value: float | None, unit: str = "", digits: int = 3) -> str:
@@ -126,7 +127,10 @@ def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_cell(row: Mapping[str, Any] | None) -> str:
-    """Smallest distance, final error of the end-effector or the time of opening, and contact."""
+    """Smallest distance, final error of the end-effector, and contact.
+
+    If the door has reached an opening of 80°, the time at which it did so replaces the error.
+    """
     if row is None:
         return ""
     end = f"error {millimetres(row['off_m'])}"
@@ -178,7 +182,7 @@ def plants_table(found: Figures) -> str:
             cells.append(f"{study[n]:.0f} s, {study['planar'] / study[n]:.2f} times as fast")
         rows.append([f"`{n}`", *cells, *[""] * (3 - len(cells))])
     taken = f"`dbb study` of {study['cases']} cases"
-    head = ["plant", "step and reading: median, minimum", "ratio to pybullet", taken]
+    head = ["plant", "step, reading, contacts: median, minimum", "ratio to pybullet", taken]
     return grid(head, rows)
 
 
@@ -322,7 +326,8 @@ def performance_table(found: Figures) -> str:
             drawn, sent = page[f"{state}_pictures_per_s"], page[f"{state}_kB_per_s"]
             rates = f"{number(drawn)} pictures/s, {number(sent)} kB/s"
             rows.append([f"a page that draws in software, 1280 x 720, {what}", rates])
-        delays = f"{number(page['gizmo_follows_ms'])} ms, {number(page['hand_follows_ms'])} ms"
+        both = (page["gizmo_follows_ms"], page["hand_follows_ms"])
+        delays = ", ".join(number(value, "ms") or "not measured" for value in both)
         rows.append(
             ["delay from the mouse to the picture of the gizmo, of the end-effector", delays]
         )
@@ -479,7 +484,7 @@ def house_table(found: Figures) -> str:
 
 
 def trust_table(found: Figures) -> str:
-    """A row per kind of message, file or fault, with its outcomes."""
+    """A row for messages, per kind of file, per command with faults, and for hostile clients."""
     sums: dict[str, Counter[str]] = {}
     growth = []
     for printed in found.values():
@@ -509,7 +514,7 @@ def trust_table(found: Figures) -> str:
 
 
 def mutants_table(found: Figures) -> str:
-    """A row per class of changes to robots' files."""
+    """A row per kind of change to robots' files, and a row with the sums of all kinds."""
     sums: dict[str, Counter[str]] = {}
     for part in found.values():
         for kind, counts in part.items():

@@ -36,7 +36,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^(<!-- generated: (.+?) -->\n)(.*?)^(<!-- end -->)$", re.S | re.M)
 COMMAND = re.compile(r"^\W*([a-z][a-z-]+) {2,}[A-Z]", re.M)
 """A command in the help of `dbb`: its name, then its description."""
-WIDTH = "124"  # [-] characters of a command's help
+WIDTH = "124"  # [-] characters in a line of a command's help
 
 
 def pages() -> list[Path]:
@@ -55,7 +55,7 @@ def generated(text: str) -> str:
 
 
 def made(name: str) -> str:
-    """The text of a block.
+    """The generated text of a block, without the comments around it.
 
     Raises:
         SystemExit: The name is unknown.
@@ -148,7 +148,7 @@ def help_of(*words: str) -> str:
 
 
 def figures() -> str:
-    """The results of a run, by their keys."""
+    """A table of the keys of a run's results, with the meaning of each result."""
     return grid(
         ["key", "meaning"],
         [[f"`{key}`", figure.about] for key, figure in {**FIGURES, **DOOR}.items()],
@@ -176,7 +176,7 @@ def step() -> str:
 
 
 def about(path: Path) -> str:
-    """The first paragraph of a module's docstring; a note if the file is missing."""
+    """The first paragraph of a module's docstring, in one line; a note if the file is missing."""
     if not path.is_file():
         return "(no longer there)"
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The pictures of README and documentation, into docs/pictures, with a copy in out/pictures.
+# Draw pictures of README and documentation into docs/pictures; copy PNG files to out/pictures.
 # Usage: tools/pictures.sh VENV
 set -euo pipefail
 dbb=$1/bin/dbb

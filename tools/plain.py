@@ -20,7 +20,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 CHECKED = ("app", "benchmarks", "docs", "examples", "tests", "tools")
 EXCEPT = ("app/dashboard", "tests/test_plain.py")
 """The dashboard has its own wording; the test quotes hard sentences."""
-LONGEST = 50  # [-] words of at least three letters of a sentence
+LONGEST = 50  # [-] largest number of words of at least three letters in a sentence
 MESSAGE = 4  # [-] words of the shortest string that counts as a message
 
 PATTERNS = {

@@ -1,8 +1,9 @@
 """Measure the tables of the documentation: `python -m tools.results [NAME ...]`.
 
-Each row of a table is measured by one command with `--json`. The displayed numbers of its output
+Each row of a table is measured by one command that prints JSON. The displayed numbers of its output
 are stored in docs/results/NAME.json with the commit and the machine, immediately after the
 command. After an interruption the same call continues; it also repeats rows of older commits.
+Without names, it measures the sets whose `default` is true.
 `python -m tools.pages` puts the tables into the pages.
 """
 
@@ -51,16 +52,17 @@ def figures(name: str) -> dict[str, Any]:
 
 
 def caption(name: str) -> str:
-    """A sentence with command, commit, machine and date."""
+    """A text with the command, the commits and machines of the rows, and the latest date."""
     found = read(name)
     if not found:
         return f"*Not measured yet; `make results ARGS={name}` does it.*"
     rows = found.values()
     missing = " Empty cells are not measured yet." if set(SETS[name].runs) - set(found) else ""
-    commits = ", ".join(sorted({row["commit"] for row in rows}))
+    *others, last = sorted({row["commit"] for row in rows})
+    commits = f"commits {', '.join(others)} and {last}" if others else f"commit {last}"
     machines = "; ".join(sorted({row["machine"] for row in rows}))
     date = max(row["date"] for row in rows)
-    return f"*`make results ARGS={name}`, at commit {commits}, on {machines}, {date}.{missing}*"
+    return f"*`make results ARGS={name}`, at {commits}, on {machines}, {date}.{missing}*"
 
 
 def table(name: str) -> str:

@@ -33,7 +33,7 @@ IN_A_ROW = 6  # [-] largest number of robots in a row
 
 
 def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
-    """Draw the ready posture along an axis: the bodies over the grey hulls of the links."""
+    """Draw the ready posture, projected on coordinates number x and y: bodies over grey hulls."""
     ready = np.array(model.description.arm.ready_position)
     placed = placements(model, ready)
     path = urdf_path(model.description)

@@ -55,7 +55,10 @@ def differences(first: Any, second: Any, tolerance: float, name: str = "") -> li
                 first.get(key), second.get(key), tolerance, f"{name}.{key}".strip(".")
             )
         ]
-    if isinstance(first, float) and isinstance(second, float):
+    if isinstance(first, list) and isinstance(second, list) and len(first) == len(second):
+        pairs = enumerate(zip(first, second, strict=True))
+        return [text for i, each in pairs for text in differences(*each, tolerance, f"{name}.{i}")]
+    if isinstance(first, int | float) and isinstance(second, int | float):
         same = abs(first - second) <= tolerance
     else:
         same = first == second

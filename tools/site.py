@@ -48,7 +48,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 ROBOT = "husky_panda"
 """The paper's robot; its meshes have BSD and Apache licences."""
 LARGEST = 3e6
-"""[bytes] size of the largest page, which opens without a delay."""
+"""[bytes] largest accepted size of a page; such a page opens without a delay."""
 DISTANCES = tuple(round(0.01 * k, 2) for k in range(6, 25, 3))
 """[m] buffer distances of the border's pages."""
 HOLD = 1.0  # [s] display time of each d_b
@@ -60,7 +60,7 @@ class Played(NamedTuple):
     Attributes:
         page: Its address.
         verdict: The result in words.
-        result: Contact of the arm, otherwise the smallest distance to the base.
+        result: The contact of the arm; without a contact, the smallest distance to the base.
         loud: Whether there was contact or penetration.
     """
 
@@ -71,7 +71,7 @@ class Played(NamedTuple):
 
 
 class Bordered(NamedTuple):
-    """The page of a border, the displayed name of its pair of L_m, and the colour's quantity."""
+    """The page of a border, the displayed name of its pair, and the quantity of its colours."""
 
     page: str
     pair: str
@@ -87,7 +87,7 @@ def make_site(
     """Make replays, borders and the page that links them; it links `docs` and `maps` if they exist.
 
     Args:
-        out: New folder.
+        out: An existing folder.
         scenarios: The scenarios, one row of replays for each.
         controllers: Names of the controllers, one column for each.
         layers: Quantities that colour the borders.

@@ -1,7 +1,7 @@
 """Platforms with published wheels of all dependencies: `python -m tools.wheels [--write]`.
 
-Every dependency of the package and of all its extras is resolved for each supported Python and
-platform, without building anything and without an interpreter of that Python. The result is the
+Every dependency of the package and of all its extras is resolved for each Python and platform
+of the table, without building anything and without an interpreter of that Python. The result is the
 table of docs/install.md, between two marks.
 """
 
@@ -26,11 +26,8 @@ PLATFORMS = {
     "Linux aarch64": "aarch64-unknown-linux-gnu",
     "macOS arm64": "aarch64-apple-darwin",
 }
-PROMISED = {
-    *product(["Linux x86-64"], PYTHONS),
-    *product(["macOS arm64"], ["3.11", "3.12", "3.13"]),
-}
-"""Platforms and Pythons with all wheels."""
+PROMISED = {*product(["Linux x86-64", "macOS arm64"], PYTHONS)}
+"""Platforms and Pythons for which every dependency must have a wheel."""
 OPTIONAL = {
     "pybullet": "pybullet",
     "pybullet-arm64": "pybullet's fork",

@@ -1,1 +1,1 @@
-"""Distances, acting point, accelerations, activation, avoidance task (Algorithm 3, §3.1-3.3)."""
+"""Distances, acting point, and the force and acceleration of the base (Algorithm 3, §3.1)."""

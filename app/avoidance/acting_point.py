@@ -40,7 +40,7 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
 @compiled()
 def uphill(gradient: Array) -> Array:
-    """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheel axis, its limit e_x."""
+    """(3,) ∇S/‖∇S‖ from ∇S (3,); e_x where ∇S = 0: on the wheel axis, this is the limit."""
     norm = math.sqrt((gradient**2).sum())
     if norm > 0.0:
         return gradient / norm
@@ -67,13 +67,13 @@ def find_acting_point(
     alpha_min: float,
     alpha_max: float,
 ) -> tuple[Array, Array, Array, Array, float]:
-    """The acting point of a pair of L_m for the closest point p_b on the arm.
+    """The acting point of a pair of arm and base, for the closest point p_b on the arm.
 
     Paper: Algorithm 3.
 
     Args:
         border: `BORDER` of the robot.
-        pair: Number of the pair in L_m, from 0.
+        pair: Number of the pair among the pairs of arm and base (L_m), from 0.
         score: (9,) coefficients of the score of the pair's body, as `ScoreField.coefficients`.
         p_b: (3,) [m] closest point on the arm, in the base's frame.
         d: [m] distance of the pair.

@@ -87,15 +87,15 @@ class SmoothPoints:
     """Closest points from a mean over the nodes of a link's core; nearer nodes weigh more.
 
     If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
-    one end to the other as the capsule turns. With the weights exp((min d - d_k)/τ) of the nodes,
-    the mean moves continuously instead, because every distance d_k is continuous. If one node is
-    much nearer than the others, this node is the result. If `a` has several convex parts, the
-    normal is the mean of the parts' normals at the resulting point, with weights of the same form
-    for the distances of the parts. This normal is the gradient of a smooth distance, and shorter
-    than 1 in a corner between two parts.
+    one end to the other as the capsule turns. Here each node has the weight exp((min d - d_k)/τ),
+    with its distance d_k to `a` and the smoothing length τ. The mean moves continuously, because
+    every distance d_k is continuous. If one node is much nearer than the others, this node is the
+    result. If `a` has several convex parts, the normal is the mean of the parts' normals at the
+    resulting point, with weights of the same form for the distances of the parts. This normal is
+    the gradient of a smooth distance, and shorter than 1 in a corner between two parts.
 
-    The nearest point of a flat face can be any of its points. Therefore the points of the flat
-    faces of `b` that are nearest to the corners of `a` are nodes too.
+    The nearest point of a flat face can be any of its points. Therefore, on each shape of `b` with
+    flat faces, the points that are nearest to the nodes of `a` are nodes too.
     """
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
@@ -126,7 +126,7 @@ class SmoothPoints:
         """(k, 2) pinocchio's indices of the joints that move `a` and `b` of each row."""
 
     def arrays(self) -> dict[str, Array]:
-        """Arguments of `mean_nearest` except poses, by the names of `app.control.inputs.ROBOT`."""
+        """Fields of `app.control.inputs.ROBOT`: joints and constant arguments of `mean_nearest`."""
         return {
             "shapes": self._shapes.rows,
             "triangles": self._shapes.triangles,
@@ -309,5 +309,5 @@ def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
 
 
 def _farthest_out(corners: Array) -> Array:
-    """(K, 3) [m] the corners that are farthest in some direction."""
+    """(K, 3) [m] the corners that are farthest in one of the 26 directions of `_SIGNS`."""
     return corners[np.unique((corners @ _SIGNS.T).argmax(axis=0))]

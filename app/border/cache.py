@@ -110,12 +110,12 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
 
 @dataclass(frozen=True)
 class BorderData:
-    """All offline results for one robot."""
+    """The link pairs of one robot, and the sampled points of its borders."""
 
     pairs: LinkPairs
     """The link pairs of (1), §2.1."""
     clouds: dict[str, Cloud]
-    """P_i of Algorithm 1 for each pair of L_m, by the pair's name."""
+    """P_i of Algorithm 1, the sampled points for each pair of arm and base, by the pair's name."""
     origin: Literal["cache", "shipped", "sampled"]
     """Origin of the data: "cache" is the user's cache, "shipped" a file of the project, "sampled"
     a new computation."""
@@ -140,7 +140,7 @@ def load_border_data(
 
     Raises:
         AssetError: The URDF or a mesh is missing.
-        DescriptionError: The mobile robot is too large for the stored points.
+        DescriptionError: The base is too large for the stored points.
     """
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:

@@ -1,6 +1,6 @@
 """Algorithm 1: P_i, and the border DBB_i, which is a subset of P_i.
 
-P_i are sampled points that a body of the arm can reach around the mobile robot.
+P_i are sampled points that a body of the arm can reach around the mobile base l_m.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ POINT_RANGE = 3.2  # [m] largest coordinate that can be stored
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """P_i of one pair of L_m, sorted by height."""
+    """P_i, the sampled points of one pair of arm and base (L_m), sorted by height."""
 
     pair: str
     """Name of the pair, such as `lm-lEE`."""
@@ -68,7 +68,7 @@ SAME_HEIGHT = 0.005  # [m] heights whose difference is at most this count as the
 
 @dataclass(frozen=True)
 class Border:
-    """DBB_i of one pair of L_m, in the base's frame, sorted by height."""
+    """DBB_i, the border of one pair of arm and base, in the base's frame, sorted by height."""
 
     pair: str
     """Name of the pair, such as `lm-lEE`."""

@@ -1,4 +1,4 @@
-"""Exact distance of points to a convex shape, and to the mobile robot (DistanceToMobile).
+"""Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
 A kernel computes the same distances as the collision library. For boxes and round shapes it is
 fifty times faster, so a border for another d_b is immediately available. For a hull the time grows
@@ -18,7 +18,6 @@ import pinocchio as pin
 from app.compiled import compiled
 from app.robot.model import RobotModel
 from app.strict import Array
-from app.structs import put
 
 _BOX, _CAPSULE, _CYLINDER, _HULL = range(4)
 _MAX_NEWTON = 30
@@ -36,7 +35,7 @@ class ConvexPart:
         """The shape in the kernels' format."""
 
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
-        """Signed distance [m] of a point (3,) [m], and the unit vector (3,) towards the point."""
+        """Signed distance [m] of a point (3,) [m], and the gradient (3,) of the distance."""
         found = distances_and_normals(*self.shapes, point[None])[0]
         return found.item(0), found[1:]
 
@@ -182,7 +181,7 @@ def _on_triangle(
 
 @compiled()
 def _over(triangle: Array, x: float, y: float, z: float) -> float:
-    """[m] signed distance of a point from the plane of a triangle of `Shapes`."""
+    """[m] signed distance of (x, y, z) [m] from the plane of a triangle of `Shapes`."""
     a, n = triangle[0], triangle[3]
     return n[0] * (x - a[0]) + n[1] * (y - a[1]) + n[2] * (z - a[2])
 
@@ -201,7 +200,7 @@ def _reach(triangle: Array, p: float, q: float, r: float) -> float:
 def _hull_distance(
     triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance [m] of a point to a hull, and the gradient of the distance.
+    """Signed distance [m] of the point (x, y, z) [m] to a hull, and the distance's gradient.
 
     Inside the hull, this is the distance to the nearest plane. Outside, the search starts with a
     point of the hull. All nearer points are beyond the plane through this point that is
@@ -237,7 +236,7 @@ def _hull_distance(
 def _signed_distance(
     kind: int, size: Array, triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance [m] of a point in the shape's frame, and the gradient of the distance."""
+    """Signed distance [m] of (x, y, z) [m] in the frame of a shape, and its gradient."""
     if kind == _CAPSULE:
         z_out = z - min(max(z, -size[1]), size[1])
         far = math.sqrt(x * x + y * y + z_out * z_out)
@@ -306,7 +305,8 @@ def distances_and_normals(rows: Array, triangles: Array, points: Array) -> Array
     """(N, 4) signed distances [m] of points (N, 3) [m] to the nearest shape, with gradients."""
     found = np.empty((len(points), 4))
     for k in range(len(points)):
-        put(found[k], nearest_of(rows, triangles, points[k, 0], points[k, 1], points[k, 2]))
+        nearest = nearest_of(rows, triangles, points[k, 0], points[k, 1], points[k, 2])
+        found[k, 0], found[k, 1], found[k, 2], found[k, 3] = nearest
     return found
 
 

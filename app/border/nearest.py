@@ -1,10 +1,18 @@
-"""The border for the search of the acting point: as a surface, or as points as in the paper.
+"""The border point nearest to a query point: p_n of Algorithm 3.
 
-The surface is the exact offset of l_m; the points are its samples. The nearest point of the surface
-moves continuously with the query point, except where two points of the surface are equally near.
-The time of the search does not depend on the density of the samples. The surface is closed, so it
-also covers regions that the arm never reaches. No closest point is ever there, and near such
-regions the reachability in the score leads away from them.
+The border is a surface, the exact offset of l_m, or consists of points as in the paper, which are
+samples of the surface. The nearest point of the surface moves continuously with the query point. It
+jumps only where two points of the surface are equally near. The time of the search does not depend
+on the density of the samples. The surface is closed, so it also covers regions that the arm never
+reaches. No closest point is ever there, and near such regions the reachability in the score leads
+away from them.
+
+At each height, every shape of l_m has a ring: the boundary of its slice of the offset, as a closed
+polygon. Its visible part is outside of the other shapes' offsets. The contour of the union consists
+of all visible parts. It is one closed curve, or several curves around islands or holes. Between two
+heights of a `Table`, the vertices of a ring, and the distances of the vertices to the other shapes,
+are interpolated. Two rings cross where such a distance is zero. The contour changes continuously
+with the height. It jumps only where a shape begins or ends.
 """
 
 import math
@@ -14,14 +22,41 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from app.border.contours import Table, nearest_point
-from app.border.dbb import SAME_HEIGHT, Border, Cloud, construct_dbb
-from app.border.offset import OffsetContours, offset_contours
+from app.border.dbb import SAME_HEIGHT, Border
 from app.compiled import compiled
-from app.config import BorderConfig
-from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
 from app.structs import struct_type
+
+_SAME_CORNER = 0.01  # [m] largest distance of two ends that belong to the same corner
+_TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefined
+
+BLOCK = 24  # [-] number of edges in a block of the search; a ring has a whole number of blocks
+
+Best = tuple[float, complex, complex]
+"""Distance [m] of the nearest point that the search has found, the point [m], and the unit tangent
+there, both as x + iy."""
+Corner = tuple[complex, complex, bool]
+"""A crossing of a ring with another shape: the point [m] and the unit tangent as x + iy, and
+whether the visible part of the ring starts there."""
+
+
+class Table(NamedTuple):
+    """The rings of all shapes. The first vertex of a row is repeated at its end."""
+
+    firsts: Array
+    """(K + 1,) row of each shape's first ring, and the number of rows."""
+    heights: Array
+    """(N,) [m] heights of the rings, ascending for each shape."""
+    vertices: Array
+    """(N, R + 1) [m] vertices as x + iy."""
+    tangents: Array
+    """(N, R + 1) unit tangents at the vertices, as x + iy."""
+    shown: Array
+    """(N, R + 1) [m] signed distance of each vertex from the nearest offset of another shape."""
+    spans: Array
+    """(N, R / BLOCK) [m] largest distance between the middle vertex and another vertex of a
+    block."""
+
 
 _f8, _c16, _i8 = types.f8, types.c16, types.i8
 _BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
@@ -41,13 +76,179 @@ BORDER = struct_type("_Values", _BORDER)
 """The struct of a border, for signatures of compiled functions."""
 
 
-class Foot(NamedTuple):
-    """The point of a border nearest to a point at the same height, in the base's frame."""
+@compiled()
+def level(firsts: Array, heights: Array, z: float) -> float:
+    """[m] the height nearest to z at which a shape of a `Table` has a ring; z without shapes."""
+    best, distance = z, np.inf
+    for j in range(len(firsts) - 1):
+        at = min(max(z, heights[firsts[j]]), heights[firsts[j + 1] - 1])
+        if abs(at - z) < distance:
+            best, distance = at, abs(at - z)
+    return float(best)
 
-    p: Array
-    """(3,) [m] the point of the border."""
-    t: Array
-    """(3,) horizontal unit tangent there; on the surface, l_m is on its left."""
+
+@compiled()
+def _row(heights: Array, first: int, last: int, z: float) -> tuple[int, int, float]:
+    """The rows in [first, last) below and above z, and the fraction of z between their heights."""
+    k = first + int(np.searchsorted(heights[first:last], z, side="right")) - 1
+    if heights[k] == z or k + 1 == last:
+        return k, k, 0.0
+    return k, k + 1, float((z - heights[k]) / (heights[k + 1] - heights[k]))
+
+
+@compiled()
+def _blend(low: Array, high: Array, share: float, i: int | slice) -> Array:
+    return low[i] + share * (high[i] - low[i])
+
+
+@compiled()
+def _search_edges(
+    ring: Array, tangents: Array, shown: Array, p: complex, best: Best, corners: list[Corner]
+) -> Best:
+    """Search a block of edges for a point nearer to p than `best`; add the block's corners."""
+    ahead = _dot(p - ring[0], tangents[0]) >= 0.0
+    for i in range(BLOCK):
+        edge, turn = ring[i + 1] - ring[i], tangents[i + 1] - tangents[i]
+        next_ahead = _dot(p - ring[i + 1], tangents[i + 1]) >= 0.0
+        first, last = _shown_part(shown[i], shown[i + 1])
+        if first <= last and ahead and not next_ahead:
+            along = _foot(p - ring[i], edge, tangents[i], tangents[i + 1])
+            if first <= along <= last:
+                best = _nearer(best, p, ring[i] + along * edge, tangents[i] + along * turn)
+        for along, end, begins in ((first, 0.0, True), (last, 1.0, False)):
+            if first <= last and along != end:
+                at, t = ring[i] + along * edge, tangents[i] + along * turn
+                corners.append((at, t / abs(t), begins))
+        ahead = next_ahead
+    return best
+
+
+@compiled()
+def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
+    """Search the corners of the contour for a point that is nearer than `best`.
+
+    At a corner the outlines of two shapes' offsets cross: one leaves the contour, and the other
+    begins there. End and beginning differ by the interpolation error; the segment between them
+    belongs to the contour. At a corner the tangent is perpendicular to the line to p, x + iy [m].
+    """
+    met = np.zeros(len(corners), np.bool_)
+    for at, t, begins in corners:
+        if begins:
+            continue
+        other, apart = -1, _SAME_CORNER
+        for c, (start, _, is_start) in enumerate(corners):
+            if is_start and abs(start - at) < apart:
+                other, apart = c, abs(start - at)
+        if other >= 0:
+            met[other] = True
+            way, both = corners[other][0] - at, t + corners[other][1]
+            if apart > 0.0:
+                at += min(max(_dot(p - at, way) / (apart * apart), 0.0), 1.0) * way
+            t = both if abs(both) > _TOUCHING else t
+        best = _nearer(best, p, at, _square(p, at, t))
+    for c, (at, t, begins) in enumerate(corners):
+        if begins and not met[c]:  # the ring that ends there is too far away to be searched
+            best = _nearer(best, p, at, _square(p, at, t))
+    return best
+
+
+@compiled()
+def _nearer(best: Best, p: complex, at: complex, tangent: complex) -> Best:
+    """`best`, or the point `at` with its tangent if that is nearer to p."""
+    away = abs(p - at)
+    return (away, at, tangent / abs(tangent)) if away < best[0] else best
+
+
+@compiled()
+def _dot(a: complex, b: complex) -> float:
+    return (a * b.conjugate()).real
+
+
+@compiled()
+def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
+    """The fraction along an edge at which the line to p is perpendicular to the contour's tangent.
+
+    `to_p` leads to p from the edge's start. The tangent is interpolated from t to t_next. Without
+    interpolation, the nearest point would jump at vertices: none is nearest to a point inside.
+    """
+    # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
+    a = -_dot(edge, t_next - t)
+    b = _dot(to_p, t_next - t) - _dot(edge, t)
+    c = _dot(to_p, t)
+    root = -2.0 * c / (b - math.sqrt(max(b * b - 4.0 * a * c, 0.0))) if c > 0.0 else 0.0
+    return min(max(root, 0.0), 1.0)
+
+
+@compiled()
+def _shown_part(start: float, end: float) -> tuple[float, float]:
+    """The part of an edge on which a linear function is not negative, as fractions in [0, 1].
+
+    `start` and `end` are the values of the function at the ends of the edge. If both are negative,
+    the first fraction is larger than the second.
+    """
+    if start < 0.0 and end < 0.0:
+        return 1.0, 0.0
+    first = start / (start - end) if start < 0.0 else 0.0
+    last = start / (start - end) if end < 0.0 else 1.0
+    return first, last
+
+
+@compiled()
+def _square(p: complex, foot: complex, along: complex) -> complex:
+    """The unit vector perpendicular to the line from p to `foot`, on the side of `along`."""
+    way = p - foot
+    length = abs(way)
+    if length < _TOUCHING:
+        return along / abs(along)
+    t = way * 1j / length
+    return t if _dot(t, along) >= 0.0 else -t
+
+
+@compiled()
+def nearest_offset(border: Any, at: Array) -> Array:
+    """The point on the contour of a `BORDER` nearest to the point `at` (3,) [m].
+
+    If there is no contour at the point's height, the contour of the nearest available height is
+    used, at the point's height. At each height of the table, at least one part of a ring is outside
+    of all other shapes. Blocks of edges are searched in the order of their distance, until the next
+    block is farther than the nearest point, so the cost hardly grows with the number of shapes.
+
+    Returns:
+        (2, 3) p and t of `Foot`; NaN if there are no contours.
+    """
+    firsts, heights, vertices = border.firsts, border.heights, border.vertices
+    tangents, shown, spans = border.tangents, border.shown, border.spans
+    z, p = level(firsts, heights, at[2]), complex(at[0], at[1])
+    shapes, blocks = len(firsts) - 1, spans.shape[1]
+    rows, ups, shares = np.zeros(shapes, np.int64), np.zeros(shapes, np.int64), np.zeros(shapes)
+    bounds = np.full((shapes, blocks), np.inf)  # [m] lower bounds of the distances of blocks
+    for j in range(shapes):
+        if heights[firsts[j]] <= z <= heights[firsts[j + 1] - 1]:
+            k, up, share = _row(heights, firsts[j], firsts[j + 1], z)
+            rows[j], ups[j], shares[j] = k, up, share
+            for b in range(blocks):
+                middle = _blend(vertices[k], vertices[up], share, b * BLOCK + BLOCK // 2)
+                bounds[j, b] = max(abs(p - middle) - _blend(spans[k], spans[up], share, b), 0.0)
+    best: Best = (np.inf, complex(np.nan, np.nan), complex(np.nan, np.nan))
+    corners = [(0j, 0j, False) for _ in range(0)]
+    for _ in range(bounds.size):
+        nearest = int(np.argmin(bounds))
+        j, b = nearest // blocks, nearest % blocks
+        if not (bounds[j, b] < np.inf and bounds[j, b] <= best[0] + _SAME_CORNER):
+            break
+        bounds[j, b] = np.inf
+        k, up, share = int(rows[j]), int(ups[j]), float(shares[j])
+        i = slice(b * BLOCK, (b + 1) * BLOCK + 1)
+        best = _search_edges(
+            _blend(vertices[k], vertices[up], share, i),
+            _blend(tangents[k], tangents[up], share, i),
+            _blend(shown[k], shown[up], share, i),
+            p,
+            best,
+            corners,
+        )
+    _, point, tangent = _search_corners(p, best, corners)
+    return np.array([[point.real, point.imag, at[2]], [tangent.real, tangent.imag, 0.0]])
 
 
 @compiled()
@@ -91,53 +292,48 @@ def nearest_sample(
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and its tangent.
 
-    All are in the base's frame; `pair` is the number of the pair in L_m. If the border consists of
-    points and has points of this pair at this height, the result is one of them, with the tangent
-    of `nearest_sample`; where this tangent is undefined, the tangent of the surface replaces it.
-    Otherwise the result is a point of the surface, which is the exact offset of l_m for all pairs,
-    with the tangent of the contour. Point and tangent are NaN if l_m has no border at all.
+    All are in the base's frame; `pair` is the number of the pair of arm and base. A border of
+    points yields one of its points, if the pair has points at this height. The tangent is then that
+    of `nearest_sample`; where that one is undefined, it is the tangent of the surface. In all other
+    cases the result is a point of the surface, with the tangent of the contour. The surface is the
+    exact offset of l_m for all pairs. Point and tangent are NaN if l_m has no border.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
         p_n, t, found = nearest_sample(border.points, first, end, p, border.eps)
         if found and math.isnan(t[0]):
-            exact = _nearest_offset(border, p_n)
+            exact = nearest_offset(border, p_n)
             t = exact[1] if not math.isnan(exact[1, 0]) else np.array([0.0, 1.0, 0.0])
         if found:
             return p_n, t
-    exact = _nearest_offset(border, p)
+    exact = nearest_offset(border, p)
     return exact[0], exact[1]
 
 
-@compiled()
-def _nearest_offset(border: Any, p: Array) -> Array:
-    return nearest_point(
-        border.firsts,
-        border.heights,
-        border.vertices,
-        border.tangents,
-        border.shown,
-        border.spans,
-        p,
-    )
+class Foot(NamedTuple):
+    """The border point nearest to a query point, among those at its height; in the base's frame."""
+
+    p: Array
+    """(3,) [m] the point of the border."""
+    t: Array
+    """(3,) horizontal unit tangent there; on the surface, l_m is on its left."""
 
 
 class BorderSearch:
     """A border in the form that compiled functions use."""
 
-    def __init__(self, offset: OffsetContours, borders: Sequence[Border] = ()) -> None:
+    def __init__(self, table: Table, borders: Sequence[Border] = ()) -> None:
         """Prepare the search.
 
         Args:
-            offset: The surface at the distance d_b around l_m.
+            table: The surface at the distance d_b around l_m, `OffsetContours.table`.
             borders: The sampled border of each pair, for the same d_b; if empty, the search uses
                 only the surface.
         """
-        table = Table(*map(np.ascontiguousarray, offset.table))
         points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
         sampled = np.cumsum([0, *map(len, borders)])
         eps = borders[0].eps if borders else 0.0
-        values = _Values(*table, bool(borders), points, sampled, eps)
+        values = _Values(*map(np.ascontiguousarray, table), bool(borders), points, sampled, eps)
         self.struct = BORDER.made_of(values)
         """The border as a struct `BORDER`."""
 
@@ -147,12 +343,3 @@ class BorderSearch:
         """
         foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
         return None if math.isnan(foot.p[0]) else foot
-
-
-@kept_per_model(8)
-def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the clouds' pairs, of the configured kind; cached for each model."""
-    offset = offset_contours(model, config.d_b)
-    if config.kind == "surface":
-        return BorderSearch(offset)
-    return BorderSearch(offset, [construct_dbb(each, config.d_b, config.eps) for each in clouds])

@@ -1,4 +1,4 @@
-"""The exact offset of the mobile robot, {p : distance to l_m = d_b}, as horizontal contours.
+"""The exact offset of the mobile base, {p : distance to l_m = d_b}, as horizontal contours.
 
 The offset is the border as a continuous surface. It also replaces sampled points at heights without
 points, so that an acting point exists at every height.
@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.contours import BLOCK, Table, level
+from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import ConvexPart, MobileBody
+from app.border.nearest import BLOCK, BorderSearch, Table, level
+from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
 
@@ -98,8 +100,17 @@ def _pieces(ring: Array, shown: Array) -> list[Array]:
 
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for a buffer distance d_b [m], cached for all controllers."""
+    """The contours for a buffer distance d_b [m]; cached for each model."""
     return OffsetContours(model, d_b)
+
+
+@kept_per_model(8)
+def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
+    """The border of the clouds' pairs, of the configured kind; cached for each model."""
+    table = offset_contours(model, config.d_b).table
+    if config.kind == "surface":
+        return BorderSearch(table)
+    return BorderSearch(table, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
 
 
 def _outermost(
@@ -119,7 +130,7 @@ def _outermost(
 
 
 def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
-    """(H, RAYS + 1) [m] distance of vertices to the other shapes' offsets, positive outside."""
+    """(H, RAYS + 1) [m] signed distance of each vertex from the nearest offset of another shape."""
     H, V, _ = rings.vertices.shape
     points = np.concatenate(
         [rings.vertices, np.broadcast_to(rings.heights[:, None, None], (H, V, 1))], axis=2
@@ -231,7 +242,7 @@ class _Tracer:
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
-        """(RAYS,) [m] lengths of the rays, from estimates `start`; −inf for rays without a hit."""
+        """(RAYS,) [m] lengths of rays at height z, from estimates `start`; −inf without a hit."""
         part = self._part
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))

@@ -1,7 +1,7 @@
-"""Sampling of P_i for all pairs of L_m: random joint positions, then a flood of each sector.
+"""Sampling of P_i for all pairs of arm and base: random postures, then a flood of each sector.
 
-In a flood, the arm's closest point moves from known postures into empty neighbouring voxels. Worker
-processes execute both stages.
+In a flood, the arm's closest point moves from known postures into empty neighbouring voxels. With
+more than one process, the processes execute both stages in parallel.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def sample_clouds(
 
     Args:
         model: The robot.
-        pairs: The pairs of L_m.
+        pairs: The pairs of arm and base (L_m).
         config: Parameters of the sampling.
         progress: Whether to draw a progress bar on standard error.
         processes: Number of processes; default: one for each usable core.
@@ -66,7 +66,7 @@ def sample_clouds(
         P_i by the name of the pair.
 
     Raises:
-        DescriptionError: The mobile robot is too large for the stored points.
+        DescriptionError: The base is too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
     seeds = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -121,8 +121,8 @@ class _Sampler:
         return starts
 
     def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
-        """One job for each sector that has a starting posture, which is from another sector after
-        the first round.
+        """One job for each sector that a posture of `given` can start; after the first round, only
+        postures of other sectors count. `kept` are this pair's postures so far.
         """
         taken = self._voxels.keys(self._voxels.cells(kept.points))
         free = np.ones(self._voxels.count, dtype=bool)
@@ -199,7 +199,7 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
-    """Find postures for the open voxels of a sector; d_m is computed at the rounded points."""
+    """Find postures for the open voxels of a sector; d_m is that at the stored, rounded points."""
     q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
     found, points = _Flood(context, job).run(q_m)
     distances = context.body.distance(points * POINT_UNIT)
@@ -260,7 +260,7 @@ class PairReader:
 
 
 class _Flood:
-    """Finds one point for each open voxel of one pair in one sector."""
+    """Finds points for the open voxels of one pair in one sector, at most one for each voxel."""
 
     def __init__(self, context: Context, job: SectorJob) -> None:
         self._model, self._voxels, config = context.model, context.voxels, context.config
@@ -299,7 +299,7 @@ class _Flood:
         return found.q_m.astype(np.float32), quantise_points(found.p_b)
 
     def _accepted(self, found: Witnesses) -> Witnesses:
-        """Select one posture for each open voxel, and close these voxels."""
+        """Select one of the `found` postures for each open voxel, and close these voxels."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
         fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
@@ -309,9 +309,10 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Make one step into each open voxel that is a neighbour of the closest point of a posture.
+        """Step from the `found` postures into each open voxel next to one of their closest points.
 
-        If several postures are next to a voxel, the first of them makes the step.
+        If several postures are next to a voxel, the first of them makes the step. Steps that would
+        probably leave the sampled range of distances are left out.
         """
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
         keys = self._voxels.keys(cells)
@@ -331,7 +332,8 @@ class _Flood:
         """Compute postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
 
         J (N, 3, n_m) are the closest points' Jacobians at the postures q. Retries add random
-        self-motion, which grows with the round. Joints that would leave their limits do not move.
+        self-motion, which grows with the round. Joints that would leave their position limits do
+        not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -345,7 +347,7 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
     """Joint steps (N, n_m) that move a point by about `step`, near the joint steps `free`.
 
     The result is ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ), the damped least-squares solution, with J
-    (N, 3, n_m), s = `step` (N, 3) [m] and ξ = `free` (N, n_m) [rad or m].
+    (N, 3, n_m), s = `step` (N, 3) [m], ξ = `free` (N, n_m) [rad or m] and λ = `_DAMPING`.
     """
     J_T = J.transpose(0, 2, 1)
     missing = step[:, :, None] - J @ free[:, :, None]
@@ -399,7 +401,7 @@ class Voxels:
         low, high = lower - reach, upper + reach
         if max(np.abs(low).max(), np.abs(high).max()) > POINT_RANGE:
             raise DescriptionError(
-                f"bodies: the mobile robot extends more than {POINT_RANGE - reach:g} m "
+                f"bodies: the base extends more than {POINT_RANGE - reach:g} m "
                 "from the base's centre, too far for a stored border"
             )
         low[2] = 0.0  # no points below the floor
@@ -409,7 +411,7 @@ class Voxels:
         self.shape = np.maximum(-(-span // self._size), 1)
         """(3,) number of voxels along x, y and z."""
         self.count = int(self.shape.prod())
-        # Turned by half a sector, so that no edge of a sector is on the wheel axis.
+        # Turned by half a sector: if 4 divides `sectors`, no edge of a sector is on the wheel axis.
         x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
         turn = np.arctan2(y[:, None], x[None, :]).ravel() / (2 * np.pi) + 0.5 / sectors
         self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns

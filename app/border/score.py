@@ -51,16 +51,16 @@ class ScoreField:
         if reach is None:
             raise DescriptionError(
                 f"{model.description.name}/robot.toml: reachability.{body}: missing; it is "
-                "required because the body can meet the mobile robot"
+                "required because the body can meet the base"
             )
         return cls(base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:
-        """(…) det(J_c J_cᵀ) of (7); for other kinds of base, the absolute value of the measure."""
+        """(…) det(J_c J_cᵀ) of (7) at p (…, 3) [m]; for other bases, |measure|."""
         return np.abs(self.base.singularity(p)[0])
 
     def reachability(self, p: Array) -> Array:
-        """(…) [-] R, the reachability of a point, which depends on the distance from the mount.
+        """(…) [-] R, the reachability of points p (…, 3) [m], by their distance from the mount.
 
         Paper: Eq. (9).
         Departure: at distances that differ much from B, (9) is negative and would change the
@@ -81,7 +81,7 @@ class ScoreField:
         return self._fields(p)[..., 1]
 
     def gradient(self, p: Array) -> Array:
-        """(…, 3) ∇S, the gradient with respect to the point."""
+        """(…, 3) ∇S, the gradient with respect to the points p (…, 3) [m]."""
         return self._fields(p)[..., 2:]
 
     def coefficients(self) -> Array:
@@ -93,14 +93,14 @@ class ScoreField:
         )
 
     def _fields(self, p: Array) -> Array:
-        """(…, 5) R, S and ∇S."""
+        """(…, 5) R, S and ∇S at the points p (…, 3) [m]."""
         p = np.asarray(p, dtype=float)
         return _fields_at(self.coefficients(), p.reshape(-1, 3)).reshape(*p.shape[:-1], 5)
 
 
 @compiled()
 def _field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
-    """R, S and ∇S at a point; the gradient of R counts as 0 at the mount, where it is undefined."""
+    """R, S and ∇S at p (3,) [m]; ∇R counts as 0 at the mount, where it is undefined."""
     constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
     A, B, C = coefficients[6], coefficients[7], coefficients[8]
     signed, by_x = constant + quadratic * p[0] * abs(p[0]), 2 * quadratic * abs(p[0])
@@ -126,7 +126,7 @@ def _fields_at(coefficients: Array, points: Array) -> Array:
 
 @compiled()
 def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
-    """S of (10) and (11), and ∇S (3,), at one point (3,) [m], with `ScoreField.coefficients`."""
+    """S of (10) and (11), and ∇S (3,), at the point p (3,) [m], with `ScoreField.coefficients`."""
     _, score, gradient = _field_at(coefficients, p)
     return score, gradient
 
@@ -145,10 +145,12 @@ class RadialProfile:
     """(K,) number of values in each shell."""
 
     def peak(self) -> int:
-        """Index of the shell with the largest mean among the shells with enough values.
+        """Index of the shell with the largest mean, of those with at least `_FEWEST` values.
+
+        If all shells have fewer values, only those with the most values count.
 
         Raises:
-            ValueError: There are no values.
+            ValueError: All shells are empty.
         """
         if not self.count.any():
             raise ValueError("there are no values")
@@ -218,19 +220,21 @@ class ReachFit(NamedTuple):
 
 
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
-    """Fit (9) by least squares with equal weights.
+    """Fit (9) to positions by least squares with equal weights.
 
     Paper: Eq. (9).
-    The fit covers the distances around the peak at which `reach` is at least `share` times the
-    peak. Below the default share, `ScoreField.reachability` replaces (9) by a different curve.
+    The positions are divided into shells by their distance. The fit uses all positions in the
+    shells around the best shell whose mean is at least `share` times the best mean. Below the
+    default share, `ScoreField.reachability` replaces (9) by a different curve.
 
     Args:
-        rho: (N,) [m] distances from the arm's mount.
-        reach: (N,) [-] mean reachability at these distances, including zeros.
-        share: [-] share of the peak.
+        rho: (N,) [m] distance of each position from the arm's mount.
+        reach: (N,) [-] reachability of each position, the mean over orientations; zeros included.
+        share: [-] share of the best mean.
 
     Raises:
-        ValueError: There are too few values, or the fitted parabola is not concave.
+        ValueError: There are fewer than four different distances, or the parabola has no maximum at
+            a positive distance.
     """
     rho, reach = np.asarray(rho, dtype=float), np.asarray(reach, dtype=float)
     low, high = radial_profile(rho, reach).band(share)

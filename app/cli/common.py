@@ -15,6 +15,7 @@ from app.jobs.progress import progress_bar
 from app.simulation.case import RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.words import number_text
+from app.system import home_expanded
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -47,7 +48,7 @@ def say(text: str) -> None:
 
 
 def show(text: str) -> None:
-    """Print a line on standard output; its text possibly comes from an untrusted source."""
+    """Print a line on standard output; `printable` replaces its control characters."""
     print(printable(text))
 
 
@@ -98,14 +99,16 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
         DbbError: The errors of `spec_of_scenario` and `spec_of_case`.
     """
     if is_case(word):
-        return spec_of_case(Path(word), setup, word, config=config)
+        return spec_of_case(home_expanded(word), setup, word, config=config)
     return spec_of_scenario(word, setup, config)
 
 
 def spec_of_scenario(
     name: str, setup: Given, config: Path | None, parameters: Given | None = None, **own: object
 ) -> RunSpec:
-    """The run of a scenario with `own` options; the other arguments as in `configured`.
+    """The run of a scenario with `own` options; `setup` has values for `Setup`.
+
+    `config` and `parameters` are the arguments `file` and `given` of `configured`.
 
     Raises:
         DbbError: The robot or the scenario does not exist, or an option is invalid.
@@ -148,7 +151,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
 def filmed(
     run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Execute a run up to the last of some times [s] with a progress bar; return its snapshots."""
+    """Execute a run up to the last of `times` [s] with a progress bar; see `simulation.filmed`."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:

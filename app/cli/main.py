@@ -30,6 +30,7 @@ COMMANDS = {
 }
 """The commands by topic, each with the module that defines its function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
+_NARROWEST = 40  # [-] smallest number of columns of a help text
 _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
@@ -48,16 +49,20 @@ def console() -> NoReturn:
         sys.excepthook(type(defect), defect, defect.__traceback__)
         status = 1
     atexit._run_exitfuncs()  # as in multiprocessing's processes
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):  # the reader has closed the pipe
-            stream.flush()
+    try:
+        sys.stdout.flush()
+    except OSError:  # a help text cannot be written
+        status = status or 1
+    with suppress(OSError):  # the reader has closed the pipe
+        sys.stderr.flush()
     os._exit(status)
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the command line; the exit status is 0 only if the command succeeds."""
+    """Run the command `args`, default `sys.argv[1:]`; exit status 0 means success."""
     open_standard_files()
     set_missing_folders()
+    os.environ["MPLBACKEND"] = "agg"  # a notebook's backend needs a library of the notebook
     logging.basicConfig(level=logging.INFO, stream=sys.stderr)
     for handler in logging.getLogger().handlers:
         handler.setFormatter(_Plain("%(message)s"))
@@ -77,10 +82,15 @@ def main(args: list[str] | None = None) -> None:
         print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for buffered output
+        where = "" if error.filename is None else f"{error.filename}: "
+        try:
+            sys.stdout.flush()
+        except OSError as lost:  # the output cannot be written
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            if not where:
+                error, where = lost, "the standard output: "
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
-        where = "" if error.filename is None else f"{error.filename}: "
         print(printable(f"dbb: error: {where}{error.strerror or error}"), file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
@@ -89,7 +99,7 @@ def main(args: list[str] | None = None) -> None:
 
 
 class _Plain(logging.Formatter):
-    """Formats log records whose text possibly comes from an untrusted source."""
+    """Formats log records; `printable` replaces their control characters."""
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(super().format(record))
@@ -108,12 +118,17 @@ def _run(words: list[str]) -> None:
 
 
 def _run_command(name: str, *words: str) -> None:
-    """Import and run a command; no other command is imported."""
+    """Check the name of a command, import its module, and run the command.
+
+    The modules of other commands are not imported.
+    """
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import in_order
+    from app.cli.options import REGISTRY, in_order
 
+    if shutil.get_terminal_size().columns < _NARROWEST:
+        os.environ["COLUMNS"] = str(_NARROWEST)  # in fewer columns tyro's help does not end
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
     rest = in_order(words)
     if choose := getattr(module, f"choose_{known}", None):
@@ -123,7 +138,14 @@ def _run_command(name: str, *words: str) -> None:
         function = getattr(module, known)
     function.__doc__, description = _help_texts(function.__doc__ or "")
     marks = (tyro.conf.DisallowNone,)
-    tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, config=marks)
+    tyro.cli(
+        function,
+        prog=f"dbb {name}",
+        description=description,
+        args=rest,
+        config=marks,
+        registry=REGISTRY,
+    )
 
 
 def _help_texts(doc: str) -> tuple[str, str]:

@@ -74,13 +74,14 @@ def sweep(
     """Move the end-effector towards the base from all sides; draw maps.
 
     Each path starts at a posture outside all buffers. The distance between arm and base is the same
-    at all starts that allow it. The path leads straight towards the base's centre, along the wheel
-    axis, or down onto the base. Starts without such a posture are listed as unreachable. Paths
-    along the wheel axis start with the arm's closest point at x = 0, ±1, ±10 and ±50 mm.
+    at all starts that allow it. The path leads to the middle of the base's box, parallel to
+    the wheel axis, or down onto the base. A path without such a posture is listed as unreachable.
+    Paths parallel to the wheel axis start with the arm's closest point at x = 0, ±1, ±10 and ±50 mm
+    in the base's frame.
 
     Args:
         out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed; with
-            --above, also one for each speed.
+            --above, a PNG of the paths from above for each speed too.
     """
     if "controllers" in plan:
         plan["controllers"] = [

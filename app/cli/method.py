@@ -67,7 +67,7 @@ def border(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Load or sample the border of each pair of L_m (§2.2).
+    """Load or sample the border of each pair of arm and base (§2.2).
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
@@ -137,11 +137,12 @@ def reach(
     number of inverse kinematics solutions within the joint limits and without self-collision, up to
     a constant factor. It is computed from random joint positions by the area formula: R is the sum
     of |det J| over the joint positions that lead to a cell of the lattice. J is the square Jacobian
-    of the pose; joints beyond its number of coordinates stay fixed. Then the mean of R is computed
-    in spherical shells around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so
-    that the largest of these means is 100, and (9) is fitted to the shells with a mean of at least
-    5. The fitted A depends on the end-effector's frame, on this scale, and on the lower bound 5;
-    the paper does not state these.
+    of the pose; it has no columns for redundant joints, as if these were fixed at their random
+    positions. Then the mean of R is computed in spherical shells around the mount, each for an
+    interval of ρ = ‖p − p_base‖. R is scaled so that the largest of these means is 100. The fit of
+    (9) uses all positions in the shells around the best one with means of at least 5. The fitted A
+    depends on the end-effector's frame, on this scale, and on the lower bound 5; the paper does not
+    state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
@@ -217,18 +218,20 @@ def config(
 ) -> None:
     """Print all parameters, as a file for --config.
 
-    A comment states the unit, the range and the meaning of each parameter.
+    A comment states the range with its unit, or the choices, and the meaning of each parameter.
 
     Args:
         out: File to write instead of standard output; an existing file is not overwritten.
         robot: Robot whose defaults apply to the parameters that are not in the file of --config;
             `dbb robots` lists all names.
     """
-    tuned = options.configured(robot, config)
+    tuned, kept = options.configured(robot, config), options.read(config)
+    name = kept.name or ("" if out is None else out.stem)
+    text = save_config(tuned, name, kept.hosts)
     if out is not None:
         if out.exists():
             raise OutputError(f"--out: {out} exists; choose another file or remove this one")
-        write_whole(out, save_config(tuned, out.stem))
+        write_whole(out, text)
     if json:
         hidden = {"path", "label", "advanced", "log"}
         rows = [
@@ -237,7 +240,7 @@ def config(
         ]
         print_json({"parameters": rows})
     elif out is None:
-        print(save_config(tuned), end="")
+        print(text, end="")
     else:
         print(out)
 

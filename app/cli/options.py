@@ -1,15 +1,12 @@
-"""Options from dataclasses and models, options of several commands, and checks of options.
+"""Options from dataclasses and pydantic records, options of several commands, and their checks.
 
 Each field becomes an option, and the field's docstring becomes the help text.
 """
 
-import ast
-import inspect
+import logging
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields
-from itertools import pairwise
 from pathlib import Path
-from textwrap import dedent
 from types import NoneType
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -23,9 +20,10 @@ from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
-from app.strict import MAX_SEEDS, check_range
-from app.system import is_no_file, own_path, unfinished_folder, usable_cores
+from app.strict import MAX_SEEDS, check_range, field_docs
+from app.system import home_expanded, is_no_file, own_path, unfinished_folder, usable_cores
 
+_log = logging.getLogger(__name__)
 Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
 """Mark of an option whose default is not displayed."""
@@ -79,6 +77,26 @@ _METAVARS = {
 }
 
 
+REGISTRY = tyro.constructors.ConstructorRegistry()
+"""Further rules for options by their types."""
+
+
+@REGISTRY.primitive_rule
+def _path_rule(
+    about: tyro.constructors.PrimitiveTypeInfo,
+) -> tyro.constructors.PrimitiveConstructorSpec[Path] | None:
+    """Replace `~` by the user's home in each path: a shell does not do this in `--out=~/a`."""
+    if about.type is not Path:
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="PATH",
+        instance_from_str=lambda words: home_expanded(words[0]),
+        is_instance=lambda value: isinstance(value, Path),
+        str_from_instance=lambda path: [str(path)],
+    )
+
+
 class Field(NamedTuple):
     """The description of an option: type, default and help text."""
 
@@ -118,7 +136,7 @@ def from_record(
 def from_fields(
     found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
 ) -> Any:
-    """The annotation of `from_record`, for fields that are described one by one."""
+    """The annotation of `from_record`, for the options `found` by their names."""
     kinds: dict[str, Any] = {}
     for name, about in found.items():
         needed = about.default is MISSING
@@ -138,7 +156,7 @@ def from_fields(
 
 
 def _text(default: Any) -> str:
-    """A default value as a user would type the value."""
+    """A default value as the help displays it: `yes` or `no` for a bool."""
     if isinstance(default, tuple):
         return " ".join(map(_text, default))
     if isinstance(default, bool):
@@ -161,7 +179,7 @@ def fields_of(record: object) -> Iterator[tuple[str, Field]]:
             default = each.get_default(call_default_factory=True)  # type: ignore[call-arg]
             yield name, Field(kinds[name], default, " ".join((each.description or "").split()))
         return
-    docs = {name: text for each in reversed(cls.__mro__) for name, text in _docs(each)}
+    docs = {name: text for each in reversed(cls.__mro__) for name, text in field_docs(each)}
     for each in fields(cls):  # type: ignore[arg-type]
         default = each.default if each.default_factory is MISSING else each.default_factory()
         if cls is not record:
@@ -169,19 +187,8 @@ def fields_of(record: object) -> Iterator[tuple[str, Field]]:
         yield each.name, Field(kinds[each.name], default, docs.get(each.name, ""))
 
 
-def _docs(cls: type) -> Iterator[tuple[str, str]]:
-    """The names and docstrings of the fields of a dataclass."""
-    if "__dataclass_fields__" not in vars(cls):
-        return
-    body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
-    for before, after in pairwise(body):
-        if isinstance(before, ast.AnnAssign) and isinstance(after, ast.Expr):
-            text = inspect.cleandoc(ast.literal_eval(after.value))
-            yield ast.unparse(before.target), " ".join(text.split())
-
-
 def _not_none(kind: Any) -> Any:
-    """The type of a field without None, because an option that is set has a value."""
+    """The type `kind` of a field without None, because an option that is set has a value."""
     rest = [each for each in get_args(kind) if each is not NoneType]
     return rest[0] if len(rest) == 1 and NoneType in get_args(kind) else kind
 
@@ -194,7 +201,7 @@ class Setup:
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
     """dbb; hqp (the paper's controller as printed, slower); repulsive or barrier (methods for
-    comparison); or none (the same controller without avoidance)."""
+    comparison); or none (dbb without avoidance)."""
     physics: str = field(default_factory=default_plant)
     """planar (pybullet; three velocity-controlled joints move the base), mujoco (the same model in
     MuJoCo), mujoco-contact (MuJoCo, base on wheels in contact) or kinematic (no physics engine)."""
@@ -202,7 +209,7 @@ class Setup:
     """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
-        """Check all names before anything is loaded."""
+        """Check controller, plant and seed before anything is loaded."""
         check_name("controller", self.controller, CONTROLLERS)
         object.__setattr__(self, "physics", chosen_plant(self.physics))
         check_seed(self.seed)
@@ -220,7 +227,7 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
             kind, usual, text = float, f"{about.default:g}", f"[{about.unit}] {about.help}"
         else:
             kind, usual = str, about.default
-            text = f"{about.help.rstrip('.')}: {about.allowed}"
+            text = f"{about.allowed}: {about.help.rstrip('.')}"
         found[name] = Field(kind, f"{usual}, unless robot.toml sets another value", text)
     return from_fields(found)
 
@@ -239,31 +246,30 @@ def configured(
 
     Raises:
         ConfigError: The file cannot be read, or a parameter is unknown or out of range.
-        DbbError: The robot does not exist, or its description is invalid.
+        DbbError: The robot or a choice does not exist, or the robot's description is invalid.
     """
 
     def override(usual: Config) -> Config:
-        read = usual if file is None else _read(file, usual).config
-        return changed(read, given or {}, paths)
+        return changed(read(file, usual).config, given or {}, paths)
 
     override(Config())  # finds an error before the import
+    from app.robot.assets import hidden_robot
     from app.robot.description import load_robot
 
-    return override(load_robot(robot).config)
+    tuned = override(load_robot(robot).config)
+    if hidden := hidden_robot(robot):
+        _log.warning("%s", hidden)
+    return tuned
 
 
-def hosts_of(file: Path | None) -> tuple[str, ...]:
-    """Host names that the file of `--config` allows browsers to use.
+def read(file: Path | None, usual: Config | None = None) -> NamedConfig:
+    """The content of the file of `--config`, by `read_config`; without a file, only `usual`.
 
     Raises:
         ConfigError: The file cannot be read.
     """
-    return () if file is None else _read(file).hosts
-
-
-def _read(file: Path, usual: Config | None = None) -> NamedConfig:
     try:
-        return read_config(file, usual)
+        return read_config(file, usual) if file else NamedConfig("", usual or Config())
     except ConfigError as error:
         raise ConfigError(f"--config: {error}") from None
 
@@ -336,7 +342,9 @@ def in_order(words: Iterable[str]) -> list[str]:
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Check, before the work, that the file of an option has a valid ending and can be written.
+    """Check an option's file before the work, and make its folder.
+
+    The file must have a valid ending, and it must be possible to write it.
 
     Raises:
         OutputError: The file has a different ending or cannot be written; the message names the

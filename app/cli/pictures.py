@@ -135,7 +135,8 @@ def film(
         scenario: A scenario of `dbb run`, or the JSON file of a case; a case determines robot,
             parameters and seed.
         out: The file, which ends in .mp4, .webm, .webp (animated) or .gif.
-        beside: Controllers for comparison; their robots appear as ghosts.
+        beside: Controllers for comparison; their robots appear as ghosts, or in views of their own
+            with --side-by-side.
         start: [m] start of the end-effector, in the world, as in `dbb run`.
         move: [m] displacement of the end-effector, in the world, as in `dbb run`.
     """

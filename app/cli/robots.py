@@ -33,13 +33,15 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 
 def robots(json: Json = False) -> None:
     """List all robots, with the errors of invalid descriptions."""
-    from app.robot.assets import robot_names, wrong_folders
+    from app.robot.assets import hidden_robot, robot_names, wrong_folders
     from app.robot.description import load_robot
 
     if wrong := wrong_folders():
         say(wrong)
     found, broken = [], {}
     for name in robot_names():
+        if hidden := hidden_robot(name):
+            say(hidden)
         try:
             found.append(load_robot(name))
         except DbbError as error:
@@ -81,7 +83,8 @@ def check_robot(
         name: Name of the robot; `dbb robots` lists all names.
         runs: Also simulate persons who pull the end-effector towards the base; this takes most of
             the time.
-        quick: Use a coarse border, as `dbb new-robot --quick` does.
+        quick: Sample a coarse border in seconds, as `dbb new-robot --quick` does, instead of the
+            complete border.
     """
     from app.border.config import QUICK
     from app.robot.description import load_robot

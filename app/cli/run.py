@@ -97,7 +97,7 @@ def run(
 
 _LIST = "\n".join(
     [
-        "Scenarios; each has its own options (dbb run SCENARIO --help), and the options below:",
+        "Scenarios (dbb run SCENARIO --help lists the options of each):",
         *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
         f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)",
     ]
@@ -134,7 +134,7 @@ def run_case(
 ) -> None:
     """Repeat a case: the same robot, scenario, parameters and seed.
 
-    The results are the same too, unless an option or a different version changes the run.
+    With the same version and without options that change the run, the results are the same too.
 
     Args:
         case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.

@@ -33,7 +33,7 @@ _SWITCH = 0.001  # [s] time after which a thread that serves one viewer lets the
 
 @dataclass(frozen=True)
 class Serving:
-    """Address of the dashboard, and the robot's first state."""
+    """Where the server listens, and from which start or case the simulation begins."""
 
     host: str = "127.0.0.1"
     """Address to listen on; the default accepts connections only from this machine."""
@@ -44,14 +44,14 @@ class Serving:
     option for several names. The file of --config can also have names:
     [server] allow_host = ["NAME"]."""
     start: Point | None = None
-    """[m] start of the end-effector, in the world; default: the start of guiding-front, or the
-    ready posture of a robot without a line for that scenario."""
+    """[m] start of the end-effector, in the world; default: the start of guiding-front. If
+    robot.toml has no line for that scenario, the arm starts in its ready posture."""
     case: Path | None = None
     """File of a case, saved in the dashboard or in the folder `failures` of a study. The robot, its
     start, the parameters and the seed are those of the case, and a button repeats the case."""
 
     def __post_init__(self) -> None:
-        """Check the options before anything is loaded."""
+        """Check `allow_host` and `start` before anything is loaded."""
         object.__setattr__(self, "allow_host", tuple(map(checked_host, self.allow_host)))
         if self.start is not None:
             check_point("--start", self.start)
@@ -66,7 +66,7 @@ def serve(
     """Serve the dashboard, a web page on which you pull the arm."""
     return_freed_memory_early()
     asked = Serving(**serving)
-    asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
+    asked = replace(asked, allow_host=(*asked.allow_host, *options.read(config).hosts))
     if asked.case is None:
         chosen, played = options.Setup(**setup), None
         tuned = options.configured(chosen.robot, config, parameters)
@@ -109,7 +109,7 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Start the simulation of a robot; without `q_start` the arm starts at the free start."""
+        """Begin a simulation in `waiting` or a new process; default `q_start`: the free start."""
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
@@ -123,7 +123,7 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
-    """Serve the dashboard until it ends; no name here keeps the first robot alive."""
+    """Serve the dashboard until it ends; no variable here keeps the first robot in memory."""
     asked, server = first.asked, _opened(first)
     try:
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)

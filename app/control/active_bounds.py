@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from app.config import Config
-from app.control.admittance import largest_command
+from app.control.inputs import largest_command
 from app.control.limits import position_bound, velocity_bound
 from app.control.quantities import ControlStep
 from app.robot.model import RobotModel
@@ -24,7 +24,8 @@ BoundKind = Literal[
 ]
 
 TOLERANCE = 1e-5
-"""[N m, rad/s² or m/s²] tolerance of an active bound: the accuracy of the QPs."""
+"""Tolerance of an active bound, in the unit of its row: N m or N for a torque, 1/s for a joint (the
+row is divided by the speed limit), m/s² for a distance, m/s² or rad/s² for the base."""
 
 
 class Bound(NamedTuple):
@@ -96,7 +97,7 @@ def _joint_kind(
 
 def _base_bounds(model: RobotModel, w: ControlStep) -> list[Bound]:
     asked, most = w.a_base_cmd, model.base_acceleration_max
-    missing = w.a_base_des - asked  # `limit_ee_drag` and `set_up_room` can cause it too
+    missing = w.a_base_des - asked  # `limit_ee_drag` and `set_up_room` also cause a difference
     at_limit = np.sign(missing) * asked > most - TOLERANCE
     return [
         Bound("base", "angular acceleration" if axis.angular else "acceleration", bool(m > 0))

@@ -1,12 +1,15 @@
 """Algorithm 2 on one page: measurement in, arm torques and base velocity command out.
 
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
-table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
-only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
+table of quantities (`app.control.quantities`). The formulas take arrays and return arrays, and only
+this file connects them; `readings`, `references` and `estimate_load` work on `w` itself. With
+``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
-There are no strict levels. Each QP is strictly convex: tasks have weights, and a row of
-T_sca is a spring with a stiffness that follows its activation β. A row with β = 0 has no effect, so
-lines 12 and 16 to 18, which leave out inactive rows, need no branch.
+There are no strict levels. Each QP is strictly convex: tasks have weights. A row between links, and
+of T_rep, is a spring with a stiffness that follows its activation β (`insert_rows`). The rows of
+the base are a blend (`blend_base`), and springs only in `set_up_room`. A row with β = 0 has no
+effect: `insert_rows` skips it, and `blend_base` returns a_free. Therefore lines 12 and 16 to 18,
+which leave out inactive rows, need no branch. The barrier of a pair does not depend on β.
 
 From the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des (29), a_base_cmd, and
 v_cmd by the admittance law (§4.1, `update_command`).
@@ -17,8 +20,8 @@ Base and arm are computed one after the other, because the base follows its comm
 
 1. `set_up_free_base`: a_free is the base's part of the q̈ that minimises the costs of posture and
    T_2, with the rows between links as springs, subject to the limits of joints, torques and base
-   accelerations. A guided base comes to rest instead, a_free = −k ν, without a QP; the method
-   `barrier` always solves the QP.
+   accelerations. While a person guides the arm, the base comes to rest instead, a_free = −k ν,
+   without a QP; only the method `barrier` then solves a QP too.
 2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
    a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
 3. `undragged`: an acceleration near a_des, in the metric of the base's inertia, that drags the
@@ -26,13 +29,14 @@ Base and arm are computed one after the other, because the base follows its comm
 4. `set_up_room`, only while tracking: the smallest change of this acceleration with which the arm
    fulfils T_2 within its limits: joints and torques, and for the method `dbb` the distances of L_m
    and the buffers of the arm's links.
+5. The result is clipped to ±a_max, because `set_up_room` has no limit of the base.
 
 **The arm** (`accelerate_arm`) minimises the errors of the tasks; the rows of T_sca are springs that
 compete with them, (29). It is subject to its limits, for the present acceleration of the base
 (`assume_base`). The torques follow from q̈, (26).
 
 The compared method `hqp` solves neither of these problems: its q̈ is the solution of the paper's
-hierarchy (`app.control.hqp`).
+hierarchy (`app.control.hqp`), which `Controller` computes, with the sampled border.
 """
 
 import math
@@ -49,16 +53,8 @@ from app.avoidance.acting_point import (
     resultant_force,
 )
 from app.avoidance.closest_points import mean_nearest
-from app.avoidance.task import (
-    activation,
-    generate_avoidance_task,
-    generate_rep_acc,
-    generate_rep_force_acc,
-    mobile_activation,
-)
 from app.border.nearest import BORDER
 from app.compiled import compiled
-from app.control.admittance import next_command
 from app.control.inputs import GAINS, ROBOT
 from app.control.limits import (
     distance_rows,
@@ -72,26 +68,28 @@ from app.control.limits import (
     torque_reachable_bounds,
     torque_rows,
 )
-from app.control.qp import cholesky, solve_qp, solve_qp_step, times
+from app.control.qp import cholesky, clip, fill, put, put_rows, solve_qp, solve_qp_step, times
 from app.control.quantities import STEP
 from app.control.readings import JUMP, LOCALISATION, take_readings
 from app.control.references import shift_reference
 from app.control.tasks import (
+    activation,
     add_base_rest_task,
     add_tracking,
+    blend_base,
     end_effector_task,
     free_arm_torque,
+    generate_avoidance_task,
+    generate_rep_acc,
+    generate_rep_force_acc,
     guided_objective,
+    insert_rows,
+    limit_ee_drag,
+    mobile_activation,
     pose_error,
     posture_objective,
     reaction_torque,
     stable_damping,
-)
-from app.control.transition import (
-    blend_base,
-    clip,
-    insert_rows,
-    limit_ee_drag,
     uncompensated_base_jacobian,
 )
 from app.robot.state import (
@@ -105,10 +103,9 @@ from app.robot.state import (
     tip_motion,
 )
 from app.strict import Array
-from app.structs import fill, put, put_rows
 
-BUFFER_RATE = 0.1  # [m/s] rate of the buffer distance in force towards the configured one: a jump
-# would throw an arm that is inside the buffer
+BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one:
+# a jump would abruptly accelerate an arm inside the buffer
 
 DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 """Source of the base's acceleration in the arm's problem: the model of its drive, the caller, or
@@ -138,9 +135,11 @@ def update_estimate(
     qd_m: Array,
     drive: Array,
 ) -> bool:
-    """Estimate the arm's state from the readings, and convert it to pinocchio's coordinates.
+    """Estimate the robot's state from the readings, and convert it to pinocchio's coordinates.
 
-    After a jump of the base's pose, shift the reference that `take_reference` has written.
+    The present buffer distance `w.d_b` approaches the configured one. Without valid readings, or
+    with the faults `jump` or `localisation`, all former references are forgotten. After a jump of
+    the base's pose, the reference that `take_reference` has written is shifted.
 
     Paper: Algorithm 2, line 2, before pinocchio's part of it.
 
@@ -181,7 +180,7 @@ def algorithm_2(
     Args:
         robot: `ROBOT`.
         gains: `GAINS`.
-        slow: `GAINS` for all base motion that does not come from T_sca, for its command period.
+        slow: `GAINS` of the slower configuration `app.config.slowed`, for the base's QPs.
         border: `BORDER`.
         w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
         base_source: One of `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) and
@@ -227,7 +226,7 @@ def activate_pairs(gains: Any, w: Any) -> None:
 
 @compiled()
 def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
-    """Lines 3 to 6: the acting points and forces of L_m, and the acceleration of the base."""
+    """Lines 3 to 6: acting points and forces of the pairs with the base, and its acceleration."""
     for i in range(robot.n_mob):
         fill(w.p_n[i], math.nan)
         fill(w.p_t[i], math.nan)
@@ -238,7 +237,7 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
         if w.beta[i] > 0.0:
             p_b = seen_from(w.R_base, w.p_o, w.p_b[i])
             n = times(w.R_base.T, w.normal[i])
-            # With the score (10) at p_n, on the exact surface or the points of `nearest_border`.
+            # The step uses the score (10) at p_n; `nearest_border` uses surface or sampled points.
             p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(  # line 5, Algorithm 3
                 border,
                 i,
@@ -263,7 +262,7 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
 def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """The base's problem: a_free, the blend a_des of (29), and the commanded acceleration.
 
-    It ends early if Python has to solve a QP (`w.qp_open`).
+    It ends early if Python has to solve a QP (`w.qp_open`). Without a solution the base brakes.
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -285,7 +284,8 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
         if w.qp_open[()] != 0.0:
             return
         if found:
-            change = times(robot.J_m, qdd[:n_b] - w.qp_fixed) / gains.response_gain
+            gain, _ = response(gains.virtual_mass, gains.virtual_damping, gains.command_period)
+            change = times(robot.J_m, qdd[:n_b] - w.qp_fixed) / gain
             put(w.a_base_cmd, w.a_base_cmd + change)
         else:
             put(w.a_base_des, a_rest)
@@ -357,7 +357,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
-    """ẍ_r − J̇_r q̇ (k,) [m/s²] of the pairs of L_m^c."""
+    """ẍ_r − J̇_r q̇ (k,) [m/s²] of the pairs within the arm (L_m^c)."""
     b_r = np.empty(len(w.beta) - robot.n_mob)
     for j in range(len(b_r)):  # line 8
         i = robot.n_mob + j
@@ -423,7 +423,7 @@ def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
 
 @compiled()
 def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
-    """The tasks below T_sca, and the torques of this step."""
+    """The tasks below T_sca, and the torque range of this step."""
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
@@ -465,7 +465,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 
 @compiled()
 def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
-    """Write the limits into w.C, w.l, w.u and w.slack_weight, and return their number.
+    """Write the limits into w.C, w.l, w.u and w.softness, and return their number.
 
     Args:
         robot: `ROBOT`.
@@ -474,11 +474,11 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         which: The problem. All problems have the limits of torques and joints. ARM: the torques
             are within w.u_min and w.u_max. The rows of joints and distances include external forces
             and a margin for recent errors of velocities; while readings are rare or late, they
-            hold with a slower rate too. A joint limit demands at most
-            the acceleration that the joint's own torque can achieve. If the method has barriers,
-            each pair has one. FREE_BASE: if the base takes part in the method's barriers, each pair
-            has one. ROOM: if the method has a lookahead (`dbb`), there are barriers of L_m and the
-            buffers of the arm's links.
+            hold with a slower rate too. A joint limit demands at most the acceleration that the
+            joint's own torque can achieve. If the method has barriers, each convex part of l_a of
+            each pair has one. FREE_BASE: the barriers of all pairs without margins, if the base
+            takes part in the method's barriers. ROOM: if the method has a lookahead (`dbb`), there
+            are barriers of L_m and the buffers of the arm's links.
     """
     barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
@@ -519,8 +519,8 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         least[k] = early_barrier_bound(at, gains.barrier_rate, fastest, gains.max_separation_speed)
     distances = slice(2 * n_m, 2 * n_m + count)
     distance_rows(w.J, least, rows, qdd_ext, w.C[distances], w.l[distances], w.u[distances])
-    fill(w.slack_weight[:n_m], 0.0)
-    fill(w.slack_weight[n_m:], gains.slack_weight**2)
+    fill(w.softness[:n_m], 0.0)
+    fill(w.softness[n_m:], gains.slack_weight**2)
     return 2 * n_m + count
 
 
@@ -541,10 +541,10 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """Set up the QP of a_free: base and arm together, without the base's rows.
 
     Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖², with the rows between links as
-    springs; b_ee and these rows have slow gains. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the
-    bounds of the joints at their full rates, and |J_m q̈_b| ≤ a_max. A method whose base takes part
-    in the barriers has a task that brings the base to rest instead of T_2, and has the barriers of
-    all pairs.
+    springs; b_ee and these rows have slow gains. While a person guides the arm, a task that brings
+    the base to rest replaces T_2. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the bounds of the
+    joints at their full rates, and |J_m q̈_b| ≤ a_max. If the method's base takes part in the
+    barriers, the barriers of all pairs are constraints too.
 
     Returns:
         The number of its limits.
@@ -564,7 +564,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     m = write_limits(robot, gains, w, FREE_BASE)
     for i in range(n_b):
         put(w.C[m + i], robot.base_rows[i])
-        w.l[m + i], w.u[m + i], w.slack_weight[m + i] = -robot.a_max[i], robot.a_max[i], 0.0
+        w.l[m + i], w.u[m + i], w.softness[m + i] = -robot.a_max[i], robot.a_max[i], 0.0
     return m + n_b
 
 
@@ -572,19 +572,22 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
     """A base acceleration near a_des that drags the end-effector along as little as possible.
 
-    First a_des is clipped to ±a_max. Then `limit_ee_drag` minimises
-    (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². At β_m = 0 the result is a_des.
+    If β_m = 0, the result is a_des. If β_m > 0, a_des is clipped to ±a_max, and `limit_ee_drag`
+    minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are the inertia and
+    the mass of the base, and w is `ee_hold.weight`. D leads to the part of the end-effector's
+    acceleration that the arm cannot compensate. a_hold is the command to which the base responds
+    with a_free.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
-    gain = gains.response_gain
-    drag = uncompensated_base_jacobian(w.J_ee, robot.qd_max, robot.J_m_inv, gains.ee_hold_min_speed)
+    gain, drag = response(gains.virtual_mass, gains.virtual_damping, gains.command_period)
+    R = uncompensated_base_jacobian(w.J_ee, robot.qd_max, robot.J_m_inv, gains.ee_hold_min_speed)
     return limit_ee_drag(
         clip(w.a_base_des, -robot.a_max, robot.a_max),
-        w.a_base_free / gain + gains.response_drag * w.base_velocity,
+        w.a_base_free / gain + drag * w.base_velocity,
         robot.inertia,
         w.B[0] * gains.ee_hold_weight * robot.mass,
-        drag * gain,
+        R * gain,
     )
 
 
@@ -609,8 +612,8 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     base = slice(0, robot.n_b)
     H, c = insert_rows(H, c, w.J_sca[base], w.b_sca[base], w.B[base], slow.slack_weight, 0)
     put_qp(w, H, c)
-    response = gains.response_gain * (w.a_base_cmd - gains.response_drag * w.base_velocity)
-    put(w.qp_fixed, times(robot.J_m_inv, response))
+    gain, drag = response(gains.virtual_mass, gains.virtual_damping, gains.command_period)
+    put(w.qp_fixed, times(robot.J_m_inv, gain * (w.a_base_cmd - drag * w.base_velocity)))
     return write_limits(robot, slow, w, ROOM)
 
 
@@ -618,10 +621,10 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     """Set up the QP of the arm, for the base's assumed acceleration.
 
-    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. The
-    torque limits of this step are hard; the bounds of the joints and the barriers of distances are
-    soft. There is no slack variable: the slack of a task or a row is its demand minus the result
-    (`explanation.row_slacks`).
+    The QP minimises ½ q̈ᵀ H q̈ + cᵀ q̈. H and c contain all tasks below T_sca and, as springs, the
+    rows of T_sca that are not the base's. The torque limits of this step are hard; the bounds of
+    the joints and the barriers of distances are soft. There is no slack variable: the slack of a
+    task or a row is its demand minus the result (`explanation.row_slacks`).
 
     Returns:
         The number of its limits.
@@ -638,15 +641,15 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
 def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     """Solve the prepared QP within the first m limits.
 
-    FREE_BASE has no fixed entries, ROOM finds the smallest change of its fixed entries, ARM does
-    not change them. If the active-set method finds no solution, `w.qp_open` marks the QP as open:
+    FREE_BASE has no fixed entries, ARM keeps its fixed entries, and ROOM can change them
+    (`solve_qp_step`). If the active-set method finds no solution, `w.qp_open` marks the QP as open:
     `Controller` lets ProxQP solve it and calls `algorithm_2` again. In this second pass the result
     is ProxQP's solution. This happens at most once for each QP of a step.
 
     Returns:
         (n,) the solution, and whether it exists.
     """
-    limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
+    limits = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
     if which == ROOM:
         x, found = solve_qp_step(w.qp_H, w.qp_c, limits[0], limits[1], limits[2], limits[3], fixed)
@@ -657,6 +660,56 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     if not found:
         w.qp_open[()], w.qp_rows[()] = which + 1.0, m
     return x, found
+
+
+@compiled()
+def response(mass: Array, damping: Array, period: float) -> tuple[Array, Array]:
+    """Gain (n_b,) [-] and drag (n_b,) [1/s] of the admittance law M_a v̇ + D_a v = M_a a (§4.1).
+
+    The mean of v̇ over a command period [s] is gain · (a − drag · ν), where ν is the velocity at
+    the start of this period. `mass` and `damping` are the diagonals (n_b,) of M_a and D_a.
+    """
+    gain, drag = np.ones(len(mass)), damping / mass
+    for i in range(len(mass)):
+        decay = drag[i] * period
+        if decay > 1e-12:
+            gain[i] = -np.expm1(-decay) / decay
+    return gain, drag
+
+
+@compiled()
+def next_command(
+    acceleration: Array,
+    command: Array,
+    period: float,
+    mass: Array,
+    damping: Array,
+    a_max: Array,
+    v_max: Array,
+) -> Array:
+    """The velocity command after one command period, by M_a v̇ + D_a v = F, F = M_a a, exactly.
+
+    The change and the result are limited by `a_max` and `v_max`. The input a is the mean of
+    `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an effect. F
+    is not the base's part of u: that part is not zero while the base is at rest, so that the base
+    would drift.
+
+    Args:
+        acceleration: (n_b,) [m/s² or rad/s²] a, mean of the commanded acceleration.
+        command: (n_b,) [m/s or rad/s] the previous command.
+        period: [s] command period.
+        mass: (n_b,) [kg or kg m²] diagonal of M_a.
+        damping: (n_b,) [N s/m or N m s] diagonal of D_a.
+        a_max: (n_b,) [m/s² or rad/s²] largest accelerations of the base.
+        v_max: (n_b,) [m/s or rad/s] largest commands.
+    """
+    found, gain = np.empty(len(command)), response(mass, damping, period)[0]
+    for i in range(len(command)):
+        F = mass[i] * acceleration[i]
+        change = gain[i] * (F - damping[i] * command[i]) / mass[i] * period
+        change = min(max(change, -a_max[i] * period), a_max[i] * period)
+        found[i] = min(max(command[i] + change, -v_max[i]), v_max[i])
+    return found
 
 
 @compiled()
@@ -687,7 +740,7 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Torques and base velocity from q̈, or the fallback command without a solution."""
+    """Torques from q̈, or the fallback command without a solution; and the base's velocity."""
     for which in (FREE_BASE, ROOM):
         if w.qp_tried[which] != 0.0 and math.isnan(w.qp_x[which, 0]):
             w.given_up[()] += 1.0
@@ -696,7 +749,7 @@ def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     else:  # the fallback command: gravity compensation and damping, and a base that brakes
         w.failures[()] += 1.0
         u = w.u_free
-        # Without a reading the base moves as commanded.
+        # Without valid readings, the base is assumed to move at the commanded velocity.
         v = w.base_velocity if w.valid[()] != 0.0 else w.v_cmd
         put(w.a_base_cmd, -gains.base_damping * v)
         if base_source == BASE_AS_COMMANDED:

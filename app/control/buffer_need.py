@@ -3,19 +3,20 @@
 An end-effector approaches the base along -n at a constant speed v, independent of the base. The
 bound of its distance depends on three properties:
 
-- Dead time t_0 = period + delay + τ. The controller's commands are averaged over a command period
-  and reach the drive later by the delay; the first-order lag of the drive adds the delay τ.
+- Dead time t_0 = T_c + delay + τ. The controller's commands are averaged over a command period T_c
+  and reach the drive later by the delay; the first-order lag of the drive adds the delay τ. For a
+  motion along an arc, t_0 also includes the time of steering.
 - The law accelerates the base more when the end-effector is deeper in the buffer. At the distance d
   the acceleration along -n, in each channel k of the base (v and ω of a differential one), is
-  a_k = β(d) f_max (1 - d/d_b) ‖n_xy‖ J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
+  a_k = β(d) f_max (1 - d/d_b) ‖n_xy‖ J_k(n) J_k(u) / m_k, with J(n) = (n_x, n_y x - n_x y) at the
   end-effector's place (x, y) and m_k = m or I for a linear or an angular channel. The force points
   from the acting point to the end-effector. The acting point is offset sideways by α_min while the
   end-effector is d_b - d inside the border: u is the horizontal normal, turned by the angle
   arctan(α_min / (d_b - d)) to the worse side.
 - The admittance law converts a_k to a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
-  a_k within the base's acceleration limit and w_k within the base's largest speed.
+  a_k within the acceleration limit and w_k within the largest command; slip reduces both.
 
-Once the end-effector is at some d_*, the law commands at least a_k(d_*) while it is nearer. Thus
+While the end-effector is nearer than some d_*, the law commands at least a_k(d_*). Thus
 after t_0 each channel reaches its share v_k of v in t_k = -T_k ln(1 - v_k/(a_k T_k)), and until
 then the end-effector has approached the base by no more than
 
@@ -26,9 +27,9 @@ largest d_* - x(d_*). This bound grows with d_b. The required d_b is the smalles
 bound is at least 0.02 m, the reserve; it is not below `activation.d_full`. If the sum of the speeds
 a_k T_k stays below v at every d_*, no d_b suffices.
 
-The bound has two simplifications. The end-effector does not move along the base, and the lever
-of ω at the side is at least 0.25 m: near the wheel axis the tangential part of the force first
-drives the base along its own side, until the force has a lever.
+The bound has two simplifications. The end-effector does not move along the base, and a force from
+the side has a lever of at least 0.25 m for ω: near the wheel axis the tangential part of the force
+first drives the base along its own side, until the force has a lever.
 """
 
 import math
@@ -40,14 +41,15 @@ import numpy as np
 
 from app.compiled import compiled, direct
 from app.config import AdmittanceConfig, Config
+from app.control.qp import fill, put
+from app.control.tasks import cubic, rise_length
 from app.robot.bases.kind import BaseKind, Channel
 from app.strict import Array
-from app.structs import fill, put
 
 RESERVE = 0.02  # [m] required distance between arm and base
-_LEVER = 0.25  # [m] smallest lever of ω at the side
+_LEVER = 0.25  # [m] smallest lever of a force from the side
 _LONGEST = 100.0  # [s] time constant that represents no damping
-_DEPTHS = np.linspace(0.04, 1.0, 25)  # [-] sampled d_*, as a share of d_b from the border on
+_DEPTHS = np.linspace(0.04, 1.0, 25)  # [-] sampled depths d_b - d_* in the buffer, relative to d_b
 _SIZES = np.geomspace(0.05, 2.0, 25)  # [m] sampled d_b
 
 
@@ -76,8 +78,8 @@ def _bound(
 
     Args:
         d_b: [m] buffer distance.
-        channels: (c, 6) J · n and J · t, with the horizontal part of n and the perpendicular t of
-            the same length, m_k [kg], upper bounds of a_k and w_k along n, and T_k [s].
+        channels: (c, 6) J_k(n) and J_k(t), with the horizontal part of n and the perpendicular t of
+            the same length, m_k [kg or kg m²], upper bounds of a_k and w_k along n, and T_k [s].
         v: [m/s] approach speed.
         late: [s] t_0.
         traction: [-] share of a speed that is not lost to slip.
@@ -91,8 +93,7 @@ def _bound(
     for depth in _DEPTHS:
         below = d_b * depth
         aside = math.hypot(below, alpha_min)
-        rise = min(max(below / (d_b - d_full), 0.0), 1.0)
-        f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b
+        f = cubic(below / rise_length(d_b, d_full)) * f_max * below / d_b
         least = np.inf
         fill(a_worse, 0.0)
         fill(w_worse, 0.0)
@@ -151,7 +152,7 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 
 
 def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
-    """[m] the smallest sufficient d_b for one motion of the base; infinite without any.
+    """[m] smallest sufficient d_b for one motion of `_ways`; infinite if none suffices.
 
     `sizes` (k,) [m] are ascending; the result is between two of them, because `_bound` grows with
     d_b.
@@ -195,12 +196,12 @@ def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[
 
 
 def dead_time(base: BaseKind, config: Config) -> float:
-    """[s] time from a demand of the controller to the base's motion."""
+    """[s] time from a demand of the controller to the base's motion, without steering."""
     return config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
 
 
 def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(c, 6) data of one of the base's motions away from the arm, for `_bound`."""
+    """(c, 6) data for `_bound` of the channels of `way`, a motion of the base away from the arm."""
     admittance, n, p = config.admittance, approach.n, approach.p_b
     lever = n[1] * p[0] - n[0] * p[1]
     lever = math.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)

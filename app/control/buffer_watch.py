@@ -10,9 +10,9 @@ import numpy as np
 from app.compiled import compiled, direct
 from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
+from app.control.qp import fill, put
 from app.control.quantities import ControlStep
 from app.robot.bases.kind import BaseKind
-from app.robot.link_pairs import Pair
 from app.robot.state import RobotState, point_velocity
 from app.strict import Array
 
@@ -29,26 +29,27 @@ class BufferReading(NamedTuple):
     approach_speed: float
     """[m/s] speed of the approach in the last 3 s that requires the largest d_b; 0 without one."""
     needed: float
-    """[m] the d_b that this approach requires; infinite if the base cannot retreat that fast; 0
-    without an approach."""
+    """[m] the d_b that this approach requires; infinite if no d_b up to 2 m suffices; 0 without an
+    approach."""
     approach_speed_max: float
     """[m/s] speed of the approach since the reset that requires the largest d_b."""
     needed_max: float
     """[m] the d_b that this approach requires."""
     too_small: bool
-    """Whether `needed` exceeds the present d_b; False if the controller does not move the base."""
+    """Whether `needed` exceeds the configured d_b; False if the controller never moves the base."""
     too_small_ever: bool
     """The same for `needed_max`."""
 
 
 class BufferWatch:
-    """Evaluates the pairs of L_m step by step, and computes the required d_b.
+    """Evaluates the pairs of arm and base step by step, and computes the required d_b.
 
     The approach speed is the speed of the arm's closest point along −n, relative to the floor. The
     speed relative to the base would be smaller while the base retreats. An approach counts while
-    the arm's motion reduces the distance, if the distance is below the present d_b or below the d_b
+    the arm's motion reduces the distance, if the distance is at most d_b, or at most the finite d_b
     that the approach requires: an end-effector that is farther away can still slow down. An
-    approach from above does not count, because no motion of the base helps.
+    approach steeper than 45° does not count, because motion of the base hardly helps. At distances
+    above 0.3 m, the largest valid d_b, no approach counts.
     """
 
     def __init__(self, config: Config) -> None:
@@ -60,7 +61,6 @@ class BufferWatch:
         """Forget all approaches."""
         self._steps = 0
         self._recent: deque[tuple[int, float, float]] = deque()
-        self._speeds: dict[str, deque[tuple[float, float]]] = {}
         self._worst = 0.0, 0.0  # largest required d_b since the reset, and its speed
 
     def update(
@@ -71,9 +71,12 @@ class BufferWatch:
         `gives_way` states whether the controller moves the base away.
         """
         if self._steps % _SAMPLE == 0:
-            look = self._steps % _EVERY == 0
-            for i in range(control.n_mob):
-                self._sample(state, control, i, look=look)
+            if self._steps == 0:
+                self._prepare(state, control)
+            seen = control.d, control.p_b, control.normal
+            _sample_once(state.twists, self._joints, *seen, _FARTHEST, self._speeds)
+            if self._steps % _EVERY == 0:
+                self._look(state, control)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
             needed, speed = max(map(itemgetter(1, 2), self._recent), default=(0.0, 0.0))
@@ -89,24 +92,23 @@ class BufferWatch:
         self._steps += 1
         return self._reading
 
-    def _sample(self, state: RobotState, control: ControlStep, i: int, *, look: bool) -> None:
-        """Record the speeds of the i-th pair.
+    def _prepare(self, state: RobotState, control: ControlStep) -> None:
+        joint_of, pairs = state.model.body_joints, control.pairs[: control.n_mob]
+        joints = [joint_of[body] for pair in pairs for body in pair]
+        self._joints = np.array(joints, dtype=int).reshape(-1, 2)
+        self._speeds = np.full((len(pairs), _EVERY // _SAMPLE, 2), np.nan)
 
-        With `look`, compute the required d_b if the mean of the recent speeds is an approach; a
-        tremor has a small mean.
+    def _look(self, state: RobotState, control: ControlStep) -> None:
+        """Compute the required d_b of each pair whose recent mean speed is an approach; a tremor
+        has a small mean.
         """
-        pair, row = control.pairs[i], control.rows[i][0]
-        speeds = self._speeds.setdefault(pair.name, deque(maxlen=_EVERY // _SAMPLE))
-        d, n, p = control.d.item(row), control.normal[row], control.p_b[row]
-        if d > _FARTHEST or n.item(2) ** 2 > 0.5:
-            speeds.clear()
-            return
-        speeds.append(approach_speeds(state, pair, p, n))
-        if look:
-            v, closing = (sum(column) / len(speeds) for column in zip(*speeds, strict=True))
+        for i, speeds in enumerate(self._speeds.tolist()):
+            if not (known := [each for each in speeds if not math.isnan(each[0])]):
+                continue
+            v, closing = (sum(column) / len(known) for column in zip(*known, strict=True))
             if min(v, closing) >= _SLOW:  # neither at rest, nor moving away
-                approach = Approach(v, state.R_world_base.T @ n, state.to_base(p))
-                self._judge(approach, d, state.model.description.base)
+                n, p = state.R_world_base.T @ control.normal[i], state.to_base(control.p_b[i])
+                self._judge(Approach(v, n, p), control.d.item(i), state.model.description.base)
 
     def _judge(self, approach: Approach, d: float, base: BaseKind) -> None:
         needed = buffer_need(approach, base, self.config)
@@ -116,46 +118,52 @@ class BufferWatch:
         self._worst = max(self._worst, (needed, approach.v))
 
 
-def approach_speeds(state: RobotState, pair: Pair, p_b: Array, n: Array) -> tuple[float, float]:
-    """Speeds of the arm's closest point of a pair of L_m towards the base.
+@compiled("UniTuple(f8, 2)(f8[:,:], i8[:], f8[::1], f8[::1])")
+def approach_speeds(twists: Array, joints: Array, p_b: Array, n: Array) -> tuple[float, float]:
+    """[m/s] speeds of the arm's closest point p_b (3,) [m] of a pair towards the base.
 
-    Args:
-        state: The robot's state.
-        pair: The pair.
-        p_b: (3,) [m] the arm's closest point, in the world.
-        n: (3,) the pair's normal, in the world.
-
-    Returns:
-        [m/s] the speed relative to the floor, and the speed relative to the base, which the arm's
-        motion alone causes.
-    """
-    joints = state.model.body_joints
-    return _speeds_once(state.twists, joints[pair.b], joints[pair.a], p_b, n)
-
-
-@compiled("UniTuple(f8, 2)(f8[:,:], i8, i8, f8[::1], f8[::1])")
-def _speeds(twists: Array, arm: int, base: int, p_b: Array, n: Array) -> tuple[float, float]:
-    """The result of `approach_speeds`, for bodies on two joints.
+    They are the speed relative to the floor, and the speed relative to the base, which only the
+    joints of the arm cause.
 
     Args:
         twists: (n_j, 6) twist of the body on each joint, as in `RobotState`.
-        arm: Number of the arm's joint.
-        base: Number of the base's joint.
-        p_b: (3,) [m] the arm's closest point, in the world.
+        joints: (2,) joints that move the base and the arm's body.
+        p_b: The point, in the world.
         n: (3,) the pair's normal, in the world.
     """
-    v = -np.dot(n, np.array(point_velocity(twists[arm], p_b)))
-    return v, v + np.dot(n, np.array(point_velocity(twists[base], p_b)))
+    v = -np.dot(n, np.array(point_velocity(twists[joints[1]], p_b)))
+    return v, v + np.dot(n, np.array(point_velocity(twists[joints[0]], p_b)))
 
 
-_speeds_once = direct(_speeds)
+@compiled("void(f8[:,:], i8[:,:], f8[:], f8[:,::1], f8[:,::1], f8, f8[:,:,::1])")
+def _sample(
+    twists: Array, joints: Array, d: Array, p_b: Array, n: Array, farthest: float, speeds: Array
+) -> None:
+    """Add `approach_speeds` of each pair of L_m to the last `speeds` (n_mob, k, 2), which are NaN
+    before the first ones, and after an instant at which the pair is beyond `farthest` [m] or too
+    steep.
+    """
+    last = speeds.shape[1] - 1
+    for i in range(len(joints)):
+        if d[i] > farthest or n[i, 2] ** 2 > 0.5:
+            fill(speeds[i].ravel(), np.nan)
+            continue
+        for k in range(last):
+            put(speeds[i, k], speeds[i, k + 1])
+        put(speeds[i, last], approach_speeds(twists, joints[i], p_b[i], n[i]))
+
+
+_sample_once = direct(_sample)
 
 
 def needed_text(needed: float) -> str:
-    """A required d_b in readable form, rounded up to whole centimetres."""
+    """A required d_b in readable form, rounded up to whole centimetres; and the largest d_b that
+    can be set, if it is smaller.
+    """
     if math.isinf(needed):
         return "no d_b suffices"
-    return f"d_b of {math.ceil(needed * 100 - 1e-9) / 100:.2f} m needed"
+    beyond = f", at most {_FARTHEST:.2f} m can be set" if needed > _FARTHEST else ""
+    return f"d_b of {math.ceil(needed * 100 - 1e-9) / 100:.2f} m needed{beyond}"
 
 
 def buffer_warning(reading: BufferReading, config: Config) -> str | None:
@@ -169,5 +177,4 @@ def buffer_warning(reading: BufferReading, config: Config) -> str | None:
     )
     if math.isinf(reading.needed_max):
         return text + "no d_b suffices, because the base cannot retreat that fast"
-    beyond = f", {_FARTHEST:.2f} m can be set" if reading.needed_max > _FARTHEST else ""
-    return text + needed_text(reading.needed_max) + beyond
+    return text + needed_text(reading.needed_max)

@@ -1,4 +1,4 @@
-"""The contract of a control step with a user's own loop: order, units, period, references."""
+"""The contract of a control step with your own loop: order, units, control period, references."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _FASTEST = 0.6  # [-] largest product of gain [1/s] and control period
 
 
 def checked_period(dt: float) -> float:
-    """The control period [s].
+    """The control period dt [s] as a float, if it is within `SHORTEST` and `LONGEST`.
 
     Raises:
-        ConfigError: The value is not a valid period.
+        ConfigError: The value is not a valid control period.
     """
     if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
         raise ConfigError(f"dt must be within {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
@@ -37,8 +37,14 @@ def check_gains(config: Config, dt: float) -> None:
     """Refuse gains that are too large for a control period of dt [s].
 
     Raises:
-        ConfigError: A gain is too large; the message has the bounds of the gain and of the period.
+        ConfigError: `config` is not a `Config`; or a gain is too large, then the message has the
+            bounds of the gain and of dt.
     """
+    if not isinstance(config, Config):
+        raise ConfigError(
+            f"config must be a Config, was {type(config).__name__}; Config().changed(...) changes "
+            "parameters, and app.config_file.read_config reads a file"
+        )
     for section in sections():
         for each in section.tunables:
             if not (isinstance(each, Parameter) and each.unit in ("1/s", "1/s²")):
@@ -54,7 +60,7 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """Build the error for positions q_m (n_m,) far outside their limits.
+    """Build the error for joint positions q_m (n_m,) far outside the position limits.
 
     The message names the joint that is the farthest outside.
     """
@@ -81,9 +87,9 @@ class JointOrder:
         """Resolve the names of the arm's joints.
 
         Raises:
-            MeasurementError: A joint of the arm is missing in `names`, or appears twice.
+            MeasurementError: `names` is not a list, or a joint of the arm is missing or repeated.
         """
-        if isinstance(names, str) or not isinstance(names, Iterable):
+        if isinstance(names, (str, set, frozenset)) or not isinstance(names, Iterable):
             raise MeasurementError(
                 f"joint states: the names must be a list of the driver's joints, were {names!r}"
             )
@@ -140,7 +146,7 @@ def checked_reference(reference: Reference) -> Reference:
 
 
 def no_motion(reference: Reference) -> MeasurementError:
-    """The error for a reference that is no possible motion; it names the field."""
+    """The error for a reference that is no possible motion, with the reason."""
     pose, v, a = reference
     if not np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
         return MeasurementError("reference: an entry is not a finite number")

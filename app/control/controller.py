@@ -1,21 +1,23 @@
 """The controller: measurement in, one control step out, without simulator or display.
 
 A step calls the compiled functions `update_estimate` and `run_algorithm_2`; between them pinocchio
-computes kinematics, dynamics and distances.
+computes kinematics, dynamics and distances. `ControlLoop` is the complete control at 1 kHz in one
+object, for your own loop and for the simulation.
 """
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from app.avoidance.closest_points import SmoothPoints
-from app.border.cache import BorderData
-from app.border.nearest import border_of
+from app.border.cache import BorderData, load_border_data
+from app.border.offset import border_of
 from app.border.score import ScoreField
 from app.compiled import direct
 from app.config import Config, slowed
 from app.control import CONTROLLERS
-from app.control.admittance import admissible_command, largest_command
 from app.control.algorithm import (
     BASE_AS_COMMANDED,
     BASE_MEASURED,
@@ -29,6 +31,7 @@ from app.control.algorithm import (
 from app.control.contract import (
     LONGEST,
     SHORTEST,
+    JointOrder,
     check_gains,
     checked_period,
     checked_reference,
@@ -36,13 +39,13 @@ from app.control.contract import (
     no_motion,
 )
 from app.control.hqp import solved_by_hierarchy
-from app.control.inputs import METHODS, gains_struct, robot_struct
+from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
 from app.control.quantities import QUANTITIES, ControlStep
-from app.control.readings import IMPLAUSIBLE, PERIOD
+from app.control.readings import FAULTS, IMPLAUSIBLE, PERIOD
 from app.control.references import take_reference
 from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
-from app.errors import check_name
+from app.errors import ConfigError, check_name
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
@@ -54,6 +57,8 @@ from app.robot.state import (
     pinocchio_views,
 )
 from app.strict import Array
+
+logger = logging.getLogger(__name__)
 
 _take = direct(take_reference)
 _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
@@ -91,16 +96,16 @@ class Controller:
 
         Raises:
             UnknownNameError: The controller does not exist.
-            ConfigError: The period is invalid, or too long for a gain.
-            DescriptionError: The description has no reachability of a body that can meet the mobile
-                robot.
+            ConfigError: The control period is invalid, or too long for a gain.
+            DescriptionError: The description has no reachability of a body of the arm that can meet
+                the base.
         """
         self._model, self._data, self._config = model, data, config
         self._dt, self._interpolate = checked_period(dt), interpolate
         self._base = model.description.base
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
-        """The robot's state at the last valid measurement."""
+        """The robot's estimated state in the last step with `valid` readings."""
         smooth = SmoothPoints(self.state, data.pairs.all)
         self._robot = robot_struct(model, data, smooth)
         views, sizes = pinocchio_views(self.state.data), _sizes(model, data, smooth)
@@ -128,9 +133,9 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
 
-        A new d_b or ε selects a different border at once. The buffer distance in use approaches the
-        new d_b at `algorithm.BUFFER_RATE`, because a jump would abruptly accelerate an arm inside
-        the buffer.
+        A new d_b or ε selects a different border at once; the method `hqp` always uses the sampled
+        points. The buffer distance in use approaches the new d_b at `algorithm.BUFFER_RATE`,
+        because a jump would abruptly accelerate an arm inside the buffer.
 
         Raises:
             ConfigError: The control period is too long for a gain.
@@ -169,9 +174,11 @@ class Controller:
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        The controller forgets posture, torques, estimate, commands and the counts of failures. A
-        measured period stays in use.
+        The controller forgets posture, speeds, torques, estimate, commands and the counts of
+        failures. A measured period stays in use, and until the next valid reading the fallback
+        command has the gravity terms of the last valid posture.
         """
+        self.last.qd[...] = 0.0  # the fallback command damps these speeds
         for name in _MEMORY:
             getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0
 
@@ -197,14 +204,15 @@ class Controller:
 
         Returns:
             The quantities of this step, which the next step overwrites. They always contain a
-            command. If there is no valid reading for 0.1 s, or the arm's QP has no solution, this
-            command is the fallback command: gravity compensation and damping at the last valid
-            state (before the first valid state, at the ready posture), and a base that brakes.
+            command. It is the fallback command if there is no valid reading for 0.1 s, or if the
+            arm's QP has no solution. With the fallback command the base brakes, the predicted joint
+            speeds are damped, and gravity is compensated at the last valid posture; before the
+            first valid posture, at the ready posture.
 
         Raises:
-            MeasurementError: A reading or the reference has a wrong number of entries, or the
-                first reading has a joint far outside of its limits, for example in degrees; or
-                the reference is not a finite motion.
+            MeasurementError: A reading or the reference has a wrong type or number of entries, the
+                reference is not a possible motion, or a joint of the first reading is far outside
+                of its position limits, for example because the reading is in degrees.
         """
         if base_acceleration is None:
             return self._step(measurement, reference, BASE_AS_COMMANDED)
@@ -228,7 +236,7 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def score_field(self, pair: str) -> ScoreField:
-        """The score for the acting points of a pair of L_m, by the name of an existing pair."""
+        """The score for the acting points of a pair of arm and base, by the pair's name."""
         body = next(each.b for each in self._data.pairs.mobile if each.name == pair)
         return ScoreField.of(self._model, body)
 
@@ -236,12 +244,12 @@ class Controller:
         self, measurement: Measurement, reference: Reference | None, base_source: int
     ) -> ControlStep:
         w, robot, gains, data = self.last, self._robot, self._gains, self.state.data
+        measurement = checked(measurement, self._model)
         if reference is not None:
             pose, v, a = reference = checked_reference(reference)
             R, p = pose.rotation, pose.translation
             if not _take(gains, w.struct, R, p, v, a, self._interpolate):
                 raise no_motion(reference)
-        measurement = checked(measurement, self._model)
         self.faulty = _estimate(robot, gains, w.struct, *measurement)
         if self.faulty and w.faults[PERIOD]:
             self._dt = min(max(self._dt * float(w.ratio), SHORTEST), LONGEST)
@@ -269,9 +277,150 @@ class Controller:
             w.qp_x[which] = solved_by_hierarchy(w, self._config.task)
             return
         fixed = 0 if which == FREE_BASE else self._model.n_b
-        limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
+        limits = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
         qp = OpenQP(w.qp_H, w.qp_c, *limits, w.qp_fixed[:fixed])
         w.qp_x[which] = changed_by_proxqp(qp) if which == ROOM else solved_by_proxqp(qp)
+
+
+class Command(NamedTuple):
+    """The commands of one control step.
+
+    `step` and the properties below always refer to the loop's last step. A copy by `copy.deepcopy`
+    does not change in later steps.
+    """
+
+    u_a: Array
+    """(n_m,) [N m or N] torques of the arm, including gravity and Coriolis terms."""
+    base_velocity: Array
+    """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base. It
+    changes once in each command period, at 10 Hz by default."""
+    step: ControlStep
+    """All quantities of the step, such as the distances; the next step overwrites them."""
+
+    @property
+    def gravity(self) -> Array:
+        """(n_m,) [N m or N] the gravity terms in `u_a`.
+
+        Subtract them if the robot's driver adds gravity compensation, as for UR and Franka.
+        """
+        return self.step.g[self.step.n_b :].copy()
+
+    @property
+    def load(self) -> float:
+        """[kg] mass of the load that the fault `load` reports.
+
+        Without this fault, the mass at the end-effector that best explains the external torques,
+        including those of a person.
+        """
+        return float(self.step.unstated or self.step.load)
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of all faults of this step's readings, from `app.control.readings.FAULTS`."""
+        return tuple(name for name, is_on in zip(FAULTS, self.step.faults, strict=True) if is_on)
+
+
+class ControlLoop:
+    """The controller with the model of the base's drive and the admittance law."""
+
+    def __init__(
+        self,
+        model: RobotModel,
+        data: BorderData | None = None,
+        config: Config | None = None,
+        *,
+        name: str = "dbb",
+        dt: float = 0.001,
+        interpolate: bool = True,
+    ) -> None:
+        """Prepare the control.
+
+        Args:
+            model: The robot.
+            data: The robot's link pairs and border; default: read from a file, or sampled now.
+            config: Parameters; default: the parameters of the robot.
+            name: One of `app.control.CONTROLLERS`.
+            dt: [s] control period.
+            interpolate: Whether to interpolate references that jump (`app.control.references`).
+
+        Raises:
+            UnknownNameError: The controller does not exist.
+            ConfigError: An argument has a wrong type, dt is not within 0.1 to 20 ms, or a gain is
+                too large for dt.
+            AssetError: A mesh is missing.
+            DescriptionError: The description has no reachability of a body of the arm that can meet
+                the base, or the base is too large for a border.
+        """
+        if not (isinstance(model, RobotModel) and isinstance(data, BorderData | None)):
+            raise ConfigError(
+                "ControlLoop needs a RobotModel, such as RobotModel(load_robot('husky_panda')), "
+                f"and BorderData or None; was {type(model).__name__}, {type(data).__name__}"
+            )
+        self.controller = Controller(
+            model,
+            data or load_border_data(model),
+            model.description.config if config is None else config,
+            name=name,
+            dt=dt,
+            interpolate=interpolate,
+        )
+        """Algorithm 2."""
+        self.reported: set[str] = set()
+        """Names of all faults of the readings since `reset`."""
+
+    def joint_order(self, names: Sequence[str]) -> JointOrder:
+        """A function that sorts a driver's joint states; `names` is the driver's order of joints.
+
+        Raises:
+            MeasurementError: `names` is not a list, or a joint of the arm is missing or repeated.
+        """
+        return JointOrder(self.controller.state.model, names)
+
+    def reset(self) -> None:
+        """Start again: the next reading is the initial state, and the base's command starts at 0.
+
+        Call `reset` after a protective stop or a pause, or after a person has moved the arm without
+        the controller. The reset clears commands, posture and estimate.
+        """
+        self.controller.reset()
+        self.reported.clear()
+
+    def configure(self, config: Config) -> None:
+        """Use other parameters from the next step on.
+
+        Raises:
+            ConfigError: A gain is too large for the control period.
+        """
+        self.controller.configure(config)
+
+    def step(self, measured: Measurement, reference: Reference | None = None) -> Command:
+        """One control step.
+
+        Args:
+            measured: The sensors' readings.
+            reference: Desired motion of the end-effector, or None while a person guides the arm.
+
+        Raises:
+            MeasurementError: A reading or the reference has a wrong type or number of entries, the
+                reference is not a possible motion, or a joint of the first reading is far outside
+                of its position limits, for example because the reading is in degrees.
+        """
+        step = self.controller.step_with_drive(measured, reference)
+        command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
+        if self.controller.faulty:
+            self._report(command)
+        return command
+
+    def _report(self, command: Command) -> None:
+        """Log each fault of the readings once until `reset`."""
+        for name in command.faults:
+            if name not in self.reported:
+                self.reported.add(name)
+                more = {
+                    "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
+                    "period": f" ({self.controller.dt * 1000:.2f} ms)",
+                }
+                logger.warning("readings, %s: %s%s", name, FAULTS[name], more.get(name, ""))
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:
@@ -290,6 +439,18 @@ def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping
         "n_s": model.n_b + pairs - mobile + 3 * mobile,
         "n_l": 2 * model.n_m + rows + model.n_b,
     }
+
+
+def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Array) -> Array:
+    """The feasible command (n_b,) nearest to `command`, within the largest commands `v_max`.
+
+    If the axes of a base depend on each other, the nearest feasible command can exceed the largest
+    command of an axis. Then all axes are multiplied by the same factor. `before` (n_b,) is the
+    previous command; all values are in m/s or rad/s.
+    """
+    found = base.admissible(command, before)
+    over = float(np.max(np.abs(found) / v_max))
+    return found / over if over > 1.0 else found
 
 
 def _overrides(base: BaseKind, method: str) -> bool:

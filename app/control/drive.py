@@ -19,7 +19,7 @@ class Drive:
     """
 
     def __init__(self, base: BaseKind, dt: float) -> None:
-        """A drive at rest; `dt` [s] is the period of `step`."""
+        """A drive at rest; `dt` [s] is the duration of one `step`."""
         self._base, self._follow = base, base.follower(dt)
         self._at_rest = base.drive_at_rest()
         self.reset()
@@ -32,7 +32,7 @@ class Drive:
         """(n_d,) further states of the drive, such as a steering angle [rad]."""
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
-        """(n_b,) [m/s or rad/s] the velocity after one period with the velocity command (n_b,)."""
+        """(n_b,) [m/s or rad/s] the velocity after one step with the velocity command (n_b,)."""
         command = np.asarray(v_cmd).tolist()
         self.velocity, self.state = self._follow(self.velocity, self.state, command)
         return self.velocity

@@ -15,8 +15,8 @@ the present state from this estimate, with the accelerations due to torques and 
 
 The external accelerations imply the external torques; `estimate_load` finds loads in these torques.
 
-Tasks do not use the external acceleration: a guided end-effector stays free. Limits do, so that
-joint speeds and distances respect their limits while a person pulls.
+Tasks do not use the external acceleration: a guided end-effector stays free. Limits use it, so that
+joint speeds and distances stay within their limits while a person pulls.
 """
 
 import math
@@ -25,25 +25,24 @@ from typing import Any
 import numpy as np
 
 from app.compiled import compiled
-from app.control.qp import backward, cholesky, dot, forward, times
+from app.control.qp import backward, cholesky, dot, fill, forward, put, times
 from app.strict import Array
-from app.structs import fill, put
 
 FEWEST = 8
-"""Samples of the noise before the filter starts."""
+"""Number of samples of the noise with which the filter starts."""
 _CLEAR = 0.01  # [-] share of a speed limit beyond which a change between readings is clear
 _PLAUSIBLE = 6.0  # [-] largest ratio of a sample of the positions' noise to its variance
 _SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second, relative to a
 # speed limit: a person's force grows within milliseconds, the error of an old reading at once
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
 RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
-_SHAKE = 0.01  # [-] largest noise of a speed estimated so fast, relative to a speed limit
+_SHAKE = 0.01  # [-] largest noise of an estimated speed, relative to a speed limit
 _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
 FARTHEST = 10.0  # [-] largest plausible ratio of a motion, or of a velocity, to the speed limit
-_REVERSED = 4.0  # [-] largest rest of friction after a push upwards, relative to the push
+_REVERSED = 4.0  # [-] largest remaining friction after a push upwards, relative to the push
 _SETTLED = 20  # [-] samples of the noise before a load can be estimated
-_SOON = 0.005  # [s] largest age of readings with which these samples last so short that a load
-# which is then present counts as sudden
+_SOON = 0.005  # [s] largest age of readings at which these samples take little time, so that a load
+# that is present after them counts as sudden
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
 _SAMPLED = 0.02  # [s] shortest interval of a mean of the external torques
 _SIGNIFICANT = 3.0  # [-] smallest reported load in standard deviations of the estimate
@@ -55,8 +54,8 @@ _GRAVITY = 9.81  # [m/s²]
 
 
 @compiled()
-def _jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
-    """Whether the motion from x (3, n_m) to q (n_m,) is impossible in `steps` periods dt [s]."""
+def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
+    """Whether the motion from x (3, n_m) to q (n_m,) is impossible in `steps` steps of dt [s]."""
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
         if way > (FARTHEST + steps - 1) * dt * qd_max[i]:
@@ -107,19 +106,20 @@ def _begin_at(
 def process_noise(
     v_error: Array, variance: Array, qd_max: Array, periods: int, blind_time: float, gains: Any
 ) -> Array:
-    """(n_m,) process noise of the external acceleration, in one second.
+    """(n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration in 1 s.
 
     It is at least so large that the filter responds within `RESPONSE`: a pull moves a light joint
-    beyond its speed limit within 0.05 s. The response is slower than the blind time, because
-    readings that are older than assumed contradict the predicted motion. With noise above about 0.2
-    mrad at 1 kHz the response is slower too, so that the noise of estimated speeds is limited. The
-    process noise is also at least as large as the recent errors of predicted velocities imply.
+    beyond its speed limit within 0.05 s. The response takes at least the blind time, because
+    readings that are older than assumed contradict the predicted motion. If the standard deviation
+    of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower too, so that the
+    noise of estimated speeds is limited.
+    Recent errors of predicted velocities increase the process noise, up to `_MOST_DRIFT`.
 
     Args:
-        v_error: (n_m,) recent errors of velocities that were predicted over several periods.
+        v_error: (n_m,) recent errors of velocities that were predicted over some control periods.
         variance: (n_m,) noise variance of the positions.
         qd_max: (n_m,) joint speed limits.
-        periods: Number of these periods.
+        periods: Number of these control periods.
         blind_time: [s] recent longest age of the readings.
         gains: `GAINS`.
     """
@@ -160,7 +160,7 @@ def estimate_arm(
         variances: (2, n_m) noise variances of positions and velocities; updated.
         last: (3, n_m) as in `_learn`; updated.
         samples: () number of samples of the noise; updated.
-        predicted: (k, n_m) `predicted_joint_acceleration` in each of the k periods
+        predicted: (k, n_m) `predicted_joint_acceleration` in each of the k control periods
             since the last reading; no rows after a gap.
         read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN without a velocity.
         qd_max: (n_m,) joint speed limits.
@@ -171,7 +171,7 @@ def estimate_arm(
         Whether the arm cannot have moved to the reading.
     """
     steps, dt, q, qd = len(predicted), gains.dt, read[0], read[1]
-    jumped = steps > 0 and _jumped(x, q, qd_max, steps, dt)
+    jumped = steps > 0 and has_jumped(x, q, qd_max, steps, dt)
     continued = steps > 0 and not jumped
     if jumped:
         fill(x[2], 0.0)
@@ -193,7 +193,7 @@ def estimate_arm(
 
 @compiled()
 def advance(x: Array, predicted: Array, dt: float) -> None:
-    """Predict x (3, n_m) over the periods dt [s] of the predicted accelerations (k, n_m)."""
+    """Predict x (3, n_m) over k control periods of dt [s] with the accelerations (k, n_m)."""
     for k in range(len(predicted)):
         for i in range(x.shape[1]):
             x[1, i] += dt * (predicted[k, i] + x[2, i])
@@ -225,7 +225,7 @@ def _learn(
         last: (3, n_m) velocity at the last reading, from the positions; the last position; and the
             last unexplained second difference, or NaN; updated.
         samples: () number of samples, including this one.
-        predicted: (k, n_m) accelerations in the periods since the last reading.
+        predicted: (k, n_m) accelerations in the control periods since the last reading.
         q: (n_m,) positions.
         qd: (n_m,) velocities, or NaN.
         window: [s] time window of the variances.
@@ -257,7 +257,7 @@ def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
 
     Args:
         variances: (2, n_m) estimated variances.
-        least: Lower bound of the positions' standard deviation.
+        least: [rad or m] lower bound of the positions' standard deviation.
         ratio: [1/s] lower bound of the velocities' standard deviation, divided by that of the
             positions: drives compute velocities from the same positions.
         dt: [s] time since the last reading; `least` / dt is a lower bound of the velocities'
@@ -306,17 +306,20 @@ def _follow(
 ) -> None:
     """Predict each joint since the last reading, and correct it by its position and its velocity.
 
-    A velocity is the mean over the last period, as in drives and simulators.
+    A measured velocity counts as the mean velocity of the last control period, as in drives and
+    simulators.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration; updated.
         P: (n_m, 3, 3) covariances; updated.
-        predicted: (k, n_m) predicted accelerations, in each period.
+        predicted: (k, n_m) predicted accelerations in the k control periods since the last reading.
         q: (n_m,) positions.
         qd: (n_m,) velocities; NaN has no effect.
         variances: (2, n_m) noise variances of positions and velocities.
-        drift: (n_m,) process noise of the external acceleration, in one second.
-        sudden: (n_m,) largest change of the external acceleration.
+        drift: (n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration
+            in one second.
+        sudden: (n_m,) [rad/s² or m/s²] largest change of the external acceleration by each of the
+            two corrections.
         dt: [s] control period.
     """
     advance(x, predicted, dt)
@@ -339,9 +342,9 @@ def _follow(
 def _torque_change(M: Array, P: Array, blind_time: float, interval: float) -> Array:
     """(n_m, n_m) covariance of the change of mean external torques between two intervals [s].
 
-    The error of an estimated acceleration lasts as long as the filter's response, `blind_time` [s]
-    or longer, and its mean over an interval is smaller. `_FRICTION` is the part that no filter
-    knows.
+    The error of an estimated acceleration, with the covariance P of the estimate, lasts as long as
+    the filter's response, `blind_time` [s] or longer; its mean over an interval is smaller. M is
+    the arm's mass matrix. `_FRICTION` is the part that no filter knows.
     """
     share = 2.0 * min(1.0, max(RESPONSE, blind_time) / interval)
     C = np.zeros_like(M)
@@ -358,11 +361,11 @@ def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
 
     A load changes the external torques at once, and only by its weight and its inertia. Before and
-    after this, they change little. A person's force turns, or grows longer. The changes are
-    compared in units of their standard deviation, so that noisy joints count less.
+    after this, they change little. A person's force changes its direction, or grows for a longer
+    time. The changes are compared in units of their standard deviation: noisy joints count less.
 
     Args:
-        torques: (8, n_m) mean external torques in intervals; the newest is first.
+        torques: (8, n_m) [N m or N] mean external torques in intervals; the newest is first.
         lifts: (8, n_m) mean torques that move a load of 1 kg in these intervals.
         C: (n_m, n_m) covariance of the change from one row of `torques` to another.
     """
@@ -400,10 +403,10 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
 
     A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
     inertia. `w.load` is the mass that best explains the external torques; a force of a person
-    counts too. `w.loaded` is the sum of all sudden loads and changes of the payload's mass, without
-    the rest of friction after a person's push upwards. It is reported as `w.unstated` while the
-    torques contain at least half of it, unless the mass at the end-effector would be negative: a
-    person pushes upwards.
+    counts too. `w.loaded` is the sum of all sudden loads, minus the changes of the payload's mass,
+    without the friction that remains after a person's push upwards. `w.unstated` reports this sum
+    while the torques contain at least half of it. It is 0 if the sum would make the mass at the
+    end-effector negative, because then a person pushes upwards.
 
     Args:
         gains: `GAINS`.

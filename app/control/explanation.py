@@ -24,7 +24,7 @@ LevelName = Literal["base", "arm", "links", "ee", "posture", "free"]
 
 
 class ForceSplit(NamedTuple):
-    """The force of one pair of L_m, split as in Figure 7; horizontal, forward and left."""
+    """The force on the base by one pair, split as in Figure 7; horizontal, forward and left."""
 
     f: Planar
     """[N] f_m,i of (14), the sum of the next two."""
@@ -55,7 +55,7 @@ class NearPair(NamedTuple):
     b: str
     """Name of the other body, as in `lEE`."""
     mobile: bool
-    """Whether it belongs to L_m."""
+    """Whether one of the two bodies is the base (a pair of L_m)."""
     d: float
     """[m] signed distance in the control step."""
     beta: float
@@ -70,7 +70,8 @@ class NearPair(NamedTuple):
     limited: bool
     """Whether the barrier of the pair's distance is active: it limits the approach."""
     force: ForceSplit | None
-    """The force of an active pair of L_m if the controller moves the base, otherwise None."""
+    """The force of an active pair on the base. None for an inactive pair, for a pair within the
+    arm, and if the controller does not move the base."""
 
 
 class Level(NamedTuple):
@@ -97,12 +98,12 @@ class Explanation(NamedTuple):
     """False for the fallback command: the readings were not valid, or the arm's QP had no
     solution."""
     chain: tuple[str, ...]
-    """Names of all bodies, the mobile robot first, then outwards."""
+    """Names of all bodies: the base, then those of the arm from the base outwards."""
     near: tuple[NearPair, ...]
     """Pairs inside a buffer or at the bound of their barrier: first the pairs of L_m, then the
-    pairs within the arm; in both groups the most active pair is first."""
+    pairs within the arm. Each of these two groups is in the order of decreasing activation."""
     nearest: tuple[str, str, float]
-    """Body names and distance [m] of the nearest pair of L_m, inside a buffer or not."""
+    """Body names and distance [m] of the nearest pair with the base, inside a buffer or not."""
     axes: tuple[Axis, ...]
     """The base's axes, which define the components of its accelerations."""
     base_avoidance: ByAxis
@@ -113,7 +114,8 @@ class Explanation(NamedTuple):
     """[m/s² or rad/s²] base acceleration that the arm's QP assumes: `a_base_meas`; with the
     fallback command, the commanded acceleration."""
     levels: tuple[Level, ...]
-    """Slack of each task, highest priority first."""
+    """Slack of each active task: rows of T_sca, then T_2, then posture or guided arm; empty with
+    the fallback command."""
     bounds: tuple[Bound, ...]
     """The active limits of the step."""
     base_kind: str = "differential"
@@ -164,7 +166,7 @@ def explain(
 
 
 def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
-    """The slack of each task of a step, the highest weight first: w_sca* and w_2 of (29)."""
+    """The slack of each active task, the highest weight first: w_sca* and w_2 of (29)."""
     levels, n_b = [], base.n_b
     if w.B[0] > 0.0:
         levels.append(Level("base", *linear_and_angular(base, w.a_base_des - w.a_base_cmd)))

@@ -4,7 +4,7 @@ This is the compared method `hqp`. The cascade below follows the paper, with onl
 corrections:
 
 - The reference of (29) is on the right, with J̇_sca q̇: only then does (29) become (26) at B = 0.
-- (26) leaves q̈ open if T_2 has fewer rows than the robot has axes. A lowest level completes it:
+- (26) leaves q̈ open if T_2 has fewer rows than q̈ has entries. A lowest level completes it:
   posture and damping, with a large weight on the wheels. A guided arm has no T_2 (§4.2.2): its
   lowest levels are a base at rest, then gravity compensation with joint damping.
 - The level T_sca has only the rows with β > 0, so that a pair has a row only within its buffer.
@@ -97,7 +97,7 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 def cascade(levels: list[Task]) -> Array:
     """q̈ (n,): min ‖w‖ level by level, without changing the slacks of higher levels.
 
-    The first level has the highest priority. The errors are those of `least_slack`.
+    The first level has the highest priority. Raises the errors of `least_slack`.
 
     Paper: Eq. (26), (29).
     """

@@ -11,9 +11,10 @@ from numba import types
 from app.avoidance.closest_points import SmoothPoints
 from app.border.cache import BorderData
 from app.border.score import ScoreField
-from app.config import Config
-from app.control.admittance import largest_command, response, virtual_damping, virtual_mass
+from app.config import AdmittanceConfig, Config
+from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
+from app.strict import Array
 from app.structs import struct_type
 
 _FLOAT, _FLAG = types.f8, types.b1
@@ -35,10 +36,10 @@ _ROBOT: dict[str, Any] = {
     "mass": _FLOAT,  # [kg] of the base
     "q_limits": _MATRIX,  # (2, n_m) [rad, m]
     "qd_limits": _MATRIX,  # (2, n_m) [rad/s, m/s]
-    "qd_max": _VECTOR,  # (n_m,)
+    "qd_max": _VECTOR,  # (n_m,) [rad/s, m/s]
     "tau_max": _VECTOR,  # (n_m,) [N m, N]
     "ready_inertia": _VECTOR,  # (n_m,) [kg m², kg]
-    "tau_limits": _MATRIX,  # (2, n_m)
+    "tau_limits": _MATRIX,  # (2, n_m) [N m, N]
     "R_tip": _MATRIX,  # (3, 3) rotation of the end-effector in the frame of the last joint
     "p_tip": _VECTOR,  # (3,) [m] origin of the end-effector in the frame of the last joint
     "shapes": _MATRIX,  # (P, 16) of `Shapes`
@@ -97,8 +98,6 @@ _GAINS: dict[str, Any] = {
     "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
     "virtual_damping": _VECTOR,  # (n_b,) [N s/m, N m s] D_a
     "largest_command": _VECTOR,  # (n_b,) [m/s, rad/s]
-    "response_gain": _VECTOR,  # (n_b,) [-] of `admittance.response`
-    "response_drag": _VECTOR,  # (n_b,) [1/s]
     "moves_base": _FLAG,  # the method moves the base by (16)
     "link_rows": _FLAG,  # the method separates links of the arm by (20)
     "arm_rows": _FLAG,  # the method pushes the arm away from the base (T_rep)
@@ -130,7 +129,7 @@ MOVES_BASE = frozenset(name for name, terms in METHODS.items() if terms.get("mov
 
 
 def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Any:
-    """`ROBOT` of a robot, its link pairs, and their closest points; errors of `ScoreField.of`."""
+    """`ROBOT` of a robot, its link pairs and their closest points; raises as `ScoreField.of`."""
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile
     rows = [parts or [whole] for whole, *parts in smooth.rows]
@@ -159,7 +158,6 @@ def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> A
 def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any:
     """`GAINS` of a configuration for a controller in `METHODS`; `dt` [s] is the control period."""
     c, method, base = config, METHODS[name], model.description.base
-    gain, drag = response(base, c.admittance)
     values = _Gains(
         dt=dt,
         joint_damping=model.joint_damping,
@@ -198,11 +196,9 @@ def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any
         noise_window=c.estimate.noise_window,
         delay=c.estimate.delay,
         command_period=c.admittance.period,
-        virtual_mass=virtual_mass(base, c.admittance),
-        virtual_damping=virtual_damping(base, c.admittance),
+        virtual_mass=base.by_axis(c.admittance.mass, c.admittance.inertia),
+        virtual_damping=base.by_axis(c.admittance.damping, c.admittance.angular_damping),
         largest_command=largest_command(base, c.admittance),
-        response_gain=gain,
-        response_drag=drag,
         moves_base=method.get("moves_base", False),
         link_rows=method.get("link_rows", False),
         arm_rows=method.get("arm_rows", False),
@@ -212,6 +208,11 @@ def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any
         hierarchy=method.get("hierarchy", False),
     )
     return GAINS.made_of(_contiguous(values, _GAINS))
+
+
+def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:
+    """(n_b,) [m/s or rad/s] the largest velocity command of each axis."""
+    return np.minimum(base.max_velocity, base.by_axis(config.v_max, config.omega_max))
 
 
 def _contiguous(values: Any, fields: Mapping[str, Any]) -> Any:

@@ -1,6 +1,7 @@
 """The robot's limits as rows l ≤ C q̈ ≤ u: torques, joint positions and speeds, distances.
 
-Torques are hard. Joint limits and distances are soft, so that they never contradict each other.
+Torques are hard. Joint limits and distances are soft: if they contradict each other or the torque
+limits, the QP still has a solution.
 External forces move the arm as well; joint limits and distances constrain the total acceleration
 of the arm, including the estimated external part.
 """
@@ -15,7 +16,7 @@ from app.compiled import compiled
 from app.control.qp import backward, cholesky, forward, inverse_diagonal, times
 from app.strict import Array
 
-_MARGIN = 3.0  # [-] margin of all limits of speeds, in recent errors of used velocities
+_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent errors of used velocities
 _MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a larger one would let
 # the constraints throw the arm away from an obstacle that it hardly approaches
 
@@ -40,15 +41,15 @@ def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, A
 def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
     """λ² (q_limit − q) − 2 λ q̇ [rad/s² or m/s²], the bound from a position limit of a joint.
 
-    At the distance e from the limit, the acceleration towards the limit is at most λ² e − 2 λ q̇.
-    Thus the joint reaches the limit without overshoot.
+    λ is `rate` [1/s]. At the distance e from the limit, the acceleration towards the limit is at
+    most λ² e − 2 λ q̇. Thus the joint reaches the limit without overshoot.
     """
     return rate**2 * (limit - q) - 2 * rate * qd
 
 
 @compiled()
 def velocity_bound(qd: float, limit: float, rate: float) -> float:
-    """κ (±q̇_max − q̇) [rad/s² or m/s²], the bound from a speed limit `limit` = ±q̇_max."""
+    """κ (±q̇_max − q̇) [rad/s² or m/s²], the bound from a speed limit ±q̇_max; κ = `rate` [1/s]."""
     return rate * (limit - qd)
 
 
@@ -58,7 +59,7 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 
     ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
     that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
-    because h is limited to −max_speed/λ. It is the second-order form of the barriers
+    because h is limited to −2 max_speed/λ. It is the second-order form of the barriers
     ḣ + λ h ≥ 0 of libraries at velocity level.
 
     Args:
@@ -68,16 +69,16 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
         rate: [1/s] λ.
         max_speed: [m/s] largest speed of separation.
     """
-    return -2.0 * rate * d_dot - rate**2 * max(h, -max_speed / rate) - Jdqd
+    return -2.0 * rate * d_dot - rate**2 * max(h, -2.0 * max_speed / rate) - Jdqd
 
 
 @compiled()
 def early_barrier_bound(
     at: tuple[float, float, float], rate: float, fastest: float, max_speed: float
 ) -> float:
-    """The larger one of two bounds `barrier_bound`: at the rate [1/s], and at most at `fastest`.
+    """The stricter of two bounds `barrier_bound`: with `rate`, and with min(`rate`, `fastest`).
 
-    `at` has the first three arguments of `barrier_bound`.
+    `at` has the first three arguments of `barrier_bound`; `rate` and `fastest` are in 1/s.
     """
     slow = barrier_bound(at[0], at[1], at[2], min(rate, fastest), max_speed)
     return max(barrier_bound(at[0], at[1], at[2], rate, max_speed), slow)
@@ -85,7 +86,7 @@ def early_barrier_bound(
 
 @compiled()
 def fastest_rate(blind_time: float, dt: float) -> float:
-    """[1/s] upper bound 1/(2 T) of all rates; infinite without blind time.
+    """[1/s] upper bound 1/(2 T) of the rates of the early bounds; infinite for T ≤ dt.
 
     T is the blind time [s], dt [s] the control period. Without a newer reading, the law reacts to
     its own prediction. A faster reaction to a wrong prediction lets the arm oscillate.
@@ -160,8 +161,8 @@ def torque_reachable_bounds(
     middle of their ranges. If one joint demanded more, the other torques would switch between their
     limits, and an arm that needs more than its torque limits would become unstable. The
     acceleration towards a speed limit is bounded too: if a joint's torque changes at the rate r,
-    its acceleration q̈_i changes at the rate (M⁻¹)_ii r. A joint whose speed is lower than the
-    speed limit by v can therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
+    its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose speed is lower than the
+    speed limit by v can therefore brake in time from the acceleration √(2 (M_aa⁻¹)_ii r v).
 
     Args:
         M: (n, n) inertia matrix.
@@ -244,14 +245,15 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
     """[N] bound of a push on the arm's closest point towards the other body.
 
     A force F against the normal requires the torque t_i + J_i F of each joint, with the distance's
-    Jacobian J_i and the torque t_i without that force. No torque exceeds its limit up to
+    Jacobian J_i and the torque t_i without that force. No torque exceeds its limit τ_i up to
 
         F = min_i (τ_i − t_i sgn J_i) / |J_i|,
 
-    minus the force v²/(2 d) / (J M⁻¹ Jᵀ) that stops a pair within d if it approaches at the speed
-    v. Against a larger push the arm resists for a moment by its inertia, and joints can exceed
-    their speed limits. The bound is 0 at contact, and if the arm cannot stop in time even without a
-    push.
+    minus the force v²/(2 d) / (J M⁻¹ Jᵀ), with the arm's parts of J and M, that stops a pair within
+    d if it approaches at the speed v. Against a larger push the arm resists for a moment by its
+    inertia, and joints can exceed their speed limits. The bound is 0 in three cases: at contact, if
+    the arm cannot stop in time even without a push, and if no joint of the arm changes the
+    distance.
 
     Args:
         d: [m] distance of the pair.

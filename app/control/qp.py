@@ -1,6 +1,7 @@
-"""A strictly convex QP with soft limits, by the dual active-set method of Goldfarb and Idnani.
+"""Linear algebra of small matrices, and a strictly convex QP with soft limits.
 
-For matrices of ten rows the overhead of LAPACK exceeds the computation.
+For matrices of ten rows the overhead of LAPACK exceeds the computation. The QP uses the dual
+active-set method of Goldfarb and Idnani.
 """
 
 import math
@@ -9,10 +10,40 @@ import numpy as np
 
 from app.compiled import compiled
 from app.strict import Array
-from app.structs import put
 
 _EPS = 1e-12  # [-] relative tolerance of a bound in the search
 _MISSED = 1e-10  # tolerance of the limits, in their own units
+
+
+@compiled()
+def put(into: Array, values: Array | tuple[float, ...]) -> None:
+    """Copy values into an array; ``into[:] = values`` compiles to fifty times as much code."""
+    for i in range(len(into)):
+        into[i] = values[i]
+
+
+@compiled()
+def put_rows(into: Array, values: Array) -> None:
+    """Copy rows of values (k, n) into the first k rows of an array."""
+    for i in range(len(values)):
+        for j in range(values.shape[1]):
+            into[i, j] = values[i, j]
+
+
+@compiled()
+def fill(into: Array, value: float) -> None:
+    """Set all entries of an array to a value."""
+    for i in range(len(into)):
+        into[i] = value
+
+
+@compiled()
+def clip(values: Array, low: Array, high: Array) -> Array:
+    """The values (k,), limited to the bounds `low` and `high` (k,)."""
+    found = np.empty_like(values)
+    for i in range(len(values)):
+        found[i] = min(max(values[i], low[i]), high[i])
+    return found
 
 
 @compiled()
@@ -24,7 +55,10 @@ def cholesky(H: Array) -> Array:
             value = H[i, j]
             for l in range(j):
                 value -= L[i, l] * L[j, l]
-            L[i, j] = math.sqrt(value) if i == j else value / L[j, j]
+            if i > j:
+                L[i, j] = value / L[j, j]
+            else:
+                L[i, j] = math.sqrt(value) if value > 0.0 else math.nan
     return L
 
 
@@ -150,7 +184,7 @@ def _activate_row(
 
 
 @compiled()
-def compliances(slack_weight: Array, length: Array) -> Array:
+def compliances(softness: Array, length: Array) -> Array:
     """(m,) compliances of the rows, which are scaled to unit length.
 
     Before this scaling, all soft rows of the same slack weight have the same compliance. Its value
@@ -159,17 +193,17 @@ def compliances(slack_weight: Array, length: Array) -> Array:
     heavy shoulder.
 
     Args:
-        slack_weight: (m,) [-] softness of each row; a row with 0 is hard.
+        softness: (m,) [-] softness of each row; a row with 0 is hard.
         length: (m,) √(C_i H⁻¹ C_iᵀ), length of each row before the scaling.
     """
     least = np.inf
-    for i in range(len(slack_weight)):
-        if slack_weight[i] > 0.0:
+    for i in range(len(softness)):
+        if softness[i] > 0.0:
             least = min(least, length[i])
-    found = np.zeros(len(slack_weight))
-    for i in range(len(slack_weight)):
-        if slack_weight[i] > 0.0:
-            found[i] = slack_weight[i] * (least / length[i]) ** 2
+    found = np.zeros(len(softness))
+    for i in range(len(softness)):
+        if softness[i] > 0.0:
+            found[i] = softness[i] * (least / length[i]) ** 2
     return found
 
 
@@ -194,25 +228,25 @@ def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple
 
 @compiled()
 def _nearest_within(
-    x: Array, L: Array, C: Array, l: Array, u: Array, slack_weight: Array
+    x: Array, L: Array, C: Array, l: Array, u: Array, softness: Array
 ) -> tuple[Array, bool]:
     """The constrained optimum, by the dual active-set method of Goldfarb and Idnani (1983).
 
-    The optimum is x itself if x satisfies the limits. With a_i = L⁻¹ C_iᵀ, scaled to length one,
-    and z = Lᵀ (q̈ - x), the solution is z = Σ y_i a_i. The multipliers y solve l ≤ K y ≤ u with
-    K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound, ≤ 0 at an upper bound and 0 between.
-    A pass brings the most violated row to its bound; active rows stay at theirs or become inactive.
+    With a_i = L⁻¹ C_iᵀ, scaled to length one, and z = Lᵀ (q̈ - x), z = Σ y_i a_i. The bounds b of
+    the scaled rows are l - C x and u - C x in the same scale. The multipliers y solve
+    b_l ≤ K y ≤ b_u with K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one
+    and 0 between. A pass brings the most violated row to its bound; active rows stay or are left.
 
     Args:
         x: (n,) the free optimum.
         L: (n, n) Cholesky factor of the objective's Hessian.
         C: (m, n) rows of the limits.
-        l: (m,)
-        u: (m,)
-        slack_weight: (m,) [-] as in `compliances`.
+        l: (m,) lower bounds of C q̈.
+        u: (m,) upper bounds.
+        softness: (m,) [-] as in `compliances`.
 
     Returns:
-        (n,) the optimum, and whether it exists.
+        (n,) the optimum, and whether it was found.
     """
     if _holds(C, l, u, x, _MISSED):
         return x, True
@@ -225,7 +259,7 @@ def _nearest_within(
             a[i, j] /= length[i]
         reached = dot(C[i], x)
         below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
-    K, compliance = np.empty((m, m)), compliances(slack_weight, length)
+    K, compliance = np.empty((m, m)), compliances(softness, length)
     for i in range(m):
         for j in range(m):
             K[i, j] = dot(a[i], a[j])
@@ -243,9 +277,9 @@ def _nearest_within(
         if not reached_it:
             break
     z = times(a.T, y)
-    # The multipliers of soft rows, of order 1 / slack_weight, cause rounding errors in those of
+    # The multipliers of soft rows, of order 1 / softness, cause rounding errors in those of
     # hard rows. Therefore correct z until the active hard rows are exactly at their bounds.
-    hard = kept[:size][slack_weight[kept[:size]] == 0.0]
+    hard = kept[:size][softness[kept[:size]] == 0.0]
     missed = np.empty(len(hard))
     for k in range(len(hard)):
         i = hard[k]
@@ -266,15 +300,15 @@ def _joined(fixed: Array, rest: Array) -> Array:
 
 @compiled()
 def solve_qp(
-    H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
 ) -> tuple[Array, bool]:
     """Solve min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
 
     If no limit is active, the solution is a closed form. Otherwise, with H = L Lᵀ and
     z = Lᵀ (x − x*) from the free optimum x*, the solution is the feasible z nearest to 0. A slack s
-    of a soft limit costs ½ s² / (ε k), where ε is the limit's slack weight and k is the smallest
-    C_j H⁻¹ C_jᵀ of the soft limits. The slack is at most ε times the violation of the unconstrained
-    solution. Soft limits, even conflicting ones, never make the problem infeasible.
+    of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's slack weight and κ is the smallest
+    C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε² times the
+    violation at x*. Soft limits, even conflicting ones, never make the problem infeasible.
 
     Args:
         H: (n, n) symmetric positive definite.
@@ -282,7 +316,7 @@ def solve_qp(
         C: (m, n) rows of the limits.
         l: (m,) lower limits.
         u: (m,) upper limits.
-        slack_weight: (m,) [-] softness of each row; a row with 0 is hard.
+        softness: (m,) [-] softness of each row; a row with 0 is hard.
         fixed: (k,) the first entries of x.
 
     Returns:
@@ -291,13 +325,13 @@ def solve_qp(
     k = len(fixed)
     L, moved = cholesky(H[k:, k:]), times(C[:, :k], fixed)
     free = _minimum(L, c[k:] + times(H[k:, :k], fixed))
-    rest, found = _nearest_within(free, L, C[:, k:], l - moved, u - moved, slack_weight)
+    rest, found = _nearest_within(free, L, C[:, k:], l - moved, u - moved, softness)
     return _joined(fixed, rest), found
 
 
 @compiled()
 def solve_qp_step(
-    H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
 ) -> tuple[Array, bool]:
     """The feasible x nearest to x_0, the optimum with the fixed entries and without limits.
 
@@ -310,4 +344,4 @@ def solve_qp_step(
     k = len(fixed)
     rest = _minimum(cholesky(H[k:, k:]), c[k:] + times(H[k:, :k], fixed))
     x = _joined(fixed, rest)
-    return _nearest_within(x, cholesky(H), C, l, u, slack_weight)
+    return _nearest_within(x, cholesky(H), C, l, u, softness)

@@ -2,11 +2,11 @@
 
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
 them; logs, the explanation, studies and tests read them under the same names. The next step
-overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these.
-In addition, a step reads M, h, L_aa, J_ee, v_ee, p_ee, base_pose, base_velocity and a_base_meas of
-the last step. In a step without valid readings all kinematics are those of the last valid step. Two
-states are not in the table: the control period in use (`Controller.dt`) and the state of the drive
-(`RobotState.drive`).
+overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these
+and q̇. In addition, a step reads M, h, L_aa, J_ee, v_ee, p_ee, p_o, base_velocity and a_base_meas
+of the last step. In a step without valid readings all kinematics are those of the last valid step.
+Two states are not in the table: the control period in use (`Controller.dt`) and the state of the
+drive (`RobotState.drive`); `reset` keeps both.
 
 Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
 and its x axis points ahead. Coordinates: `axes` are the base's velocity axes ν, fixed to the base:
@@ -57,8 +57,8 @@ DIMENSIONS = {
     "n_j": "pinocchio's joints: the world, the base and the joints of the arm",
     "n_q": "entries of pinocchio's configuration, 4 + n_m",
     "n_v": "entries of pinocchio's velocity, 3 + n_m",
-    "n_p": "link pairs, those of L_m first",
-    "n_mob": "link pairs of L_m",
+    "n_p": "link pairs, those of arm and base (L_m) first",
+    "n_mob": "link pairs of arm and base (L_m)",
     "n_r": "distances: one for each pair, then one for each convex part of an l_a of several parts",
     "n_s": "rows of T_sca: n_b of the base, n_p − n_mob between links, then 3 n_mob of T_rep",
     "n_l": "limits: n_m torques, n_m joints, then distances, then n_b accelerations of the base",
@@ -89,17 +89,18 @@ twists | | n_j 6 | m/s, rad/s | world | |
     velocity of the body on each joint, at the origin of the world: linear, then angular
 biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
-valid | | | 1 | | readings | 1 if the readings are usable, else 0
+valid | | | 1 | | readings | 1 if a reading of the last 0.1 s is usable, else 0
 faults | | 11 | 1 | | readings |
     1 for each fault of this step's readings, in the order of `readings.FAULTS`
-age | | | 1 | | readings | memory: periods since the newest reading
-lag | | | 1 | | readings | memory: delay of the readings in periods
-stated_lag | | | 1 | | readings | memory: the part of it that `estimate.delay` states
+age | | | 1 | | readings | memory: control periods since the newest reading
+lag | | | 1 | | readings | memory: delay of the readings in control periods
+stated_lag | | | 1 | | readings | memory: the part of `lag` that `estimate.delay` states
 blind_time | T | | s | | readings |
     memory: recent longest age of the readings in use, including doubts about it
 ratio | | | 1 | | readings |
     memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
-agreed | | | s | | readings | memory: duration of intervals with equal ratios other than 1
+agreed | | | s | | readings |
+    memory: duration of the successive measurements that agree on a `ratio` other than 1
 corrected | | | 1 | | readings | memory: 1 after the fault `period`
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
 rested | | | 1 | | readings | memory: number of equal readings while the robot rests
@@ -114,24 +115,24 @@ pose_error | | 3 | m, m, rad | world | readings |
 pose_jump | | 3 | m, m, rad | world | readings |
     memory: difference of the newest pose from the expected one; 0 after the reference has used it
 pose_way | | 2 | m, rad | | readings |
-    memory: recent length and angle of these integrals; infinite until a pose is known
+    memory: recent path length and angle by the base's velocity; infinite until a pose is known
 pose_age | | | s | | readings | memory: time since the newest pose of the base
 astray | | n_b | m/s, rad/s | axes | readings |
     memory: recent changes of the base's velocity that the model of its drive does not explain
 history | | 128 n_m | rad/s² | joints | readings |
-    memory: predicted joint accelerations of the last periods, as a ring buffer
+    memory: predicted joint accelerations of the last control periods, as a ring buffer
 periods | | | 1 | | readings | memory: index of the newest row of `history`
 known | | | 1 | | readings | memory: number of rows of `history` since the last gap
 group | | 16 n_m | rad | joints | readings | memory: mean positions of the last groups of readings
-group_age | | 16 | 1 | | readings | memory: mean age of these readings in periods
+group_age | | 16 | 1 | | readings | memory: mean age of each row of `group`, in control periods
 group_size | | | 1 | | readings | memory: number of readings in the newest group
 evidence | | 26 | 1 | | readings |
-    memory: evidence for each lag from 0 to 24 periods, and for a longer one
+    memory: evidence for each lag from 0 to 24 control periods, and for a longer one
 travel | | 3 n_m | rad, rad/s | joints | readings |
     memory: start positions for the measurement of the period, the integral of the velocities, and
     the velocities at the start
 since | | | 1 | | readings | memory: number of readings in the integral of `travel`
-travel_time | | | s | | readings | memory: duration of this integral
+travel_time | | | s | | readings | memory: duration of the integral of `travel`
 load | m | | kg | | readings |
     memory: mass at the end-effector that best explains the external torques of the last interval
 loaded | | | kg | | readings |
@@ -140,8 +141,8 @@ unstated | | | kg | | readings | memory: mass of the reported load; 0 without on
 torques | | 8 n_m | N m, N | joints | readings |
     memory: mean external torques in intervals of 0.02 s or longer, the newest first
 lifts | | 8 n_m | N m/kg, N/kg | joints | readings |
-    memory: mean torques that move a load of 1 kg at the end-effector, in these intervals
-v_tip | | 3 | m/s | world | readings | memory: velocity of the end-effector one period ago
+    memory: mean torques that move a load of 1 kg at the end-effector, as in `torques`
+v_tip | | 3 | m/s | world | readings | memory: velocity of the end-effector one control period ago
 torques_age | | | s | | readings | memory: age of the newest interval of `torques`
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: present position, velocity and external acceleration q̈_ext
@@ -156,7 +157,7 @@ q_last |  | 3 n_m | rad | joints | estimate |
 v_error | | n_m | rad/s, m/s | joints | readings |
     memory: recent error of the velocities that the law used; 0 while all readings are new
 qd_used | | 32 n_m | rad/s, m/s | joints | readings |
-    memory: `qd_m` of the last periods, as a ring buffer
+    memory: `qd_m` of the last control periods, as a ring buffer
 samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
 # Link pairs, acting points, the base's acceleration
@@ -171,7 +172,7 @@ Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ 
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
 beta | β | n_p | 1 | | Fig. 10 | activation of each pair
 beta_m | β_m | | 1 | | (28) |
-    largest activation of L_m; `B` has the activation that the base's rows use
+    largest activation of the pairs of arm and base; `B` has the activation that the base's rows use
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
 p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score; NaN while β = 0
 p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point; NaN while β = 0
@@ -191,44 +192,44 @@ x_ref | x_d | 4 3 | 1, m | world | (26) |
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
 a_ref | ẍ_d | 6 | m/s², rad/s² | world | (26) | reference acceleration
 x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest reference; NaN before
-v_sent | | 6 | m/s, rad/s | world | references | memory: velocity of this reference
-a_sent | | 6 | m/s², rad/s² | world | references | memory: acceleration of this reference
+v_sent | | 6 | m/s, rad/s | world | references | memory: velocity of the newest reference
+a_sent | | 6 | m/s², rad/s² | world | references | memory: acceleration of the newest reference
 x_origin | | 4 3 | 1, m | world | references | memory: first pose of the interpolating polynomial
 way | | 6 6 | m, rad | world | references |
-    memory: coefficients of this polynomial by the power of time
-way_time | | | s | | references | memory: time since the beginning of this polynomial
-way_duration | | | s | | references | memory: duration of the polynomial; 0 without one
-way_continues | | | 1 | | references | memory: 1 if the polynomial does not end at rest
-way_capped | | | 1 | | references | memory: 1 if the polynomial ends before the newest sample
+    memory: coefficients of the interpolating polynomial by the power of time
+way_time | | | s | | references | memory: time since the beginning of `way`
+way_duration | | | s | | references | memory: duration of `way`; 0 without a polynomial
+way_continues | | | 1 | | references | memory: 1 if `way` does not end at rest
+way_capped | | | 1 | | references | memory: 1 if `way` ends before the newest sample
 shift | | 6 6 | m, rad | world | references |
     memory: coefficients of the shift of the reference after a jump of the base's pose, by the power
     of time
-shift_time | | | s | | references | memory: time since this jump
-shift_duration | | | s | | references | memory: duration of the shift; 0 without one
+shift_time | | | s | | references | memory: time since the beginning of `shift`
+shift_duration | | | s | | references | memory: duration of `shift`; 0 without a shift
 since_sample | | | s | | references | memory: time since the newest sample of a planner
 sample_interval | | | s | | references | memory: mean time between the samples of a motion; else 0
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
 b_ee | | 6 | m/s², rad/s² | world | (26) | right-hand side of T_2
 lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T_2
 q_posture |  | n_m | rad, m | joints | posture_objective |
-    memory: arm posture of the first valid measurement; NaN before
+    memory: arm posture of the first valid measurement, or of the last fault `jump`; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance
 H_low | H | n n | | reduced | (26) |
-    Hessian of the task with the lowest priority: posture, or guided arm
-c_low | c | n | | reduced | (26) | linear term of that task
+    Hessian of the posture task, or of the task of a guided arm
+c_low | c | n | | reduced | (26) | linear term of the task of `H_low`
 H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
-c | c | n | | reduced | (26) | linear term of these tasks
+c | c | n | | reduced | (26) | linear term of all tasks below T_sca
 # Limits, the base, the arm
 u_min | | n_m | N m, N | joints | torque_range | smallest torque of this step
 u_max | | n_m | N m, N | joints | torque_range | largest torque of this step
 C | C | n_l n | | | limits.py | rows of the limits l ≤ C q̈ ≤ u
 l | l | n_l | | | limits.py | lower limits
 u | u | n_l | | | limits.py | upper limits
-slack_weight | ε² | n_l | 1 | | limits.py | softness of each limit; a limit with 0 is hard
+softness | ε² | n_l | 1 | | limits.py | softness of each limit; a limit with 0 is hard
 n_limits | | | 1 | | limits.py | rows of C in the arm's QP
 a_base_free | | n_b | m/s², rad/s² | axes | (29) | base acceleration without the base's rows
 a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: the blend of (29)
-a_base_cmd |  | n_b | m/s², rad/s² | axes | command_base |
+a_base_cmd |  | n_b | m/s², rad/s² | axes | command_base, put_commands |
     commanded base acceleration, input of the admittance law
 a_base_meas | | n_b | m/s², rad/s² | axes | assume_base |
     base acceleration in the arm's QP: of the drive's model, of the caller, or the commanded one
@@ -252,7 +253,7 @@ qp_tried | | 4 | 1 | | | 1 for each QP that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP
 qp_fixed | | n_b | | reduced | | fixed first entries of the solution
-qp_rows | | | 1 | | | number of rows of the open QP in C, l, u and slack_weight
+qp_rows | | | 1 | | | number of rows of the open QP in C, l, u and softness
 """
 """A line for each quantity: name | symbol | shape | unit | frame | source | meaning."""
 
@@ -316,10 +317,14 @@ class ControlStep:
             [sizes[size] if size in sizes else int(size) for size in each.shape.split()]
             for each in QUANTITIES
         ]
-        ends = np.cumsum([math.prod(shape) for shape in shapes])
-        parts = np.split(np.zeros(ends[-1]), ends[:-1])  # one block: neighbours share cache lines
-        for each, shape, part in zip(QUANTITIES, shapes, parts, strict=True):
-            setattr(self, each.name, part.reshape(shape))
+        ends = np.cumsum([0, *(math.prod(shape) for shape in shapes)]).tolist()
+        self.memory = np.zeros(ends[-1])
+        """All quantities, one after the other: neighbours share cache lines."""
+        self.places: dict[str, range] = {}
+        """Indices of the entries of each quantity in `memory`."""
+        for each, shape, own in zip(QUANTITIES, shapes, map(range, ends, ends[1:]), strict=False):
+            self.places[each.name] = own
+            setattr(self, each.name, self.memory[own.start : own.stop].reshape(shape))
         self.__dict__.update(pinocchio)
         values = _Values(**{name: getattr(self, name) for name in _Values._fields})
         self.struct = STEP.made_of(values)
@@ -345,14 +350,16 @@ class ControlStep:
         """All values, for `copy.deepcopy` and `pickle`; the copy has no struct."""
         return vars(self) | {"struct": None, "pinocchio": None}
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Use the values of `__getstate__`; the quantities are views of `memory` again."""
+        self.__dict__.update(state)
+        for name, own in self.places.items():
+            view = self.memory[own.start : own.stop].reshape(state[name].shape)
+            setattr(self, name, view)
+
     def copy(self) -> Self:
         """A copy in separate memory, which no step overwrites."""
         copied = type(self).__new__(type(self))
-        copied.__dict__.update(
-            {
-                name: np.array(v) if isinstance(v, np.ndarray) else v
-                for name, v in vars(self).items()
-            }
-            | {"struct": None}
-        )
+        state = self.__getstate__().items()
+        copied.__setstate__({k: np.array(v) if isinstance(v, np.ndarray) else v for k, v in state})
         return copied

@@ -1,10 +1,10 @@
 """The age and the plausibility of the readings, and the present state of the robot.
 
-A step runs once in each period, with or without a new reading. The Kalman filter estimates the
-state of the arm at the newest reading. The present state is predicted from this state over the age
-of the reading, with the known torques and the motion of the base. Thus repeated readings, lost
-readings, impossible readings, and readings with a known delay are the same case. Three properties
-are estimated from the readings themselves:
+A step runs once in each control period, with or without a new reading. "Period" means the control
+period in this module. The Kalman filter estimates the state of the arm at the newest reading. The
+present state is predicted from this state over the age of the reading, with the known torques and
+the motion of the base. Thus repeated readings, lost readings, impossible readings, and readings
+with a known delay are the same case. Three properties are estimated from the readings themselves:
 
 - **The lag**: a delay that begins during a motion is the age at which the predicted state equals
   the reading. Any delay is the number of periods until accelerations due to the torques and the
@@ -14,8 +14,8 @@ are estimated from the readings themselves:
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
-  if no joint or base can have them. Then the joint velocities are computed from the positions, and
-  the base's velocity from the model of the drive.
+  if they exceed the speed limits by far. Then the joint velocities are computed from the positions,
+  and the base's velocity from the model of the drive.
 """
 
 import math
@@ -30,15 +30,15 @@ from app.control.estimate import (
     advance,
     estimate_arm,
     estimate_load,
+    has_jumped,
     predicted_joint_acceleration,
     process_noise,
 )
-from app.control.qp import backward, dot, forward, times
+from app.control.qp import backward, dot, fill, forward, put, put_rows, times
 from app.strict import Array
-from app.structs import fill, put, put_rows
 
 FAULTS = {
-    "invalid": "a position or the base's pose is not a finite number",
+    "invalid": "a position, the base's pose or its drive's state is not a finite number",
     "implausible": "a joint is beyond its limits by more than half its range: check the unit "
     "(degrees?) and the order of the joints",
     "velocity": "velocities of joints or base are missing, impossible, or do not match the "
@@ -63,7 +63,7 @@ INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION
 )
 
 HISTORY = 128
-"""Largest age of a reading in periods over which the motion can be predicted."""
+"""Largest age of a reading, in control periods, over which the motion can be predicted."""
 _MAX_AGE = 0.1  # [s] largest time without a new reading before the fallback command
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
@@ -91,16 +91,18 @@ _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _RECENT = 2.0  # [s] time constant of the comparison of the base's pose with its velocity
 _NEAR = 0.02  # [m or rad] difference of the two that is always plausible
+_SMALLEST, _LARGEST = 0.125, 10.0  # [-] ratios of periods; rpm instead of rad/s has 0.105
+_NOISY = 0.05  # [rad] noise of a wrapped position at a joint limit
 _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then is compared
 
 
 @compiled()
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
-    """The positions (n_m,) without jumps by full turns, if the joint limits (2, n_m) allow this.
+    """The positions (n_m,) without jumps by full turns, within 0.05 rad of their limits (2, n_m).
 
-    Some drivers wrap the position of a joint without limits to ±π. The result is the position
-    nearest to the `last` position (n_m,), and for the `first` reading the position within the
-    limits.
+    Some drivers wrap the position of a joint to one turn. The result is the position nearest to the
+    `last` position (n_m,), and for the `first` reading the position within the limits. A position
+    beyond one turn is not wrapped: then degrees remain implausible.
     """
     found = q.copy()
     for i in range(len(q)):
@@ -108,11 +110,12 @@ def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
         if not first:
             turns = round((last[i] - q[i]) / turn)
             unwrapped = q[i] + turns * turn
-            if turns != 0 and limits[0, i] <= unwrapped <= limits[1, i]:
+            within = limits[0, i] - _NOISY <= unwrapped <= limits[1, i] + _NOISY
+            if turns != 0 and abs(q[i]) <= turn and within:
                 found[i] = unwrapped
-        elif q[i] < limits[0, i] and q[i] + turn <= limits[1, i]:
+        elif q[i] < limits[0, i] - _NOISY and q[i] + turn <= limits[1, i]:
             found[i] += turn
-        elif q[i] > limits[1, i] and q[i] - turn >= limits[0, i]:
+        elif q[i] > limits[1, i] + _NOISY and q[i] - turn >= limits[0, i]:
             found[i] -= turn
     return found
 
@@ -128,7 +131,7 @@ def _same(a: Array, b: Array) -> bool:
 
 @compiled()
 def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
-    """Whether a reading shows that the robot moves; `unknown` if all velocities are 0."""
+    """Whether the velocities of base and joints (qd) are not all 0; if they are, `unknown`."""
     for v in base_velocity:
         if v != 0.0:
             return True
@@ -165,11 +168,11 @@ def _is_repeated(
 
 @compiled()
 def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
-    """Number of equal readings before a new reading that were only repetitions; otherwise 0.
+    """Number of repetitions before a new reading; 0 without a new one, or for a robot at rest.
 
     Equal readings of a robot at rest do not show whether the driver repeats them. The driver has
-    repeated them if the new reading is farther away than a joint moves in two periods at its new
-    velocity.
+    repeated them if the new reading is farther away than a joint moves in two control periods at
+    its new velocity.
     """
     if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
         w.rested[()] = 0.0 if first else w.rested[()] + 1.0
@@ -184,10 +187,10 @@ def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
 
 @compiled()
 def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -> Array:
-    """The base's velocity (n_b,): the reading, or the prediction by the model of its drive.
+    """The base's velocity: the reading `read` (n_b,), or the prediction by its drive's model.
 
     A reading is not used if it is missing, or beyond a limit by more than half the range. The
-    prediction does not pass the command; after a gap it is the command.
+    prediction does not pass the command; after a gap it is the command, at the first reading 0.
     """
     found, time = read.copy(), (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
     for i in range(len(read)):
@@ -203,7 +206,7 @@ def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -
 
 @compiled()
 def _implausible(q: Array, limits: Array) -> bool:
-    """Whether a joint is beyond its limits (2, n_m) by more than half its range."""
+    """Whether a joint is beyond its position limits (2, n_m) by more than half its range."""
     for i in range(len(q)):
         half = 0.5 * (limits[1, i] - limits[0, i])
         if q[i] < limits[0, i] - half or q[i] > limits[1, i] + half:
@@ -213,7 +216,10 @@ def _implausible(q: Array, limits: Array) -> bool:
 
 @compiled()
 def _recall(w: Any, ago: int, count: int) -> Array:
-    """(count, n_m) predicted accelerations of `count` periods; the newest is `ago` periods old."""
+    """(count, n_m) predicted accelerations of `count` successive control periods.
+
+    The newest of these control periods ended `ago` control periods ago.
+    """
     found = np.empty((count, w.history.shape[1]))
     for k in range(count):
         put(found[k], w.history[(int(w.periods[()]) - ago - count + 1 + k) % HISTORY])
@@ -222,7 +228,7 @@ def _recall(w: Any, ago: int, count: int) -> Array:
 
 @compiled()
 def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool) -> None:
-    """Store the predicted acceleration of the period that has just ended."""
+    """Store the predicted acceleration of the control period that has just ended."""
     if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
         w.known[()] = 0.0  # a gap
         return
@@ -270,7 +276,7 @@ def _polynomials(ages: Array, count: int) -> Array:
 
 @compiled()
 def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
-    """Estimate `w.lag`, the delay of the readings in periods.
+    """Estimate `w.lag`, the delay of the readings in control periods.
 
     The mean of each group of successive readings counts: this reduces noise. Each possible lag
     predicts the motion of the last groups, up to a polynomial of time, which stands for the
@@ -294,12 +300,12 @@ def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
 
 @compiled()
 def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> Array:
-    """(lags + 1,) [rad²] squared residuals of one joint for each lag; the last is without one.
+    """(lags + 1,) [rad²] squared residuals of one joint for each lag, and without a prediction.
 
     Args:
         q: (n,) [rad] mean positions of the groups.
-        ways: (count,) [rad] predicted motion until 0, 1, ... periods ago.
-        ages: (n,) [periods] mean ages of the groups.
+        ways: (count,) [rad] predicted motion until 0, 1, ... control periods ago.
+        ages: (n,) mean ages of the groups, in control periods.
         basis: (m, n) orthonormal polynomials, whose best fit is subtracted.
         lags: Number of possible lags.
     """
@@ -327,8 +333,8 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
 def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
     """(n_m,) [rad] error of the motion predicted for n groups, because of unmodelled friction.
 
-    Friction is part of the external forces, which a polynomial describes, except where a joint
-    turns back: there its torque changes at once.
+    Friction is part of the external forces. A polynomial describes these forces, but not where a
+    joint turns back, because the friction torque changes there at once.
     """
     found, torque = np.zeros(len(w.q_m)), np.zeros(len(w.q_m))
     for i in range(len(w.q_m)):
@@ -345,7 +351,7 @@ def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
 
 @compiled()
 def _compare_lags(robot: Any, w: Any, ways: Array, n: int, dt: float) -> tuple[Array, Array, float]:
-    """Compare the possible lags by the newest n groups; dt [s] is the period.
+    """Compare the possible lags by the newest n groups; dt [s] is the control period.
 
     Returns:
         (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
@@ -374,11 +380,13 @@ def _compare_lags(robot: Any, w: Any, ways: Array, n: int, dt: float) -> tuple[A
 def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     """Update the evidence with a new group, and change the lag if the evidence is sufficient.
 
-    The evidence for a lag is the sum of its gains above a threshold (a CUSUM test). The gain is the
-    logarithm of a likelihood ratio, if its residuals are also clearly smaller in total. The gain of
-    one group is limited, so no single event can decide. The newest two thirds of the groups have to
-    agree, unless the evidence lasts longer than all groups: a sudden change of a person's force
-    looks like a delay while it is among the oldest groups.
+    The evidence for each lag is a sum that never becomes negative (a CUSUM test): each new group
+    adds the gain of the lag minus `_DOUBT`. The gain is the logarithm of a likelihood ratio, with
+    an upper bound, so no single event can decide. It is 0 if the residuals of the lag are not
+    clearly smaller than those of the present lag and of no prediction. Sufficient evidence changes
+    the lag if the residuals of the newest two thirds of the groups are clearly smaller too, or if
+    the evidence has grown for longer than the span of all groups. Without this condition, a sudden
+    change of a person's force would look like a delay while it is among the oldest groups.
     """
     ages, lags, n = w.group_age, len(w.evidence), 0
     oldest = min(int(w.known[()]), HISTORY) - lags - 1
@@ -410,7 +418,10 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
 
 @compiled()
 def _measure_from(w: Any, q: Array, qd: Array) -> None:
-    """Restart the measurement of the period at the positions q and velocities qd (n_m,)."""
+    """Restart the measurement of the control period.
+
+    It starts at the joint positions q (n_m,) and velocities qd (n_m,).
+    """
     put(w.travel[0], q)
     fill(w.travel[1], 0.0)
     put(w.travel[2], qd)
@@ -419,7 +430,7 @@ def _measure_from(w: Any, q: Array, qd: Array) -> None:
 
 @compiled()
 def _divided(way: float, integral: float) -> float:
-    """The ratio of a motion to the integral of its velocity; infinite for an integral of 0."""
+    """The ratio of a motion `way` to the `integral` of its velocity; infinite if that is 0."""
     return way / integral if integral != 0.0 else math.inf
 
 
@@ -429,11 +440,12 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
     The joint with the largest displacement is used. A driver's filter can delay velocities by up to
     0.01 s, and rare readings seem to delay them by half an interval. Each possible delay implies a
-    ratio. `w.ratio` becomes 1 if a ratio near 1 is among them, and otherwise the mean of the
-    smallest and the largest one. If this mean is outside of 0.1 to 10, no plausible period explains
-    the readings: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1. At least three successive
-    ratios that differ from 1, and agree for 0.05 s, set the fault `period`. From then on, each
-    ratio that differs from 1 corrects the period; it needs a larger displacement.
+    ratio. If a ratio near 1 is among them, `w.ratio` becomes 1. If not, it becomes the geometric
+    mean of the smallest and the largest one. A mean outside of 1/8 to 10 means that no plausible
+    period explains the readings: then `w.no_velocity` and `w.ratio` become 1. At least three
+    successive ratios that differ from 1, and agree for 0.05 s, set the fault `period`. From then
+    on, each ratio that differs from 1, and agrees with the last ratio, corrects the period; it
+    needs a larger displacement.
     """
     if steps > HISTORY or (steps == 1 and w.known[()] == 0.0):  # a gap of unknown duration
         _measure_from(w, q, qd)
@@ -463,7 +475,8 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         found = low if low > 1.0 else high
         if low > 0.0 and high < math.inf:
             found = math.sqrt(low * high)
-    w.no_velocity[()] = 0.0 if 0.1 < found < 10.0 else 1.0  # NaN too
+    if not low < 0.0 < high:  # otherwise the readings show neither a right nor a wrong ratio
+        w.no_velocity[()] = 0.0 if _SMALLEST < found < _LARGEST else 1.0  # NaN too
     if w.no_velocity[()] != 0.0:
         found = 1.0
     elif found != 1.0:
@@ -487,7 +500,10 @@ def _forget_groups(w: Any) -> None:
 
 @compiled()
 def _use_stated_lag(gains: Any, w: Any) -> None:
-    """Change `w.lag` with the delay that is stated in periods: it or the period can change."""
+    """Update `w.lag` by the change of the stated delay, in control periods.
+
+    The stated delay is a time, so its number of control periods changes too if the period changes.
+    """
     stated = min(round(gains.delay / gains.dt), _MOST_LAG)
     w.lag[()] = min(max(w.lag[()] + stated - w.stated_lag[()], 0.0), _MOST_LAG)
     w.stated_lag[()] = stated
@@ -585,7 +601,7 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
     """Store the base's readings.
 
     The fault `base` is a change of velocity that the assumed acceleration of the base does not
-    explain: `w.astray` is a decaying sum of them.
+    explain: `w.astray` is a decaying sum of such changes.
     """
     time = (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
     begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
@@ -626,10 +642,10 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
 def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     """Change the lag if a different one explains a new reading q, qd (n_m,) far better.
 
-    The positions are compared with those predicted for the last periods. Thus a delay that begins
-    or ends during a motion is known at once; `_find_lag` finds the other delays. A robot that stops
-    is not mistaken for a delay, because its velocities differ from the past velocities. Readings
-    without velocities are not compared.
+    The positions are compared with those predicted for the last control periods. Thus a delay that
+    begins or ends during a motion is known at once; `_find_lag` finds the other delays. A robot
+    that stops is not mistaken for a delay, because its velocities differ from the past velocities.
+    Readings without velocities are not compared.
 
     Returns:
         Whether the reading is older than the last one; then `w.age` is negative.
@@ -710,7 +726,7 @@ def _checked_positions(
 
 @compiled()
 def _store_reading(w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array) -> None:
-    """Store a reading, which a repetition equals."""
+    """Store a reading; the next one is a repetition if it is equal."""
     put(w.reading[0], q)
     put(w.reading[1], qd)
     put(w.pose_read, base_pose)
@@ -768,7 +784,7 @@ def take_readings(
         if rested > 0.0:
             _forget_groups(w)
         w.age[()] += rested
-        _take_new(robot, gains, w, q, qd, first)
+        _take_new(robot, gains, w, q, qd, first, rested)
         w.age[()] = 0.0
     if unseen:
         _store_reading(w, base_pose, base_velocity, q, qd)
@@ -781,14 +797,22 @@ def take_readings(
 
 
 @compiled()
-def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) -> None:
+def _take_new(
+    robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool, rested: float
+) -> None:
     """Update the estimate of the arm's motion by new readings q and qd (n_m,).
 
-    Unusable velocities are ignored; the positions are used.
+    Unusable velocities are ignored; the positions are used. If equal readings at rest were
+    repetitions, `rested` is their number. More than 0.1 s of them are a gap of unknown duration;
+    after it, a reading that the arm cannot reach within 0.1 s is a jump.
     """
+    gap, longest = rested * gains.dt > _MAX_AGE, round(_MAX_AGE / gains.dt)
+    leapt = gap and has_jumped(w.x_read, q, robot.qd_max, longest, gains.dt)
     age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
     if first:
         _begin(w, q, qd)
+    elif gap:
+        _measure_from(w, q, qd)
     else:
         _find_lag(robot, w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
@@ -797,13 +821,15 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
             read[1, i] = math.nan
             w.faults[VELOCITY] = 1.0
     lag = int(w.lag[()])
-    steps = age + 1 if w.known[()] >= age + 1 + lag else 0
+    steps = age + 1 if w.known[()] >= age + 1 + lag and not gap else 0
     known = _recall(w, lag, steps)
+    if leapt:
+        fill(w.x_read[2], 0.0)
     memory = w.x_read, w.P_est, w.noise_var, w.q_last, w.samples
     drift = process_noise(
         w.v_error, w.noise_var[0], robot.qd_max, steps + lag, w.blind_time[()], gains
     )
-    jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains)
+    jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains) or leapt
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
         _forget_groups(w)

@@ -4,17 +4,19 @@ The references of a planner arrive in steps, for example at 10 or 30 Hz with jit
 a sample if its pose jumps, which means that its own velocity does not explain the change of the
 pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
 acceleration of the reference. It ends at the sample after two mean intervals, with the sample's own
-velocity, or with the mean velocity since the previous sample if the own velocity is 0 or does not
-match the poses. Thus a steady motion stays steady, and jitter has no effect. Without a further
-sample the reference comes to rest at the last sample. A sample that requires more than the
-correction speed, or a higher acceleration than `_LEAP`, is approached within these two limits; it
-can be the first sample after a pause, an outlier or noise. Then each polynomial ends at rest on the
-way to the sample, and each step starts a new one. The first reference and references without jumps
-are used unchanged: the law itself limits the correction speed. A repeated reference is no sample,
-and counts as a reference at rest: a velocity is valid only while the poses move.
+velocity. If the own velocity is 0 or does not match the poses, the mean velocity since the previous
+sample replaces it. If its acceleration would exceed about `_LEAP`, it ends later, and beyond the
+sample along this velocity. Thus a steady motion stays steady, and jitter has no effect. Without a
+further sample the reference comes to rest at the last sample. A sample that requires more than the
+correction speed is approached within this speed and about `_LEAP`; it can be the first sample after
+a pause, an outlier or noise. Then each polynomial ends at rest at the sample or on the way to it;
+in the second case each step starts a new one. The first reference and references without jumps are
+used unchanged: the law itself limits the correction speed. A repeated reference is no sample, and
+counts as a reference at rest: a velocity is valid only while the poses move.
 
-If a reading of the base's pose jumps, the end-effector jumps in the world, but not the reference.
-Then the reference jumps with the end-effector, and returns on a polynomial (`shift_reference`).
+If a reading of the base's pose jumps, the end-effector jumps in the world, but the caller's
+reference does not. Therefore the reference in use is shifted with the end-effector, and the shift
+returns to 0 on a polynomial (`shift_reference`).
 """
 
 import math
@@ -26,10 +28,10 @@ from numba.core.typing.templates import Signature
 
 from app.compiled import compiled
 from app.control.inputs import GAINS
+from app.control.qp import fill, put, put_rows
 from app.control.quantities import STEP
 from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
-from app.structs import fill, put, put_rows
 
 FASTEST, HARDEST = 20.0, 1000.0
 """[m/s, rad/s; m/s², rad/s²] largest components of a reference; no arm reaches them."""
@@ -49,7 +51,7 @@ _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 
 @compiled()
 def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether R (3, 3) is a rotation, p (3,) is finite, and v and a (6,) are within the limits."""
+    """Whether R (3, 3) is a rotation, p (3,) finite, v (6,) ≤ `FASTEST` and a (6,) ≤ `HARDEST`."""
     if not math.isfinite(p.sum()):
         return False
     for i in range(6):
@@ -70,7 +72,7 @@ def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
 
 @compiled()
 def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether a reference differs from the last one that the caller has sent."""
+    """Whether a reference, as in `take_reference`, differs from the last one of the caller."""
     for i in range(3):
         if p[i] != w.x_sent[3, i]:
             return True
@@ -85,7 +87,7 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
 
 @compiled()
 def _leaps(way: Array, v: Array, dt: float) -> bool:
-    """Whether v (6,) does not explain the motion `way` (6,) in the period dt [s]."""
+    """Whether v (6,) does not explain the motion `way` (6,) in the control period dt [s]."""
     leaps = False
     for i in range(6):
         leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2
@@ -100,7 +102,7 @@ def _largest(motion: Array) -> float:
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Start a polynomial to the newest sample; `way` (6,) is its motion from the last reference."""
+    """Start a polynomial to the newest sample; `way` (6,) leads there from the last reference."""
     between = w.since_sample[()]
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion
@@ -119,8 +121,8 @@ def _take_sample(gains: Any, w: Any, way: Array) -> None:
 def _aim(gains: Any, w: Any, v_end: Array) -> None:
     """Start a polynomial from the present reference to the newest sample, with the velocity v_end.
 
-    If v_end is 0, or if the sample is too far away for the correction speed, the polynomial ends at
-    rest.
+    The polynomial ends at rest in three cases: v_end is 0, the correction speed is too low for
+    v_end, or it is too low for the distance of the sample.
     """
     at, v, a = _state(w.way, w.way_time[()])
     _put_moved(w.x_origin, w.x_origin.copy(), at)
@@ -193,7 +195,7 @@ def _put_moved(x: Array, origin: Array, way: Array) -> None:
 
 @compiled()
 def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T: float) -> None:
-    """Write the coefficients (6, 6) of a polynomial of fifth degree, by the power of time.
+    """Write a polynomial of fifth degree to `way` (6, 6), its coefficients by the power of time.
 
     It starts at 0 with the velocity v (6,) and the acceleration a (6,). After T [s] it reaches the
     goal (6,) with the velocity v_end (6,) and without acceleration.
@@ -274,7 +276,7 @@ def take_reference(
         interpolate: Whether to interpolate references that jump.
 
     Returns:
-        Whether the reference is a possible motion (`_is_motion`); otherwise nothing is written.
+        Whether the reference is a possible motion (`_is_motion`). If it is not, nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False

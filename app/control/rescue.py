@@ -30,14 +30,14 @@ class OpenQP(NamedTuple):
     """(m,)"""
     u: Array
     """(m,)"""
-    slack_weight: Array
+    softness: Array
     """(m,) [-] softness of each row, as in `qp.solve_qp`; a row with 0 is hard."""
     fixed: Array
     """(k,) the first entries of x."""
 
 
 def solved_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) of a QP; NaN if it is infeasible, or if its data are not finite."""
+    """The solution (n,) of a QP; NaN if there is none, or if ProxQP does not find it."""
     k, x = len(qp.fixed), _without_limits(qp)
     moved = qp.C[:, :k] @ qp.fixed
     C, l, u = qp.C[:, k:], qp.l - moved, qp.u - moved
@@ -47,7 +47,7 @@ def solved_by_proxqp(qp: OpenQP) -> Array:
     L = np.linalg.cholesky(qp.H[k:, k:])
     a, reached = np.linalg.solve(L, C.T).T, C @ x
     length = np.sqrt((a**2).sum(axis=1)) + 1e-12
-    slack = np.diag(np.sqrt(compliances(qp.slack_weight, length)))[:, qp.slack_weight > 0.0]
+    slack = np.diag(np.sqrt(compliances(qp.softness, length)))[:, qp.softness > 0.0]
     A = np.hstack([a / length[:, None], slack])  # the unknowns are Lᵀ (x − x*) and the slacks
     l, u = (l - reached) / length, (u - reached) / length
     z = _nearest_to_zero(A, l, u)
@@ -76,6 +76,8 @@ def _without_limits(qp: OpenQP) -> Array:
 def _nearest_to_zero(A: Array, l: Array, u: Array) -> Array:
     """The z of smallest norm with l ≤ A z ≤ u, or NaN."""
     far = max(l.max(), -u.min())  # in units of the farthest bound from 0
+    if far <= 0.0:
+        return np.zeros(A.shape[1])
     m, n = A.shape
     qp = proxqp.dense.QP(n, 0, m)
     qp.settings.eps_abs, qp.settings.eps_rel = _EPS, 0.0

@@ -1,8 +1,12 @@
-"""The tasks with a lower priority than self-collision avoidance: end-effector, posture, guided arm
-and base at rest.
+"""The tasks of a control step, and their continuous transition (§3.2 to §3.4).
 
-Each task is an objective ½ q̈ᵀ H q̈ + cᵀ q̈ over the reduced accelerations q̈ (n,); the first n_b
-are those of the base.
+T_sca has rows J q̈ = b, each with an activation β. Each task below T_sca is an objective
+½ q̈ᵀ H q̈ + cᵀ q̈: end-effector, posture, guided arm, base at rest. The reduced accelerations
+q̈ (n,) begin with the n_b of the base.
+
+The paper's hierarchy of strict levels jumps where levels become dependent. Here the tasks below are
+one strictly convex objective, and each row of T_sca is a spring against the solution of these
+tasks: the result is continuous in its data when rows enter or leave.
 """
 
 import math
@@ -12,10 +16,11 @@ import numpy as np
 import pinocchio as pin
 
 from app.compiled import compiled
-from app.control.qp import backward, forward
+from app.control.qp import backward, cholesky, forward, put
 from app.robot.model import STABLE_STEPS
 from app.strict import Array
-from app.structs import put
+
+_SHORTEST_RISE = 0.02  # [m] shortest distance over which β rises from 0 to 1
 
 
 class Reference(NamedTuple):
@@ -27,6 +32,111 @@ class Reference(NamedTuple):
     """(6,) velocity: linear [m/s], then angular [rad/s]."""
     acceleration: Array
     """(6,) acceleration: linear [m/s²], then angular [rad/s²]."""
+
+
+@compiled()
+def cubic(s: float) -> float:
+    """A smooth step: 0 for s < 0, 1 for s > 1, between them a cubic with slope 0 at both ends."""
+    s = min(max(s, 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+@compiled()
+def activation(d: float, d_b: float, d_full: float) -> float:
+    """β of a link pair: 0 for d ≥ d_b, 1 for d ≤ d_b − `rise_length`, a cubic between.
+
+    Paper: Figure 10; there d_b = 0.15 m and d_full = 0.05 m.
+
+    Args:
+        d: [m] signed distance of the pair.
+        d_b: [m] buffer distance.
+        d_full: [m] distance of full activation, if it is at most d_b − `_SHORTEST_RISE`.
+
+    Returns:
+        β in [0, 1], with a continuous derivative in d.
+    """
+    return cubic((d_b - d) / rise_length(d_b, d_full))
+
+
+@compiled()
+def rise_length(d_b: float, d_full: float) -> float:
+    """[m] the distance over which β rises: d_b − d_full, at least `_SHORTEST_RISE`."""
+    return max(d_b - d_full, _SHORTEST_RISE)
+
+
+@compiled()
+def mobile_activation(beta: Array) -> float:
+    """β_m, the largest of the activations (n_mob,) of the pairs of arm and base (L_m).
+
+    Paper: Eq. (28).
+    """
+    largest = 0.0
+    for each in beta:
+        largest = max(largest, each)
+    return largest
+
+
+@compiled()
+def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
+    """ẍ_r = k_p − k_v ḋ [m/s²]: separates the links of a pair.
+
+    Paper: Eq. (20), where ḋ [m/s] is nᵀ(ṗ_b − ṗ_a). k_p is in m/s², k_v in 1/s.
+    """
+    return k_p - k_v * d_dot
+
+
+@compiled()
+def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) -> Array:
+    """ẍ_rep = k_p n − k_v ṗ (3,) [m/s²]: pushes the arm's closest point away from the base.
+
+    This is the compared method `repulsive`, realised by the arm alone. §4.2.1 names the method; its
+    force on the closest point and its damping are Dietrich's (2011, 2012).
+
+    Args:
+        n: (3,) unit normal from the base to the arm.
+        velocity: (3,) [m/s] ṗ, velocity of the closest point relative to the base.
+        k_p: [m/s²] gain of the repulsion.
+        k_v: [1/s] gain of the damping.
+    """
+    return k_p * n - k_v * velocity
+
+
+@compiled()
+def generate_avoidance_task(
+    base_rows: Array,
+    xdd_m: Array,
+    beta_m: float,
+    J_r: Array,
+    b_r: Array,
+    beta_r: Array,
+    J_sca: Array,
+    b_sca: Array,
+    B: Array,
+) -> None:
+    """Write the rows of T_sca: those of the base, then those between links.
+
+    The base's rows are [J_m O] q̈ = ẍ_m with J̇_m = 0; all have the activation β_m.
+
+    Paper: Eq. (16), (19), (22), (23), (24), (25), (27).
+
+    Args:
+        base_rows: (n_b, n) [J_m O].
+        xdd_m: (n_b,) [m/s² or rad/s²] ẍ_m of (16).
+        beta_m: [-] β_m of (28).
+        J_r: (k, n) Jacobians (21) of the distances of the pairs within the arm (L_m^c).
+        b_r: (k,) [m/s²] ẍ_r − J̇_r q̇ of these pairs.
+        beta_r: (k,) [-] activations of these pairs.
+        J_sca: (≥ n_b + k, n) output.
+        b_sca: (≥ n_b + k,) ẍ_sca − J̇_sca q̇, output.
+        B: (≥ n_b + k,) the diagonal of B, output.
+    """
+    n_b = len(xdd_m)
+    for i in range(n_b):
+        put(J_sca[i], base_rows[i])
+        b_sca[i], B[i] = xdd_m[i], beta_m
+    for i in range(len(b_r)):
+        put(J_sca[n_b + i], J_r[i])
+        b_sca[n_b + i], B[n_b + i] = b_r[i], beta_r[i]
 
 
 @compiled()
@@ -181,8 +291,8 @@ def posture_objective(
     Without this task (26) does not determine the motion in the null space of T_2: the paper's robot
     has nine accelerations, and T_2 six rows. A joint also has a restoring acceleration proportional
     to s⁵, where s is 0 in the middle of its range and ±1 at a limit. This acceleration is small
-    near the middle and large at a limit: a joint does not stay at its limit if the tasks of higher
-    priority have a different solution.
+    near the middle and large at a limit: a joint leaves its limit if the other tasks can be
+    satisfied away from this limit.
 
     Args:
         qd: (n,) q̇.
@@ -241,7 +351,7 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     """H (n, n) and c (n,) of min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), the task of a guided arm.
 
-    u_0 (n_m,) [N m or N] is the torque without avoidance. As a function of q̈_a the cost has the
+    u_0 (n_m,) [N m or N] is the torque without T_sca. As a function of q̈_a the cost has the
     Hessian M_aa. For a fixed acceleration of the base the minimum is at u_a = u_0, and rows of the
     avoidance task add J_rᵀ λ. There is no posture task, because the person would feel it.
     """
@@ -280,12 +390,12 @@ def add_base_rest_task(
 
 @compiled()
 def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array:
-    """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's reaction to the force of the pairs of L_m.
+    """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's reaction to the force on the base.
 
     This is our extension. The force (14) acts on the base alone; without a reaction a released arm
     would stay in the buffer, and the base would continue to move. `d` (k,) [m] and `J` (k, n) are
-    distances and Jacobians of these pairs; f [N] is the force at contact, d_b [m] the buffer
-    distance.
+    distances and Jacobians of the pairs of arm and base; f [N] is the force at contact, d_b [m] the
+    buffer distance.
     """
     u = np.zeros(J.shape[1] - n_b)
     for i in range(len(d)):
@@ -294,3 +404,125 @@ def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array
             for j in range(len(u)):
                 u[j] += share * J[i, n_b + j]
     return u
+
+
+@compiled()
+def insert_rows(
+    H: Array, c: Array, J: Array, b: Array, beta: Array, least: float, fixed: int
+) -> tuple[Array, Array]:
+    """The tasks below (H, c) with rows of T_sca above them, each in proportion to its activation.
+
+    Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇. With ε = `least`, its compliance is
+    (1 − β_i + ε)/β_i times J_i H⁻¹ J_iᵀ, the compliance of the tasks below along this row. For
+    ε = 0 and without other rows, row i yields
+
+        J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
+
+    the blend of (29). With other rows, row i has no effect at β_i = 0, and at β_i = 1 it is
+    satisfied up to `least`. The paper's blend, of all rows with the solution without any of them,
+    jumps when a row enters while a different row is active. The computing time is proportional to
+    the number of rows.
+
+    Paper: Eq. (29).
+
+    Args:
+        H: (n, n) symmetric positive definite.
+        c: (n,) linear term of the tasks below.
+        J: (k, n) rows J_i of T_sca.
+        b: (k,) right-hand sides b_i.
+        beta: (k,) [-] activations β_i.
+        least: [-] remaining share of a row's compliance at β = 1.
+        fixed: Number of fixed first entries of q̈, which do not contribute to J_i H⁻¹ J_iᵀ.
+
+    Returns:
+        (n, n) H + Σ w_i J_iᵀ J_i and (n,) c − Σ w_i b_i J_iᵀ, with
+        w_i = β_i / ((1 − β_i + least) J_i H⁻¹ J_iᵀ).
+    """
+    H, c, L = H.copy(), c.copy(), cholesky(H[fixed:, fixed:])
+    for i in range(len(b)):
+        if beta[i] <= 0.0:
+            continue
+        a = forward(L, J[i, fixed:])
+        compliance = 1e-12
+        for j in range(len(a)):
+            compliance += a[j] ** 2
+        w = beta[i] / ((1.0 - beta[i] + least) * compliance)
+        for j in range(len(c)):
+            c[j] -= w * b[i] * J[i, j]
+            for l in range(len(c)):
+                H[j, l] += w * J[i, j] * J[i, l]
+    return H, c
+
+
+@compiled()
+def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
+    """β_m ẍ_m + (1 − β_m) ẍ_free, (n_b,): the blend of (29) for the base's rows.
+
+    Paper: Eq. (29), the base's rows.
+    """
+    return beta_m * xdd_m + (1.0 - beta_m) * free
+
+
+@compiled()
+def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
+    """R (3, n_b): end-effector motion by the base's axes that the arm cannot compensate.
+
+    The method moves the base, and the arm has to compensate the motion of the end-effector. An arm
+    that lacks a joint for that, or is at full stretch, cannot do so: the base drags the
+    end-effector along, the distance stays the same, and the base would continue. Our extension: R =
+    (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the end-effector's
+    linear Jacobian, Q the speed limits of the joints and v a speed. Along a direction in which the
+    joints can move the end-effector at v, half of the base's motion remains; at 2 v, one
+    seventeenth.
+
+    Args:
+        J_ee: (6, n) end-effector Jacobian.
+        qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
+        J_m_inv: (n_b, n_b) from the base's axes to q̇_b.
+        speed: [m/s] v.
+    """
+    n_b, n_m = len(J_m_inv), len(qd_max)
+    follows = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(n_m):
+                follows[i, j] += J_ee[i, n_b + k] * J_ee[j, n_b + k] * (qd_max[k] / speed) ** 2
+    rest, moved = np.eye(3), np.zeros((3, n_b))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                rest[i, j] += follows[i, k] * follows[k, j]
+        for j in range(n_b):
+            for k in range(n_b):
+                moved[i, j] += J_ee[i, k] * J_m_inv[k, j]
+    L, found = cholesky(rest), np.empty_like(moved)
+    for j in range(n_b):
+        put(found[:, j], backward(L, forward(L, moved[:, j])))
+    return found
+
+
+@compiled()
+def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag: Array) -> Array:
+    """The base acceleration near the desired one that hardly drags the end-effector along.
+
+    The result a minimises (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖². The second term acts
+    like a mass m on the end-effector along directions in which the arm does not compensate the
+    base's motion. Along all other directions D is close to 0, and a is close to a_des.
+
+    Args:
+        desired: (n_b,) [m/s² or rad/s²] a_des.
+        hold: (n_b,) [m/s² or rad/s²] a_hold: with it the end-effector fulfils its task.
+        inertia: (n_b,) [kg or kg m²] diagonal of I, the base's inertia.
+        mass: [kg] m.
+        drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.
+    """
+    n_b = len(inertia)
+    hung, right = np.zeros((n_b, n_b)), np.empty(n_b)
+    for i in range(n_b):
+        hung[i, i] = inertia[i]
+        right[i] = inertia[i] * (desired[i] - hold[i])
+        for j in range(n_b):
+            for k in range(len(drag)):
+                hung[i, j] += mass * drag[k, i] * drag[k, j]
+    L = cholesky(hung)
+    return hold + backward(L, forward(L, right))

@@ -1,1 +1,1 @@
-"""The page in the browser: scene, panels, plots. Only this package imports viser."""
+"""The page in the browser: scene, panels, plots. Only this package of `app` imports viser."""

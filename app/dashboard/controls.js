@@ -6,7 +6,7 @@ window.dbbControls = (box, ranges) => {
   const HEIGHT = 100; // [px] of the bar
   const LANE = 0.34; // [-] share of the lane of β in the height of both lanes; it is the upper one
   const PAST = "#e8890c";
-  const POSTURE = "Preview of a posture, not simulated";
+  const POSTURE = "Preview, not simulated";
   const COLOURS = { scenario: "#4c9be8", parameter: "#9775fa", person: "#22b8cf", buffer: "#f0962b",
     limit: "#e05424", contact: "#e21038" };
   const ending = new AbortController();
@@ -52,7 +52,7 @@ window.dbbControls = (box, ranges) => {
   const where = make("b", make("span", row));
   button(row, "−1 s", "B", () => ask("step", -1));
   button(row, "−20 ms", "One snapshot back", () => ask("step", -0.02));
-  button(row, "+20 ms", "One snapshot forward; at the newest snapshot, one simulation step", () => ask("step", 0.02));
+  button(row, "+20 ms", "One snapshot forward; from the newest one in a pause, 20 ms of simulation", () => ask("step", 0.02));
   button(row, "+1 s", "F", () => ask("step", 1));
   const play = button(row, "▶ Replay", "Replay from the shown instant; at the newest one, the last 10 s", () => ask("play", Number(rate.value)));
   const rate = make("select", row);
@@ -92,9 +92,11 @@ window.dbbControls = (box, ranges) => {
     span = next;
     draw();
   };
+  let visited = 0; // [s] event of the last jump; beyond the last 60 s, the shown instant is near it only
   const beside = (way) => {
-    const times = [...events.values()].map((e) => e[1]).filter((t) => (t - at) * way > 0.03);
-    if (times.length) ask("go", way > 0 ? Math.min(...times) : Math.max(...times));
+    const here = now - at > 59 && Math.abs(visited - at) < 0.25 ? visited : at;
+    const times = [...events.values()].map((e) => e[1]).filter((t) => (t - here) * way > 0.03);
+    if (times.length) ask("go", (visited = way > 0 ? Math.min(...times) : Math.max(...times)));
   };
   const nearest = (e) => { // the event whose mark is under the pointer
     const px = local(e);
@@ -105,9 +107,9 @@ window.dbbControls = (box, ranges) => {
     }
     return found;
   };
-  let due = 0;
+  let due = 0, hovered = null;
   const draw = () => {
-    if (!due) due = requestAnimationFrame(() => ((due = 0), paint()));
+    if (!due) due = requestAnimationFrame(() => ((due = 0), paint(), hovered && explain()));
   };
   const paint = () => {
     const dpr = window.devicePixelRatio || 1, w = width(), h = HEIGHT - 31;
@@ -143,8 +145,8 @@ window.dbbControls = (box, ranges) => {
     ink.lineWidth = 1.6;
     ink.lineJoin = "round";
     for (let i = 1; i < shown.length; i++) {
-      const [t, d] = shown[i], [s, c] = shown[i - 1];
-      ink.strokeStyle = Math.min(c, d) < 0 ? COLOURS.contact : Math.min(c, d) < d_b ? COLOURS.buffer : "#808a96";
+      const [t, d, , buffer] = shown[i], [s, c] = shown[i - 1];
+      ink.strokeStyle = Math.min(c, d) < 0 ? COLOURS.contact : Math.min(c, d) < buffer ? COLOURS.buffer : "#808a96";
       ink.beginPath();
       ink.moveTo(x(s), y(c));
       ink.lineTo(x(t), y(d));
@@ -159,8 +161,8 @@ window.dbbControls = (box, ranges) => {
     ink.lineWidth = 1;
     ink.setLineDash([4, 4]);
     ink.beginPath();
-    ink.moveTo(0, y(d_b));
-    ink.lineTo(w, y(d_b));
+    for (const [t, , , buffer] of shown) ink.lineTo(x(t), y(buffer));
+    ink.lineTo(w, y(shown.at(-1)?.[3] ?? d_b));
     ink.moveTo(0, foot);
     ink.lineTo(w, foot);
     ink.stroke();
@@ -236,13 +238,18 @@ window.dbbControls = (box, ranges) => {
     if (fingers.size === 1) scrub(e);
     else pinch = null;
   });
-  listen(strip, "pointermove", (e) => {
-    const mark = nearest(e), t = time(local(e));
+  // The text belongs to the instant under the pointer, also while the drawn curves move on.
+  const explain = () => {
+    const e = hovered, mark = nearest(e), t = time(local(e));
     const there = rows.findLast?.((r) => r[0] <= t);
     hint.textContent = mark ? `${mark[1].toFixed(1)} s: ${mark[3]}`
       : there ? `${t.toFixed(1)} s: smallest distance ${Math.round(1000 * there[1])} mm, activation β ${there[2].toFixed(2)}` : "";
     hint.hidden = !hint.textContent;
     hint.style.left = `${Math.min(Math.max(e.clientX - hint.offsetWidth / 2, 4), innerWidth - hint.offsetWidth - 4)}px`;
+  };
+  listen(strip, "pointermove", (e) => {
+    hovered = e;
+    explain();
     if (!fingers.has(e.pointerId)) return;
     fingers.set(e.pointerId, local(e));
     if (fingers.size === 1) return scrub(e);
@@ -251,7 +258,7 @@ window.dbbControls = (box, ranges) => {
     pinch = apart;
   });
   listen(strip, "pointerup pointercancel", (e) => (fingers.delete(e.pointerId), (pinch = null)));
-  listen(strip, "pointerleave", () => (hint.hidden = true));
+  listen(strip, "pointerleave", () => ((hovered = null), (hint.hidden = true)));
   listen(strip, "wheel", (e) => {
     e.preventDefault();
     if (Math.abs(e.deltaX) > Math.abs(e.deltaY)) {
@@ -332,7 +339,7 @@ window.dbbControls = (box, ranges) => {
     for (const input of [...typed.keys()]) if (input !== e.target) take(input);
   }, { capture: true });
 
-  // ---- after a choice, a list loses the focus, and a clicked tab, so that the page's keys work
+  // ---- a list after a choice, and a clicked tab, lose the focus, so that the page's keys work
   listen(window, "click", (e) => {
     if (e.target.closest?.("[role=option]") || (e.detail && e.target.closest?.("[role=tab]"))) document.activeElement?.blur();
   });

@@ -1,6 +1,6 @@
 """Pulls by a viewer: of the end-effector with a gizmo or keys, or of any link of the arm."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import RLock
 from time import monotonic
 
@@ -10,6 +10,7 @@ import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.scene.scene import RobotScene
+from app.dashboard.timeline import Timeline
 from app.simulation.loop.commands import Point, Pull, Release
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
@@ -27,9 +28,15 @@ class Grip:
     All methods are thread-safe: after a release, no pull of an earlier event follows.
     """
 
-    def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
-        """Start without a pull; `who` is the viewer's number in commands to `sink`."""
-        self._sink, self._notifier, self._who = sink, notifier, who
+    def __init__(
+        self,
+        sink: LoopHandle,
+        notifier: Notifier,
+        client: viser.ClientHandle,
+        timeline: Timeline,
+    ) -> None:
+        """Start without a pull of this client, whose number commands to `sink` have."""
+        self._sink, self._notifier, self._client, self._timeline = sink, notifier, client, timeline
         self._held: tuple[str | None, Point | None] | None = None
         """Link and point as in `take`; None without a pull."""
         self._pulls = False  # whether the simulation has a pull of this viewer
@@ -54,41 +61,52 @@ class Grip:
     def take(self, link: str | None = None, point: Point | None = None) -> None:
         """Start to hold a point of the robot, by default the end-effector; release the last one.
 
-        `link` is the name of the joint that moves the link, and `point` (3,) [m] is in its frame.
+        `link` is the joint that moves the held link; `point` (3,) [m] is in this joint's frame. A
+        viewer who sees the past sees the present afterwards, and holds nothing.
         """
         with self._lock:
             self.release()
+            if not self._timeline.live:
+                self._timeline.go_live()
+                self._notifier.tell(self._client, "Now", "The page showed the past. Pull again.")
+                return
             self._held, self._warned, self._moved = (link, point), False, monotonic()
             self._by_keys = False
 
-    def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
-        """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0."""
+    def pull(self, target: Array, *, by_keys: bool = False) -> None:
+        """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
+
+        During a pull by keys, the remaining events of an earlier drag have no effect.
+        """
         x, y, z = (float(value) for value in target)
         with self._lock:
-            if self._held is None:
+            if self._held is None or self._by_keys != by_keys:
                 return
             self._moved = monotonic()
             if self.reach is not None:
                 if self.holds_end_effector:
-                    self.reach(target)
+                    self.reach(np.array(target))
                 return
             if z < 0.0 and not self._warned:
                 self._warned = True  # warn once per drag
-                self._notifier.warn(client, "The floor is at z = 0; the target stays above it.")
-            self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._who))
+                self._notifier.warn(self._client, "The floor is at z = 0; the target stays on it.")
+            self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._client.client_id))
             self._pulls = True
 
-    def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
-        """Move the end-effector's target by `NUDGE` times `ahead` (3,), in the base's frame."""
+    def nudge(self, ahead: Sequence[float], snapshot: Snapshot) -> None:
+        """Pull by keys: move the target by `NUDGE` times `ahead` (3,), −1 to 1, in base's axes."""
         with self._lock:
+            if self.holds_anything and not self._by_keys:
+                return  # a drag determines the target
             if not self.holds_end_effector:
+                self._timeline.go_live()  # the target is near the present end-effector
                 self.take()
                 self._target, self._by_keys = np.array(snapshot.p_ee), True
-            step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ (NUDGE * ahead)
-            reach = self._target + step - snapshot.p_ee
+            step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ np.clip(ahead, -1.0, 1.0)
+            reach = self._target + NUDGE * step - snapshot.p_ee
             scale = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
             self._target = snapshot.p_ee + scale * reach
-            self.pull(self._target, client)
+            self.pull(self._target, by_keys=True)
 
     def release_keys(self) -> None:
         """Release a pull by keys; another pull continues."""
@@ -102,17 +120,16 @@ class Grip:
             self._held = None
             if self._pulls:
                 self._pulls = False
-                self._sink.send(Release(self._who))
+                self._sink.send(Release(self._client.client_id))
 
-    def release_if_still(self, seconds: float, client: viser.ClientHandle) -> None:
+    def release_if_still(self, seconds: float) -> None:
         """Release the held point if its last pull is older than `seconds`, and warn the viewer."""
         with self._lock:
             if self._held is None or monotonic() - self._moved <= seconds:
                 return
             self.release()
-        self._notifier.warn(
-            client, "Your pull has ended, because your browser did not respond. Pull again."
-        )
+        text = "Your pull has ended, because your browser did not respond. Pull again."
+        self._notifier.warn(self._client, text)
 
 
 class DragHandles:
@@ -137,26 +154,30 @@ class DragHandles:
         self._gizmo.on_update(notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
         self._robot, self._arm_joints, self._notifier = robot, arm_joints, notifier
         self._links: object = None
+        self._dragged = False  # whether the viewer drags the gizmo
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless this viewer pulls the end-effector."""
+        """Move the gizmo to the end-effector, but not while this viewer drags the gizmo."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:
                 if joint in self._arm_joints:
                     self._listen(mesh, joint, self._arm_joints[joint])
-        if not self.grip.holds_end_effector:
+        if not self._dragged:
             self._gizmo.position = snapshot.p_ee
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
         """Handle an event of the gizmo, whose phase is "start", "update" or "end"."""
+        # A restart can release the pull earlier, but the browser ignores positions until the end.
         if event.phase == "end":
+            self._dragged = False
             self.grip.release()
             return
-        if event.phase == "start":
+        if event.phase == "start":  # an update can come after the end
+            self._dragged = True
             self.grip.take()
         if self.grip.holds_end_effector:
-            self.grip.pull(np.asarray(event.target.position), event.client)
+            self.grip.pull(np.asarray(event.target.position))
 
     def _listen(self, mesh: viser.MeshHandle, joint: int, name: str) -> None:
         def dragged(event: viser.SceneNodeDragEvent) -> None:
@@ -167,6 +188,6 @@ class DragHandles:
                 T: pin.SE3 = self._robot.world_pose(joint)
                 x, y, z = map(float, T.actInv(np.array(event.start_position)))
                 self.grip.take(name, (x, y, z))
-            self.grip.pull(np.array(event.end_position), event.client)
+            self.grip.pull(np.array(event.end_position))
 
         mesh.on_drag(self._notifier.guard(dragged))  # type: ignore[arg-type]

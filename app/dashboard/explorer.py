@@ -56,11 +56,9 @@ class Explorer:
         request = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
         if request != self._request:
             session = self._session
-            if session.config != snapshot.config:
-                session.configure(snapshot.config)
             session.controller.use(snapshot.controller)
             q_m = np.clip(posture.q_m, self._model.q_lower, self._model.q_upper)
-            session.reset(q_m, posture.base_pose)
+            session.restart(snapshot.config, q_m, posture.base_pose)
             step = session.step()
             self._response = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
             self._request = request

@@ -1,9 +1,9 @@
 """Checks of connections and of the pages' messages, before viser handles them.
 
 viser has no hook for these checks. Therefore this module wraps the functions that viser passes to
-`websockets` when its server starts. `is_allowed` checks requests, and each answer gets headers that
-exclude other websites. `checked` checks each message before viser reads it, against viser's type
-annotations, which viser itself does not check.
+`websockets` when its server starts. `is_allowed` checks requests. Headers of each answer forbid
+frames of the page in other websites. `checked` checks each message before viser reads it, against
+viser's type annotations, which viser itself does not check.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ class Gate:
             raise ServerError("this version of viser starts its server in an unknown way")
 
     def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap viser's answer to requests: check each request first, and add the headers."""
+        """Wrap viser's answer: check the request first, then add the page's head and headers."""
 
         async def process(connection: _Connection, request: Request) -> Response | None:
             answer = self._refusal(request, connection.method)
@@ -293,20 +293,20 @@ class _Checked:
 def is_allowed(
     origin: str | None, host: str | None, own_names: Collection[str], allowed: Collection[str]
 ) -> bool:
-    """Whether a request may be answered.
+    """Whether the server answers a request.
 
-    A browser sends the page's origin with each websocket request. The origin must be the address of
-    the request. This address must be an IP address, localhost, or a name of this server or machine.
-    Otherwise another website could let its own name point to this machine, and would be accepted. A
-    proxy can change the address of a request; therefore each name in `allowed` is accepted as the
-    origin of every request.
+    The header `Host` must be an IP address, localhost, or a name of this server or machine, because
+    another website could let its own name point to this machine. A browser sends the page's origin
+    with each websocket request. The origin must have the same name and port as `Host`, or a name in
+    `allowed`, because a proxy can change `Host`. Other programs send no origin; only their `Host`
+    is checked. A request with neither header is answered.
 
     Args:
         origin: The request's header `Origin`; None without this header, as from other programs.
         host: The request's header `Host`; None without this header.
         own_names: Names under which browsers may reach the server, in lower case, besides the names
             that every server has.
-        allowed: The subset of `own_names` whose pages may send every request.
+        allowed: Names from `own_names` that the origin may have even if `Host` is different.
     """
     if host is None:
         return origin is None
@@ -354,7 +354,7 @@ class Uploads:
     """Unfinished uploads of one viewer.
 
     viser stores the parts of a file until the file is complete. Parts must come in order, as a page
-    sends them; otherwise viser would store them forever.
+    sends them. Other parts are refused, because viser would store them forever.
     """
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:

@@ -137,7 +137,7 @@ class Job:
         return self._cancelled.is_set()
 
     def close(self) -> None:
-        """Cancel the running job and wait for its end."""
+        """Cancel the running job and wait for its end, at most `_PATIENCE`."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
@@ -150,13 +150,13 @@ class Job:
             problem = f"{title}: cancelled"
         except (DbbError, OSError) as error:
             problem = f"{title}: {str(error).removeprefix(f'{title}: ')}"
-        except Exception as error:  # no thread joins this one: show it to the viewers
+        except Exception as error:  # no caller gets it: show it to the viewers
             logger.exception("%s failed", title)
             problem = f"{title}: {plain(error)}"
         finally:
             self.problem = problem
-            give_back(frozen=self.replaces_robot)
             self.progress = None
+            give_back(frozen=self.replaces_robot)
 
 
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
@@ -180,7 +180,7 @@ def sample_border(report: Report, robot: str) -> BorderData:
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """Return the contents of an uploaded zip's URDFs, by path, within a budget of time and memory.
+    """Return contents of an uploaded zip's first 20 URDFs, by path, with limited time and memory.
 
     Raises:
         RobotFileError: The zip cannot be used.

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Coroutine
+from time import monotonic
 from typing import Any
 
 import viser
@@ -19,8 +20,8 @@ class Notifier:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
-        self._shown: dict[tuple[int, str], tuple[str, int, Any]] = {}
-        """Text, number of repetitions and handle of each message, by viewer and title."""
+        self._shown: dict[tuple[int, str], tuple[str, int, Any, float]] = {}
+        """Text, number of equal texts in a row, handle and [s] end, by viewer and title."""
 
     def warn(self, client: viser.ClientHandle | None, text: str) -> None:
         """Show for 6 s that an action was refused; to all viewers if `client` is None."""
@@ -37,7 +38,7 @@ class Notifier:
 
     def clear(self, client: viser.ClientHandle) -> None:
         """Remove all messages to a viewer."""
-        for key, (_, _, handle) in list(self._shown.items()):
+        for key, (_, _, handle, _) in list(self._shown.items()):
             if key[0] == client.client_id:
                 handle.remove()
                 del self._shown[key]
@@ -74,10 +75,10 @@ class Notifier:
                 self._shown.pop(key, None)
         for each in clients:
             key = (each.client_id, title)
-            before, count, old = self._shown.get(key, ("", 0, None))
+            before, count, old, until = self._shown.get(key, ("", 0, None, 0.0))
             if old is not None:
                 old.remove()  # at most one message of each title
-            count = count + 1 if before == text else 1
+            count = count + 1 if before == text and monotonic() < until else 1
             body = text if count == 1 else f"{text} ({count} times)"
             handle = each.add_notification(title, body, color=colour, auto_close_seconds=seconds)
-            self._shown[key] = text, count, handle
+            self._shown[key] = text, count, handle, monotonic() + seconds

@@ -17,10 +17,22 @@
     };
   }
 
-  // A cancelled file dialog is not an error of the page.
+  // A cancelled file dialog, or a click while it is open, is not an error of the page.
   window.addEventListener("unhandledrejection", (event) => {
-    if (event.reason?.name === "AbortError") event.preventDefault();
+    const { name, message } = event.reason ?? {};
+    if (name === "AbortError" || /File picker already active/.test(message)) event.preventDefault();
   });
+
+  // viser's gizmo continues a drag that the browser has cancelled: here a cancel is an end. With
+  // selected text, the browser would cancel a drag in order to move the text.
+  window.addEventListener("dragstart", (event) => event.preventDefault());
+  const last = new Map(); // the last event of each pressed pointer
+  for (const kind of ["pointerdown", "pointermove", "pointerup"])
+    window.addEventListener(kind, (event) => (event.buttons ? last.set(event.pointerId, event) : last.delete(event.pointerId)), true);
+  window.addEventListener("pointercancel", ({ target, pointerId }) => {
+    if (last.has(pointerId)) target.dispatchEvent(new PointerEvent("pointerup", last.get(pointerId)));
+    last.delete(pointerId);
+  }, true);
 
   // An upright tablet is too narrow for panels next to the scene: it gets the phone's drawer.
   const matches = window.matchMedia.bind(window);
@@ -117,12 +129,19 @@
     window.dbb?.tell("scene", ...scene());
   };
 
-  const CARD = 150; // [px] for every card, so that the scene does not move with the text
-  // [px] height of the scene, and heights that the guide's card and the drawer cover.
+  // [px] least height to report for a card, and that of the highest card since the guide began: the
+  // scene must not move with each text
+  const CARD = 150;
+  let tall = CARD;
+  // [px] height of the scene, and the heights that card and drawer cover at its top and bottom.
   const scene = () => {
     const rect = (element) => element?.getBoundingClientRect() ?? { height: 0 };
     const [box, drawer] = [window.__viserMutable?.canvas, document.querySelector("[data-drawer]")].map(rect);
-    const guided = document.getElementById("dbb-card")?.hidden === false ? CARD : 0;
+    const guide = rect(document.getElementById("dbb-card"));
+    tall = guide.height ? Math.max(tall, guide.height) : CARD;
+    const beside = guide.left > (box.left + box.right) / 2;
+    const guided = guide.height && !beside ? tall : 0;
+    document.documentElement.style.setProperty("--dbb-card", `${guided}px`);
     const [above, card] = matches(NARROW).matches ? [guided, 0] : [0, guided];
     const below = Math.max(card, drawer.height && box.bottom - drawer.top);
     return [box.height, above, below].map((px) => Math.round(Math.max(px, 0)));
@@ -161,7 +180,7 @@
   };
 
   // If a proxy does not connect the page to its server, the page shows a remedy.
-  let unconnected = 0; // looks of the timer
+  let unconnected = 0; // number of the timer's periods without a connection
   const explain = () => {
     const waits = !window.dbb && document.getElementById("root")?.innerText.includes("Connecting...");
     unconnected = waits ? unconnected + 1 : 0;
@@ -187,6 +206,8 @@
       }
       document.body.addEventListener("keydown", press);
       window.addEventListener("pointerdown", () => (byKeys = false), true);
+      // After a drawer, viser's panel has its default width; the server sets its own again.
+      matches(NARROW).addEventListener("change", ({ matches }) => matches || window.dbb?.tell("wide", Date.now()));
       timer = setInterval(() => {
         explain();
         makeHeads();

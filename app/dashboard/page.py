@@ -7,7 +7,6 @@ from contextlib import suppress
 from functools import partial
 from time import monotonic
 
-import numpy as np
 import viser
 
 from app.dashboard.drag import DragHandles
@@ -61,7 +60,7 @@ class Page:
         self.view, self.timeline, self.grip = viewer.view, viewer.timeline, viewer.grip
         self.channel, self._camera = viewer.channel, viewer.camera
         self.channel.on("escape", self._escape)
-        self.channel.on("nudge", self._nudge)
+        self.channel.on("nudge", lambda x, y, z: self.grip.nudge((x, y, z), shared.loop.latest()))
         self.channel.on("drop", self.grip.release_keys)
         self.closed = False
         newest = shared.loop.latest()
@@ -89,10 +88,12 @@ class Page:
     def draw(self, *, texts: bool) -> None:
         """Draw the viewer's point in time; update panels, plots and labels only if `texts`."""
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
-        if not newest.follows(self._newest):
+        if not newest.follows(self._newest) and self.grip.holds_anything:
             self.grip.release()  # the simulation has restarted and has dropped all pulls
+            if self.grip.reach is None:
+                self._notifier.tell(self._client, "Pull ended", "A new run has started.")
         self._newest = newest
-        if self.grip.holds_anything and not self.timeline.live:
+        if self.grip.holds_anything:
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
         if self._border.update(self.view, shown.border):
@@ -139,7 +140,7 @@ class Page:
         _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
-        """Replace this page by a page of another robot, for the same viewer."""
+        """Replace this page by one of another robot, for the same viewer; a closed page remains."""
         if self.closed:
             return self
         self.close()
@@ -155,8 +156,9 @@ class Page:
         self.guide.leave_demonstration()
 
     def end(self) -> None:
-        """Close the page of a disconnected viewer, and cancel the creation of files."""
+        """Close the page and the guide of a disconnected viewer; cancel the creation of files."""
         self.close()
+        self.guide.go("")
         self.viewer.files.cancel()
 
     def _build_left(self) -> None:
@@ -176,6 +178,7 @@ class Page:
         gui, viewer = self._client.gui, self.viewer
         gui.main_panel.dock_right()
         gui.main_panel.set_width(MAIN_WIDTH)
+        self.channel.on("wide", lambda _: gui.main_panel.set_width(MAIN_WIDTH))
         self._banner = gui.add_html("", visible=False)
         self.change = JobStatus(viewer, self._shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
@@ -224,20 +227,15 @@ class Page:
         self.guide.go("")
         self._notifier.clear(self._client)
 
-    def _nudge(self, x: float, y: float, z: float) -> None:
-        """Move the end-effector's target by `NUDGE` times x, y, z, from −1 to 1, as in `nudge`."""
-        self.grip.nudge(np.clip((x, y, z), -1.0, 1.0), self._shared.loop.latest(), self._client)
-
 
 class Demonstration:
     """Starts a repeated demonstration for a single viewer who has not touched the page.
 
-    It starts after `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first
-    input, or a second viewer, closes its card, which ends it.
+    With the controller dbb, it starts after `UNTOUCHED` seconds without a scenario, a pause or a
+    comparison. The first input, or a second viewer, closes its card, which ends it.
     """
 
-    def __init__(self) -> None:
-        self._due: float | None = None
+    _due: float | None = None
 
     def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
         """Start or repeat the demonstration, or close its card; called by the drawing thread."""
@@ -260,10 +258,8 @@ class Demonstration:
 
 def hung_html(silence: float) -> str:
     """Return an error message if the simulation's `silence` [s] exceeds `PATIENCE`, or ""."""
-    if silence < PATIENCE:
-        return ""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."
-    return banner("error", "The simulation does not respond", text)
+    return banner("error", "The simulation does not respond", text) if silence >= PATIENCE else ""
 
 
 def _show(handle: viser.GuiHtmlHandle, html: str) -> None:

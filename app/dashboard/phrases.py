@@ -10,7 +10,7 @@ from app.simulation.trace.words import pair as pair
 from app.simulation.trace.words import spoken as spoken
 from app.strict import Array
 
-AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below these speeds the base counts as at rest
+AT_REST = (0.005, 0.0087)  # [m/s], [rad/s] slower motions, displayed as 0, count as rest
 SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] smaller commanded accelerations are not mentioned
 
 _SECTORS = (
@@ -24,7 +24,7 @@ _SECTORS = (
     ("forward right", "front right corner"),
 )
 """Direction, and place on the base, for each eighth of a turn, counterclockwise from forward."""
-_TOP = 0.8  # [-] z of a normal above which it points upwards
+_TOP = 0.8  # [-] |z| of a normal above which the place is the top or the underside
 
 _BOUNDS: dict[BoundKind, str] = {
     "position": "joint limit",
@@ -35,7 +35,7 @@ _BOUNDS: dict[BoundKind, str] = {
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital first letter, unless the text starts with a symbol or a name."""
+    """Return a text with a capital first letter; a symbol or name at its start does not change."""
     return f"{text[:1].upper()}{text[1:]}" if text.split(" ")[0].isalpha() else text
 
 
@@ -73,7 +73,7 @@ def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
     Args:
         v: [m/s, m/s, rad/s] velocity of the base; or, if `intended`, its commanded acceleration,
             which is described as the next motion, such as "back away and turn left".
-        ahead: Whether the avoided body is in front of the base or beside it.
+        ahead: Whether the avoided body is not behind the base.
         intended: Whether the base is at rest.
     """
     forward, left, turn = v

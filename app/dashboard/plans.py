@@ -12,9 +12,12 @@ from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
+from app.strict import field_docs
 
 _MOVES = "β_m ẍ_m: base acceleration commanded by avoidance along this axis, (16) to (18)"
 _ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
+_ERROR = "distance [mm] of the end-effector from its target"
+_STEP = "time [µs] of Algorithm 2 in a control step; the period is 1000 µs"
 _THRESHOLD = "#98a0ab"
 _EFFORTS = {
     "rad": "torque u_a divided by its limit of {:g} N m",
@@ -60,26 +63,14 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     """
     axes, joints = model.description.base.axes, model.description.arm.joints
     colours = (*map(_series, range(len(axes) - 2)), css(PERSON), css(ACTING))[-len(axes) :]
-    torques = tuple(
-        Curve(
-            f"{i + 1}",
-            lambda s, i=i, limit=float(limit): s.u_a[i] / limit,
-            _series(i),
-            f"{name}: {_EFFORTS[unit].format(limit)}, −1 to 1, (26)",
-        )
-        for i, (name, limit, unit) in enumerate(
-            zip(joints, model.tau_max, model.joint_units, strict=True)
-        )
-    )
+    torques = tuple(map(_torque, range(len(joints)), joints, model.tau_max, model.joint_units))
     beta = Curve("activation β_m", lambda s: s.beta_m, BETA, _ACTIVATION)
-    about = "distance [mm] of the end-effector from its target"
-    error = Curve("end-effector error", lambda s: 1000.0 * s.ee_error, BETA, about)
-    about = "time [µs] of Algorithm 2 in a control step; the period is 1000 µs"
-    step = Curve("mean over 1 s", lambda s: s.step_time_us, css(PERSON), about)
+    error = Curve("end-effector error", lambda s: 1000.0 * s.ee_error, BETA, _ERROR)
+    step = Curve("mean over 1 s", lambda s: s.step_time_us, css(PERSON), _STEP)
     avoidance = tuple(map(_avoidance, range(len(axes)), axes, colours))
     return [
         _distances("distance [m]", model, names, 160),
-        _distances("distance to the door [m]", model, [door], 100),
+        _distances("distance to the door [m]", model, [door], 100, len(names)),
         PlotPlan("activation of the avoidance β_m", (beta,), (-0.02, 1.05), fill=True),
         PlotPlan("avoidance acceleration of the base, β ẍ", avoidance, _soft(-1.0, 1.0), 125),
         PlotPlan("joint torque / limit", torques, (-1.05, 1.05), 140),
@@ -88,8 +79,12 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     ]
 
 
-def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Value]:
-    """Return functions from a snapshot to its value in each numeric column of a log, by column."""
+def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
+    """Return a curve for each numeric column of a log except the time, by the column's name.
+
+    It has no colour; its explanation is the first sentence of the docstring in `Snapshot`.
+    """
+    docs = {name: text.split(". ")[0] for name, text in field_docs(Snapshot)}
     pairs = {pair.name: pair.mobile for pair in snapshot.pairs}
     meta = TraceMeta.of(model, pairs, snapshot.config)
 
@@ -100,24 +95,22 @@ def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Value]:
         return float(QUANTITIES[field].cells(data, meta)[i])
 
     return {
-        column.name: partial(value, field, i)
+        column.name: Curve(column.name, partial(value, field, i), "", docs[field], right=True)
         for field, quantity in QUANTITIES.items()
         for i, column in enumerate(quantity.columns(meta))
-        if column.kind != "text"
+        if column.kind != "text" and field != "t"
     }
 
 
-def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
-    """Return a plot with a `height` [px] of the distances of the pairs `names` and of d_b."""
+def _distances(
+    title: str, model: RobotModel, names: list[str], height: int, first: int = 0
+) -> PlotPlan:
+    """Return a plot of the pairs' distances and d_b; `first` numbers the first pair's colour."""
     meaning = "signed distance d [m] of the convex bodies, negative if they overlap"
+    spoken = partial(words.spoken, chain=model.body_names)
     curves = (
-        Curve(
-            words.spoken(name, model.body_names),
-            lambda s, name=name: distance(s, name),
-            _series(i),
-            f"{name}: {meaning}",
-        )
-        for i, name in enumerate(names)
+        Curve(spoken(name), partial(distance, pair=name), _series(i), f"{name}: {meaning}")
+        for i, name in enumerate(names, first)
     )
     about = f"buffer distance d_b, (3), {tunable('border.d_b').allowed}"
     d_b = Curve("buffer d_b", lambda s: s.d_b, _THRESHOLD, about, dashed=True)
@@ -133,6 +126,12 @@ def _series(i: int) -> str:
     return SERIES[i % len(SERIES)]
 
 
+def _torque(i: int, name: str, limit: float, unit: str) -> Curve:
+    """Return the curve of a joint's torque or force."""
+    hint = f"{name}: {_EFFORTS[unit].format(limit)}, −1 to 1, (26)"
+    return Curve(f"{i + 1}", lambda s: s.u_a[i] / limit, _series(i), hint)
+
+
 def _avoidance(i: int, axis: Axis, colour: str) -> Curve:
     """Return the curve of the avoidance acceleration along an axis of the base."""
     unit = "rad/s²" if axis.angular else "m/s²"
@@ -142,7 +141,4 @@ def _avoidance(i: int, axis: Axis, colour: str) -> Curve:
 
 def _soft(low: float, high: float) -> dict[str, dict[str, float]]:
     """Return uPlot's range from `low` to `high`, which data beyond it extend, with 10 % margin."""
-    return {
-        "min": {"pad": 0.1, "soft": low, "mode": 1},
-        "max": {"pad": 0.1, "soft": high, "mode": 1},
-    }
+    return {end: {"pad": 0.1, "soft": x, "mode": 1} for end, x in (("min", low), ("max", high))}

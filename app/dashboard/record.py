@@ -11,11 +11,12 @@ from app.dashboard import phrases as words
 from app.dashboard.verdict import touching
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.trace import Stored
 from app.simulation.trace.words import Outcome, outcome
 from app.strict import Array
 
 HISTORY = 600.0  # [s] length of the history
-SPACING = 0.01  # [m] distance between two points of a track
+SPACING = 0.01  # [m] smallest distance between two points of a track
 _LONGEST = 1500  # [-] largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the timeline
 _QUIET = 1.0  # [s] after a pause of this length, the same event counts as a new one
@@ -49,10 +50,9 @@ class Course:
     """Results of the last scenario.
 
     Attributes:
-        name: Name of the scenario; empty if none has started.
-        running: Whether the scenario is running.
-        duration: [s] end of the scenario.
-        until: [s] time of the scenario's last snapshot, or `duration` if the scenario completed.
+        name, running: Name of the scenario, empty if none has started; whether it is running.
+        duration, until: [s] end of the scenario; time of its last snapshot, or `duration` if the
+            scenario completed.
         least: [m] smallest distance of all pairs; infinite before the first snapshot.
         pull, speed, path: Largest external force [N], peak speed of the end-effector [m/s], length
             of the base's path [m].
@@ -64,12 +64,12 @@ class Course:
     """
 
     def __init__(self) -> None:
+        self.case: RunCase | None = None
+        self.last: Snapshot | None = None
         self.begin()
 
     def begin(self) -> None:
-        """Reset all results."""
-        self.case: RunCase | None = None
-        self.last: Snapshot | None = None
+        """Reset all results, except the case of the last scenario."""
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
         self.least = np.inf
@@ -134,14 +134,14 @@ class Strip:
     def begin(self) -> None:
         """Delete all data, and increase the number of restarts by one."""
         self.runs += 1
-        self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(HISTORY / BIN))
-        """Start [s] of each bin, smallest distance [m] and largest β in this bin."""
+        self.rows: deque[tuple[float, ...]] = deque(maxlen=round(HISTORY / BIN))
+        """Start [s] of each bin, smallest distance [m], largest β in this bin, and d_b [m]."""
         self.closed = self._numbered = 0
         """Numbers of rows and of events since the restart, including deleted ones."""
         self.events: dict[int, Event] = {}
         """Events by their numbers, in order."""
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
-        self.past: deque[Snapshot] = deque(maxlen=round(HISTORY / BIN / 2))
+        self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))
         """For every two bins, the snapshot with the smallest distance."""
         self.nearest: Snapshot | None = None
         """Snapshot with the smallest distance since the restart; None without snapshots."""
@@ -166,13 +166,12 @@ class Strip:
     def _close(self) -> None:
         nearest = min(self._bin, key=lambda snapshot: snapshot.nearest.d)
         beta = max((pair.beta for s in self._bin for pair in s.pairs), default=0.0)
-        self.rows.append((self._bin[0].t, nearest.nearest.d, beta))
+        self.rows.append((self._bin[0].t, nearest.nearest.d, beta, nearest.d_b))
         self.closed += 1
-        if self.closed % 2 or nearest.nearest.d < self.past[-1].nearest.d:
-            if self.closed % 2 == 0:
-                self.past.pop()
-            self.past.append(nearest)
-        self._bin = []
+        if self.closed % 2 == 0:
+            nearer = min(self._last, nearest, key=lambda snapshot: snapshot.nearest.d)
+            self.past.append(Stored(nearer).pack())
+        self._bin, self._last = [], nearest
 
     def _note(self, t: float, kind: str, subject: str, text: str) -> None:
         """Add an event, or update the text of the same event if it continues."""

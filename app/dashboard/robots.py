@@ -43,7 +43,7 @@ class RobotEntry(NamedTuple):
     about: str
     """Base and arm in a few words; empty if the description is invalid."""
     problem: str | None
-    """Reason why the robot cannot be used, with a remedy if one is known; or None."""
+    """Reason why the robot cannot be used, with advice if there is any; None for a usable robot."""
     own: bool
     """Whether the robot is one of the user's own robots."""
     report: bool
@@ -76,7 +76,7 @@ def robot_entries() -> list[RobotEntry]:
 Changes = Mapping[str, float | str]
 """Values of parameters that differ from a robot's defaults, by the parameter's path."""
 StartLoop = Callable[[RobotModel, BorderData, Config, str], LoopHandle]
-"""Creates the simulation of a robot with parameters and a controller, which `start` then starts."""
+"""Creates the simulation of a robot with parameters and a controller; then call its `start`."""
 
 
 class RunningRobot(NamedTuple):
@@ -85,7 +85,7 @@ class RunningRobot(NamedTuple):
     loop: LoopHandle
     model: RobotModel
     clouds: Mapping[str, Cloud]
-    """Point clouds P_i of all pairs of L_m, by the pairs' names."""
+    """Point clouds P_i of all pairs of arm and base, by the pairs' names."""
     parts: RobotParts
     """Meshes of the robot."""
     config: Config
@@ -151,7 +151,7 @@ class RobotSwitch(Job):
         self.start(entry.title, "reading the description", work)
 
     def take(self) -> RunningRobot | None:
-        """Return a robot that has become ready, once; otherwise None."""
+        """Return a robot that has become ready, only once; None if there is no such robot."""
         ready, self._ready = self._ready, None
         return ready
 
@@ -184,17 +184,16 @@ class RobotSwitch(Job):
         parts = RobotParts(model, apart=True)
         self.check()
         self.report("starting the simulation")
-        usual, note = model.description.config, ""
+        usual = model.description.config
         config = usual.changed(changes)
+        note = "your changed parameters keep their values" if config != usual else ""
         try:
             loop = self._started(model, data, config, controller)
         except DbbError as error:
             if config == usual or self.cancelled:
                 raise
             config = usual
-            note = (
-                f"all parameters are at their defaults: the robot cannot start with yours ({error})"
-            )
+            note = f"all parameters have their defaults: it cannot start with yours ({error})"
             loop = self._started(model, data, config, controller)
         return RunningRobot(loop, model, data.clouds, parts, config, note)
 
@@ -216,7 +215,7 @@ class Package(NamedTuple):
     """An uploaded zip and its content."""
 
     archive: Path
-    """File of the zip; it is deleted after a build, before the next upload, and at the end."""
+    """File of the zip, deleted after a successful build, before the next upload, and by `close`."""
     urdfs: Mapping[str, Contents]
     """Contents of the zip's URDFs, by their path in the zip."""
 

@@ -107,10 +107,10 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the pull of a viewer whose browser does not answer, unless it is recent."""
+        """Release a pull older than `PATIENCE` of a viewer whose browser does not answer."""
         page = self.pages.get(number)
         if page is not None:
-            page.grip.release_if_still(PATIENCE, page.viewer.client)
+            page.grip.release_if_still(PATIENCE)
 
     def _draw_until_stopped(self) -> None:
         due = time.monotonic()
@@ -123,7 +123,7 @@ class DashboardServer:
                 # After a delay that is not computing time, continue from now: a burst of late
                 # frames would only add to the delay.
                 due = max(due + FRAME, _rested(begin))
-        except Exception as error:  # no thread joins this one: show it to the viewers
+        except Exception as error:  # no caller gets it: show it to the viewers
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has stopped", error)
@@ -132,7 +132,8 @@ class DashboardServer:
     def _draw_picture(self) -> None:
         """Draw a frame of each page; a local name here must not keep the previous robot alive."""
         self.shared.watch(bool(self.viser.get_clients()))
-        # A slow browser would apply the last update of widgets after their removal: an error there.
+        # A switch removes widgets. It waits until their last update is old: in a slow browser, a
+        # newer update would come after the removal and cause an error.
         if texts := time.monotonic() >= self._texts_due:
             self._switch_robot()
             self._texts_due = time.monotonic() + TEXTS_EVERY
@@ -141,21 +142,19 @@ class DashboardServer:
         pages = [page for page in self.pages.values() if not page.closed]
         self._demonstration.update(pages, shared.loop.latest())
         for page in pages:
-            if texts or not page.view.light or self.pictures % LIGHT_EVERY == 0:
-                self._draw_page(page, texts=texts)
+            if not (texts or not page.view.light or self.pictures % LIGHT_EVERY == 0):
+                continue
+            try:
+                page.draw(texts=texts)
+            except Exception as error:  # ends only this viewer's page
+                logger.exception("a page has ended")
+                page.close()
+                page.fail(_PAGE_ENDED, error)
         self.pictures += 1
         error = shared.loop.error
         if error is not None and self._failure is None:
             logger.error("the simulation ended", exc_info=error)
             self._fail("The simulation has stopped", error)
-
-    def _draw_page(self, page: Page, *, texts: bool) -> None:
-        try:
-            page.draw(texts=texts)
-        except Exception as error:  # ends only this viewer's page
-            logger.exception("a page has ended")
-            page.close()
-            page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
         """Build at most one page, and end the pages of disconnected viewers.
@@ -204,8 +203,8 @@ class DashboardServer:
             self._show(robot)
         finally:
             switch.shown()  # also after an error: the switch's thread waits for this
-        note = robot.note or "your parameters remain"
-        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use; {note}.")
+        note = f"; {robot.note}" if robot.note else ""
+        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use{note}.")
 
     def _show(self, robot: RunningRobot) -> None:
         self.shared = self.shared.followed_by(robot)
@@ -241,8 +240,8 @@ def serve_dashboard(
 ) -> DashboardServer:
     """Open the dashboard and start drawing.
 
-    There is neither a password nor encryption: use an address other than this machine's only in a
-    trusted network.
+    There is neither a password nor encryption: in a network that is not trusted, use an address
+    that only this machine can reach.
 
     Args:
         loop: The simulation, which has published a snapshot.

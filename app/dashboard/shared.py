@@ -10,6 +10,7 @@ from functools import cached_property
 
 from app.border.dbb import Cloud
 from app.config import Config
+from app.control.contract import check_gains
 from app.dashboard.explorer import Explorer
 from app.dashboard.plans import plot_plans, quantities
 from app.dashboard.record import Course, Strip
@@ -70,12 +71,14 @@ class Tuning:
         """Change one parameter; undo reverts fast successive changes of it in one step.
 
         Raises:
-            ConfigError: The parameter does not exist, or the value is not allowed.
+            ConfigError: The parameter does not exist, or its value is not allowed, or a gain is too
+                large for the stated period.
         """
         with self._lock:
             if self.config.value(path) == value:
                 return
             config, now = self.config.replace(path, value), self._clock()
+            check_gains(config, config.disturbance.stated_period)
             last, at = self._burst or ("", -math.inf)
             if last == path and now - at <= BURST:
                 self._steps.pop()
@@ -88,9 +91,10 @@ class Tuning:
             self._sink.send(Configure(config))
 
     def load(self, config: Config) -> None:
-        """Replace the configuration, as one step."""
+        """Replace the configuration, as one step; raises the errors of `set`."""
         with self._lock:
             if config != self.config:
+                check_gains(config, config.disturbance.stated_period)
                 self._add(config)
                 self._sink.send(Configure(config))
 
@@ -169,11 +173,9 @@ class SharedState(SceneData):
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.plans = plot_plans(model, self.pairs, self.of_door)
         self.quantities = quantities(model, loop.latest())
-        """All quantities that a viewer can add to a plot, by their names."""
-        self.course = Course()
-        """Results of the last scenario."""
-        self.strip = Strip(model.body_names)
-        """Data of the timeline, of the last ten minutes."""
+        """All curves that a viewer can add to a plot, by their names."""
+        self.course, self.strip = Course(), Strip(model.body_names)
+        """Results of the last scenario, and data of the timeline, of the last ten minutes."""
         self.keepers += [self.course, self.strip]
         self._watched = True
 
@@ -183,9 +185,9 @@ class SharedState(SceneData):
         return Explorer(self.model, self.clouds, self.loop.latest())
 
     def followed_by(self, robot: RunningRobot) -> SharedState:
-        """Return the shared state of another robot, with the same parameters and jobs.
+        """Return the shared state of another robot, with the history of parameters and the jobs.
 
-        The parameters are those with which its simulation has started.
+        The present parameters are those with which the robot's simulation has started.
         """
         after = SharedState(robot.loop, robot.model, robot.clouds, robot.parts, before=self)
         self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)

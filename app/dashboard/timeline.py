@@ -3,15 +3,18 @@
 import threading
 from time import monotonic
 
+import numpy as np
+
 from app.dashboard.record import Strip
 from app.errors import LogError
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.trace import Stored
 from app.strict import check_range
 
 REPLAY = 0.1, 4.0  # [-] limits of the replay speed, relative to real time
 AGAIN = 10.0  # [s] length of a replay that is started at the newest snapshot
-MOST_MARKED = 300.0  # [s] largest length of a marked interval
+MOST_MARKED = 120.0  # [s] largest length of a marked interval
 
 
 class Timeline:
@@ -27,7 +30,7 @@ class Timeline:
         self._replay: tuple[float, float, float] | None = None
         """[s] `monotonic` and [s] simulated time at the start of the replay, [-] its speed."""
         self._newest = loop.latest()
-        self._marked: list[Snapshot] = []
+        self._marked: list[Stored] = []
         self._lock = threading.RLock()
         self.begin: float | None = None
         self.end: float | None = None
@@ -58,7 +61,7 @@ class Timeline:
                     self.unmark()
             self._newest = newest
             if self.begin is not None and self.end is None:
-                self._marked += self._loop.history(self._marked[-1].t)
+                self._marked += self._loop.stored(self._marked[-1].t)
                 if self._marked[-1].t - self.begin > MOST_MARKED:
                     self._cut(self.begin + MOST_MARKED)
             if (replay := self._replay) is not None:
@@ -95,7 +98,7 @@ class Timeline:
 
     def go_to(self, t: float) -> None:
         """Show the stored snapshot that is nearest to time `t` [s]."""
-        self.show(min(self._stored(), key=lambda snapshot: abs(snapshot.t - t)))
+        self.show(min(self._stored(), key=lambda stored: abs(stored.t - t)).snapshot)
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a published snapshot, and stop a replay."""
@@ -103,8 +106,10 @@ class Timeline:
             self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
-        """Go forward by a time [s], or back if it is negative, within the stored snapshots."""
-        self.go_to(self.shown().t + seconds)
+        """Go forward by a time [s], or back if it is negative, by at least one stored snapshot."""
+        t = self.shown().t
+        ahead = [s for s in self._stored() if (s.t - t) * seconds > 0.0] or self._stored()
+        self.show(min(ahead, key=lambda stored: abs(stored.t - t - seconds)).snapshot)
 
     def go_live(self) -> None:
         """Show the newest snapshot from now on."""
@@ -116,22 +121,27 @@ class Timeline:
         with self._lock:
             self.begin, end = self.shown().t, None if self.earlier else self.end
             self.end = None
-            self._marked = [s for s in self._stored() if s.t >= self.begin]
+            self._marked = self._stored(self.begin)
             if end is not None and end > self.begin:
                 self._cut(end)
 
     def mark_end(self) -> None:
         """Mark the shown instant as the end of the interval.
 
-        Without an earlier marked start, the interval starts with the oldest stored snapshot.
+        Without an earlier marked start, the interval has the snapshots of the last `MOST_MARKED`.
+
+        Raises:
+            LogError: The shown instant is the marked start.
         """
         with self._lock:
             at = self.shown().t  # an interval without an end has all snapshots now
-            if self.begin is None or self.earlier or self.begin >= at:
-                self._marked = self._stored()
+            if self.begin == at and not self.earlier:
+                raise LogError("the end must be later than the start; show a later instant first")
+            if self.begin is None or self.earlier or self.begin > at:
+                self._marked = self._stored(at - MOST_MARKED)
                 self.begin = min(self._marked[0].t, at)
             elif self.end is not None:
-                self._marked = [s for s in self._stored() if s.t >= self.begin] or self._marked
+                self._marked = self._stored(self.begin) or self._marked
             self._cut(at)
 
     def unmark(self) -> None:
@@ -148,19 +158,22 @@ class Timeline:
         """
         self.shown()
         with self._lock:
-            found = list(self._marked) if self.begin is not None else self._loop.history(-1.0)
+            found = list(self._marked) if self.begin is not None else self._loop.stored()
         if len(found) < 2:
             raise LogError("the marked interval has no duration; mark a start and a later end")
-        return found
+        return [stored.snapshot for stored in found]
 
-    def between(self, begin: float, end: float) -> list[Snapshot]:
-        """Return the stored snapshots between two times [s], oldest first."""
-        return [snapshot for snapshot in self._stored() if begin <= snapshot.t <= end]
+    def between(self, begin: float, end: float, spacing: float) -> list[Snapshot]:
+        """Return the first stored snapshot of each interval of length `spacing` [s], in order."""
+        found = [stored for stored in self._stored(begin) if stored.t <= end]
+        bins = np.floor([stored.t / spacing for stored in found])
+        return [found[i].snapshot for i in np.flatnonzero(np.diff(bins, prepend=-1.0))]
 
-    def _stored(self) -> list[Snapshot]:
-        """Return all stored snapshots; those older than 60 s have larger intervals."""
-        kept = self._loop.history(-1.0)
-        return [*(s for s in tuple(self._strip.past) if s.t < kept[0].t), *kept]
+    def _stored(self, begin: float = 0.0) -> list[Stored]:
+        """Return the stored snapshots from a time [s] on; before the last 60 s, few are stored."""
+        kept = self._loop.stored()
+        old = [stored for stored in tuple(self._strip.past) if stored.t < kept[0].t]
+        return [stored for stored in (*old, *kept) if stored.t >= begin]
 
     def _cut(self, end: float) -> None:
         """End the interval at a time [s], and delete its later snapshots."""

@@ -30,7 +30,7 @@ class Verdict(NamedTuple):
     """State of the robot in a snapshot."""
 
     state: State
-    """The worst state of all pairs; "resisting" or worse with the fallback command."""
+    """Worst state of the pairs and `touching`; at least "resisting" with the fallback command."""
     pairs: tuple[State, ...]
     """The state of each link pair, in the order of the snapshot."""
     touching: str

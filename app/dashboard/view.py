@@ -26,7 +26,7 @@ class View:
     """Choices of the viewer. Callbacks assign to a field; the drawing thread reads the fields."""
 
     borders: dict[str, str]
-    """Quantity that colours the border of each pair of L_m: one of `QUANTITIES`, or `HIDDEN`."""
+    """Quantity that colours the border of each pair with the base: of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = _shown(
         BORDER,
         "Include the top",

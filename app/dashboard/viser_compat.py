@@ -1,7 +1,7 @@
 """Servers of viser, without output and behind a gate; and uses of viser's private names.
 
-Only this module and `app.dashboard.gate` use private names of viser. If one of them changes,
-`tests/test_gate.py` fails.
+In `app`, only this module and `app.dashboard.gate` use private names of viser. If viser changes one
+of these names, `tests/test_viser_compat.py` or `tests/test_gate.py` fails.
 """
 
 import asyncio
@@ -45,7 +45,7 @@ _KNOCKS = (
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
-"""Texts of the log records of failed connections, which any peer can cause."""
+"""Texts of the log records of failed connections. The cause is a peer, or a defect on this side."""
 _pictures = threading.BoundedSemaphore(2)  # [-] simultaneous screenshots
 STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
 
@@ -226,7 +226,7 @@ class Channel:
         self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 
     def begin(self) -> None:
-        """Create the page's own elements, and remove older ones; all widgets of viser exist."""
+        """Create the page's own elements, and remove older ones; call it when all widgets exist."""
         ranges = {
             uuid: (handle.min, handle.max)
             for uuid, handle in self._client.gui._gui_input_handle_from_uuid.items()
@@ -388,10 +388,7 @@ class _Buffer(AsyncMessageBuffer):
         super().push(message)
 
 
-@cache
-def _archive() -> zipfile.ZipFile:
-    """The icons of viser; opening this archive takes 50 ms."""
-    return zipfile.ZipFile(_icons.ICONS_DIR / "tabler-icons.zip")
+_archive = cache(lambda: zipfile.ZipFile(_icons.ICONS_DIR / "tabler-icons.zip"))  # opens in 50 ms
 
 
 @cache

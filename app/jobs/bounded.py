@@ -1,8 +1,8 @@
 """Reading of untrusted data within a budget of time and memory.
 
-This process reads small data. A child process reads larger data; the system ends the child when its
-processor time exceeds the budget, and refuses memory beyond the budget. Thus no file can exhaust
-the memory of a server or block its threads.
+This process reads small data. A child process reads larger data. The system ends the child when its
+processor time exceeds the budget. On systems other than macOS, it also refuses memory beyond the
+budget. Thus no file can exhaust the memory of a server or block its threads.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _limited = threading.Event()  # set in a reading child, which starts no further 
 
 
 class BudgetError(ValueError):
-    """Reading took more time or memory than its `Budget`."""
+    """Reading took more time or memory than its `Budget`, or crashed its process."""
 
 
 class Budget(NamedTuple):
@@ -51,7 +51,7 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     `read` must be a function of a module; its arguments and its result must be picklable.
 
     Raises:
-        BudgetError: Reading exceeds the budget.
+        BudgetError: Reading exceeds the budget, or crashes its process.
         Exception: Any exception of `read`.
     """
     if size <= SMALL or _limited.is_set():
@@ -73,7 +73,7 @@ def _limited_read(
     with limited(*budget):
         result = read(*args)
         try:
-            return pickle.dumps(result, pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
+            return pickle.dumps(result, pickle.HIGHEST_PROTOCOL)  # read-only arrays stay read-only
         except RecursionError:
             raise ValueError("its brackets or tables nest too deeply") from None
         except RuntimeError as error:  # a shape's serialisation has exhausted the memory

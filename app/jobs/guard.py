@@ -1,11 +1,11 @@
 """A guard: a process that kills another process if the other process does not end in time.
 
-The guard is a separate process, so a library that hangs and holds Python's lock cannot stop it. Its
-command is `python guard.py HEARD LIVES PID PATIENCE`. HEARD is a file descriptor. The end of this
-file, or a byte with the number of an ending signal, announces the end of the process; the guard
-copies all bytes to standard output. LIVES is the file descriptor of a pipe that is open while the
-process lives. A negative PID is the number of a process group. PATIENCE is the time in seconds
-between the announcement and the kill.
+The guard is a separate process, so a library that hangs and holds Python's lock cannot stop the
+guard. Its command is `python guard.py HEARD LIVES PID PATIENCE [NUMBER ...]`. HEARD is a file
+descriptor. The end of this file, or a byte with one of the NUMBERs of signals, announces the end of
+the process; the guard copies the bytes up to this announcement to standard output. LIVES is the
+file descriptor of a pipe that is open while the process lives. A negative PID is the number of a
+process group. PATIENCE is the time in seconds between the announcement and the kill.
 """
 
 import ctypes
@@ -14,33 +14,36 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
 def wake_without_parent() -> None:
-    """Let the system resume this process if it is suspended when its parent ends (Linux)."""
+    """Let the system resume this process, if it is suspended, when its parent ends (Linux)."""
     with suppress(AttributeError):
         ctypes.CDLL(None).prctl(_PARENT_DEATH, signal.SIGCONT)
 
 
 @contextmanager
-def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int]:
+def guarded(
+    heard: int, patience: float, numbers: Sequence[int] = (), *, group: bool = False
+) -> Iterator[int]:
     """Run a guard for this process, or for its whole `group`, during the `with`.
 
-    `heard` is the descriptor of the file that announces the end; `patience` [s] is the time between
-    the announcement and the kill.
+    The guard reads the file with the descriptor `heard`. The end of this file, or a byte with one
+    of the numbers of signals in `numbers`, announces the end of the process. If the process still
+    exists `patience` [s] later, the guard kills it.
 
     Yields:
-        The descriptor of a file with the bytes that the guard copies; `heard` if the guard cannot
-        start.
+        The descriptor of a file to which the guard copies the bytes of `heard`. If the guard cannot
+        start, this is `heard` itself.
     """
     passed = os.dup(heard)  # not the descriptor 0, which is the guard's standard input
     lives, alive = os.pipe()
     pid = -os.getpgid(0) if group else os.getpid()
-    words = map(str, (__file__, passed, lives, pid, patience))
+    words = map(str, (__file__, passed, lives, pid, patience, *map(int, numbers)))
     try:
         guard = subprocess.Popen(
             [sys.executable, "-I", "-S", *words],
@@ -62,8 +65,11 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
                 guard.kill()  # the guard is possibly suspended
 
 
-def main(heard: int, lives: int, pid: int, patience: float) -> None:
-    """Wait for the announcement; kill the process if it still runs `patience` [s] later."""
+def main(heard: int, lives: int, pid: int, patience: float, numbers: Sequence[int]) -> None:
+    """Wait until `heard` announces the end of process `pid`; kill it `patience` [s] later.
+
+    Return at once if the process ends earlier. The module's docstring explains the arguments.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     wake_without_parent()
@@ -75,7 +81,7 @@ def main(heard: int, lives: int, pid: int, patience: float) -> None:
         if said:
             with suppress(OSError):
                 os.write(1, said)
-        if not said or said[0] in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if not said or said[0] in numbers:
             break
     if not select.select([lives], [], [], patience)[0]:
         if pid > 0:  # a command
@@ -85,5 +91,5 @@ def main(heard: int, lives: int, pid: int, patience: float) -> None:
 
 
 if __name__ == "__main__":
-    heard, lives, pid, patience = sys.argv[1:]
-    main(int(heard), int(lives), int(pid), float(patience))
+    heard, lives, pid, patience, *numbers = sys.argv[1:]
+    main(int(heard), int(lives), int(pid), float(patience), [*map(int, numbers)])

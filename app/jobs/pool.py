@@ -1,4 +1,4 @@
-"""Process pool: executes the same function for many jobs on all cores."""
+"""Process pool: executes the same function for many jobs in several processes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Workers(AbstractContextManager["Workers"]):
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
         """Prepare a number of processes; default: one for each usable core.
 
-        With the number 1, or if no process can start, this process executes the jobs.
+        With the number 1, or if a process cannot start, this process executes the jobs.
         `make_context` makes the data that all jobs share, and must be picklable.
         """
         self._make_context = make_context
@@ -80,15 +80,17 @@ class Workers(AbstractContextManager["Workers"]):
         Args:
             function: Executes a job.
             jobs: The jobs.
-            on_progress: Called in the reader's thread with the share of all work that is done, 0 to
-                1, which never decreases.
-            tells: Whether `function` has a third argument, a function that takes the share of the
-                job that is done; otherwise `on_progress` changes only at the end of each job.
+            on_progress: Called in the thread that reads the results, with the share of all work
+                that is done, 0 to 1, which never decreases.
+            tells: Whether `function` has a third argument: a function that it calls with the
+                finished share of the job. If False, the share of all work grows only at the end of
+                each job.
             lost: Makes the result of a job whose process has ended in each of three attempts.
 
         Raises:
             LoopError: Each attempt at a job has ended its process, and there is no `lost`.
-            Exception: Any exception of `function`, when the job's result is read.
+            Exception: Any exception of `function` or of `make_context`, when the job's result is
+                read.
         """
         shares = _Shares(len(jobs), on_progress)
         tasks = [_Task(function, job, tells, lost) for job in jobs]
@@ -139,7 +141,7 @@ class Workers(AbstractContextManager["Workers"]):
             self._idle.put(child)
 
     def _replaced(self, gone: Child) -> Child:
-        """Replace a process that has ended by a new one, unless the pool is ending."""
+        """Return a new process in place of an ended one; the ended one if the pool is ending."""
         with self._lock:
             if gone not in self._children:
                 return gone
@@ -156,7 +158,7 @@ class Workers(AbstractContextManager["Workers"]):
 
 
 ALONE = Workers(tuple, 1)
-"""Runs jobs in this process."""
+"""Runs jobs in this process; their context is an empty tuple."""
 
 
 class _Shares:
@@ -170,7 +172,7 @@ class _Shares:
         self._sent.put((number, share))
 
     def wait_for(self, number: int) -> None:
-        """Process the messages until a job is done."""
+        """Process the messages until the job with this number is done."""
         while self._of[number] < 1.0:
             self.take(*self._sent.get())
 
@@ -197,7 +199,8 @@ class _Task(NamedTuple):
 
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
     """Main function of a worker process, until its parent closes the connection."""
-    context = make_context()
+    made = Outcome.of(make_context)
     with suppress(EOFError):
         while True:
-            sender.send(Outcome.of(receiver.recv().do, context, sender.send))
+            task = receiver.recv()
+            Outcome.of(lambda: task.do(made.value(), sender.send)).send(sender)  # noqa: B023

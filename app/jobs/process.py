@@ -33,7 +33,7 @@ negative number if the share is unknown."""
 _CANCEL_EVERY = 0.1  # [s] time between two checks of the event that cancels
 _PATIENCE = 2.5  # [s] time in which a process can clean up before it is killed
 _BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
-"""Code of a child's interpreter: it sets the parent's `sys.path`, then imports this module."""
+"""Code of a child's interpreter: it copies the parent's `sys.path`, then imports this module."""
 _running: set[Child] = set()
 """Processes of `run_in_process`, which end when this process exits."""
 
@@ -49,9 +49,10 @@ class EndedError(LoopError):
 class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
-    `work` must be a function of a module, and its arguments must be picklable. The child does not
-    import modules from the working directory, or the parent's main module. It ignores Ctrl-C, which
-    reaches the whole group of processes; the parent handles it.
+    `work` must be a function of a module, and its arguments must be picklable. The child never
+    imports the parent's main module. It imports modules from the working directory only if the
+    parent's `sys.path` names this directory. The child ignores SIGINT (Ctrl-C); the parent handles
+    SIGINT.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Child(AbstractContextManager["Child"]):
                 stdin=alive.fileno(),
                 pass_fds=given,
             )
-        with suppress(BrokenPipeError):  # the process has ended; the waiting thread detects that
+        with suppress(BrokenPipeError):  # the process has ended; `receiver` reports that
             self.sender.send_bytes(task)
 
     def __exit__(self, *_: object) -> None:
@@ -95,7 +96,7 @@ class Child(AbstractContextManager["Child"]):
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process, and its group if it leads one; without `at_once` after a clean-up."""
+        """End the process, and its group if it leads one; without `at_once`, let it clean up."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -108,7 +109,7 @@ class Child(AbstractContextManager["Child"]):
 
 
 class Outcome(NamedTuple):
-    """Result or exception of work in another process."""
+    """Outcome of work in another process: its result, or the exception that it raised."""
 
     result: Any
     """The result; None after an exception."""
@@ -122,6 +123,16 @@ class Outcome(NamedTuple):
             return cls(work(*args))
         except Exception as error:  # raised again in the process that waits
             return cls(None, portable(error), traceback.format_exc())
+
+    def send(self, sender: Connection) -> None:
+        """Send this outcome; a result that cannot be pickled becomes a `LoopError`."""
+        try:
+            sender.send(self)
+        except OSError:
+            raise
+        except Exception as error:  # pickling may raise any exception
+            text = f"the result cannot be sent: {type(error).__name__}: {error}"
+            sender.send(Outcome(None, LoopError(text)))
 
     def value(self) -> Any:
         """Return the result, or raise the exception of the work with its traceback as the cause."""
@@ -137,10 +148,10 @@ def run_in_process(
     cancelled: threading.Event,
     niceness: int = 10,
 ) -> Any:
-    """Run `work(report, *args)` in a `Child` with a niceness from 0 to 19, and return the result.
+    """Run `work(report, *args)` in a `Child`, and return the result.
 
     `report` is called in this process with each report of `work`. The event `cancelled` ends the
-    child and all its children.
+    child and all its children. `niceness`, 0 to 19, is added to the child's niceness.
 
     Raises:
         Cancelled: `cancelled` was set.
@@ -161,7 +172,7 @@ def run_in_process(
 
 
 def portable(error: BaseException) -> BaseException:
-    """The error itself if it is picklable, otherwise a `LoopError` with the same text."""
+    """The error itself if it is picklable, otherwise a `LoopError` that quotes the error."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # the constructor of an error may raise any exception
@@ -171,7 +182,7 @@ def portable(error: BaseException) -> BaseException:
 
 
 def begin(receiver: int, sender: int, leads_group: bool) -> None:
-    """Main function of a `Child`; `receiver` and `sender` are the numbers of its connections.
+    """Main function of a `Child`; `receiver` and `sender` are the connections' descriptors.
 
     The child watches its parent before it imports the modules of the work, because the import can
     take seconds.
@@ -221,7 +232,7 @@ def _run(
 ) -> None:
     signal.signal(signal.SIGTERM, _leave)
     lower_priority(niceness)
-    sender.send(Outcome.of(work, lambda text, share: sender.send((text, share)), *args))
+    Outcome.of(work, lambda text, share: sender.send((text, share)), *args).send(sender)
     sender.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # every `finally` has run
 

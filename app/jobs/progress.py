@@ -31,9 +31,9 @@ def progress_bar(
     """Display the progress of the work `text`, whose amount is `total`; nothing if not `shown`.
 
     Yields:
-        A function that takes the amount of work that is done. If a library has swallowed the
-        exception of an ending signal, such as Ctrl-C, the start of the work or the next call of
-        this function raises the exception again.
+        A function that takes the amount of work that is done. A library can discard the exception
+        of an ending signal such as Ctrl-C. The start of the `with` and each call of the yielded
+        function then raise the exception again, in the main thread only.
     """
     _raise_lost_signal()
     show = _bar if sys.stderr.isatty() else _lines
@@ -55,7 +55,7 @@ def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
 
 
 def _raise_lost_signal() -> None:
-    """Raise the exception of a signal again if compiled code or an import has swallowed it."""
+    """Raise a signal's exception again if compiled code or an import has discarded it."""
     if _received and threading.current_thread() is threading.main_thread():
         raise _exception()
 
@@ -94,11 +94,11 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def ending_signals_raised() -> Iterator[None]:
-    """Raise exceptions for ending signals during the `with`.
+    """Raise exceptions for ending signals during the `with`, in the main thread only.
 
     SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` with 128 + the signal's
-    number. If compiled code converts the exception into another error, the exception is raised
-    again at the end. If the work does not end, `_deadline` ends the process.
+    number. If other code converts the exception into an error that is not a `DbbError`, the
+    exception is raised again at the end. If the work does not end, `_deadline` ends the process.
 
     Raises:
         KeyboardInterrupt: SIGINT (Ctrl-C) has ended the work.
@@ -116,7 +116,7 @@ def ending_signals_raised() -> Iterator[None]:
         with _deadline(tuple(before)):
             yield
     except Exception as error:
-        # This exception names the signal; a browser's error only states that the browser has ended.
+        # `_exception` names the signal; a browser's error only states that the browser has ended.
         if _received and (isinstance(error, BrowserError) or not isinstance(error, DbbError)):
             raise _exception() from error
         raise
@@ -152,7 +152,7 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     os.set_blocking(written, False)
     before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
     try:
-        with guarded(heard, _PATIENCE) as passed_on:
+        with guarded(heard, _PATIENCE, numbers) as passed_on:
             ending = ((os.dup(passed_on), os.dup(heard)), numbers, _LONGEST)
             threading.Thread(target=_end_late, args=ending, daemon=True).start()
             yield

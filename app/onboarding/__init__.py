@@ -1,4 +1,4 @@
-"""A user's own robot: converts a URDF to a description, a border and a report, and checks them."""
+"""A user's own robot: conversion of a URDF to a description, a border and a report; checks."""
 
 from functools import partial
 from importlib import import_module
@@ -7,7 +7,8 @@ from app.jobs.pool import Workers
 from app.system import usable_cores
 
 ROOT = "floor_point"
-"""Link of the base's frame: its origin is on the floor, below the middle between the wheels."""
+"""Link of the base's frame: its origin is on the floor, below the middle between the driven wheels
+or, without them, below the origin of --base."""
 SIDES = ("guiding-lateral", "guiding-front")
 """Scenarios of guiding towards the side and towards the front of the base."""
 
@@ -15,9 +16,9 @@ SIDES = ("guiding-lateral", "guiding-front")
 def helpers(processes: int | None = None) -> Workers:
     """Worker processes for `app.onboarding.new_robot.finish`.
 
-    Their number is `processes`, by default the number of usable cores; it is limited to one for
-    each scenario of `SIDES`. When the `with` statement begins, the workers import that module,
-    which takes seconds.
+    Their number is `processes`, by default the number of usable cores, but not larger than the
+    length of `SIDES`. When the `with` statement begins, the workers import the module `new_robot`,
+    which takes seconds. If the number is one, this process does the work.
     """
     prepare = partial(import_module, "app.onboarding.new_robot")
     return Workers(prepare, min(processes or usable_cores(), len(SIDES)))

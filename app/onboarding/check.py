@@ -24,7 +24,13 @@ from app.onboarding.numbers import gravity_load, largest_of_postures
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.warn import borne_push, carried_ee, holding_warning, push_warning
+from app.onboarding.warn import (
+    borne_push,
+    carried_ee,
+    holding_warning,
+    push_warning,
+    weaker_than_person,
+)
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -43,7 +49,7 @@ _MARGIN = 0.02  # [-] smallest margin of the ready posture to a limit, relative 
 _OUT_OF_BASE = 0.01  # [m] largest distance by which a mesh of the base may extend beyond l_m
 _LAYER = 0.05  # [m] height of a layer of the border
 _NEAR_POSTURES = 1000  # [-] number of random postures for the share inside of a buffer
-_MANY = 500  # [-] smallest number of points inside the border in a layer that the arm reaches
+_MANY = 500  # [-] smallest number of points inside the border in a layer that counts as reached
 _FEW = 10  # [-] smallest number of border points in a layer that does not count as empty
 _TOUCHED = {
     "contacts": "arm and base",
@@ -57,7 +63,7 @@ _HELD = (
 
 
 class Row(NamedTuple):
-    """One check."""
+    """The result of one check."""
 
     name: str
     outcome: Outcome
@@ -77,14 +83,14 @@ def check_robot(
 ) -> Iterator[Row]:
     """All checks of a description; a row is available as soon as its check ends.
 
-    A check that is not possible fails, and its row states the reason. Without a model or a border,
+    A check that ends with an error fails, and its row has the message. Without a model or a border,
     the checks that need it are left out. The checks use the robot's own parameters.
 
     Args:
         description: The description.
         runs: Whether to guide the end-effector in runs, which takes most of the time.
-        tell: Called with the name of each check before it begins.
-        processes: Number of processes that sample the border; None means all cores.
+        tell: Called with the name of each step before it begins.
+        processes: Number of processes that sample the border; None means one for each usable core.
         sampling: Parameters of a coarser border; None means the complete border.
     """
     tell("loading the robot")
@@ -164,9 +170,10 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 def engines_row(model: RobotModel) -> Row:
     """Compare depth images and contacts of pybullet and MuJoCo in random postures."""
-    if not find_spec("pybullet"):
-        text = "pybullet is not installed, so there is no second engine for a comparison"
-        return Row("engines", "warned", text, {})
+    for name in ("pybullet", "mujoco"):
+        if not find_spec(name):
+            text = f"{name} is not installed, so there is no second engine for a comparison"
+            return Row("engines", "warned", text, {})
     from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
 
     found = compare_engines(model)
@@ -180,14 +187,15 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check the motors' limits, the torques against gravity, and the inertias."""
+    """Check the joints' speed and torque limits, the torques against gravity, and the inertias."""
     names, data = model.description.arm.joints, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
     strongest = [_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units]
     limits = zip(names, model.qd_max, model.tau_max, strongest, strict=True)
     wrong = [
-        f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N)"
+        f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N), above the plausible "
+        f"{_FASTEST:g} and {most:g}"
         for name, speed, effort, most in limits
         if speed > _FASTEST or effort > most
     ]
@@ -262,13 +270,13 @@ def arm_row(model: RobotModel) -> Row:
     outcome: Outcome = "passed" if found.postures else "nothing to show"
     if found.blind or found.undetected or found.missed > MAX_UNDETECTED * found.watched:
         outcome = "failed"
-    elif found.missed:
+    elif found.missed or found.left_out > MAX_UNDETECTED * found.looked_at:
         outcome = "warned"
     return Row("arm's bodies", outcome, text, numbers)
 
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
-    """The geometry of the robot's URDF over the whole motion of fingers and telescopes."""
+    """The geometry of the robot's links, extended by the motions of some links; see `filled`."""
     tree = make_tree(read_robot(urdf_path(model.description))[0])
     chain = [tree.joints[name] for name in model.description.arm.joints]
     return filled(tree, read_geometry(tree), chain)
@@ -289,12 +297,15 @@ def holding_row(model: RobotModel) -> Row:
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warn if a person can push the arm against the base with any controller."""
+    """Warn if a person can push the arm against the base, regardless of the controller."""
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
+    person, weak = weaker_than_person(model, borne)
     text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
-    warning, numbers = push_warning(borne), {"least_push_borne_n": float(borne.min())}
+    if weak > 0.0:
+        text += f"; in {weak:.0%} of the postures, a push of {person:g} N is too strong for them"
+    warning, numbers = push_warning(model, borne), {"least_push_borne_n": float(borne.min())}
     return Row("push", "warned" if warning else "passed", warning or text, numbers)
 
 
@@ -324,26 +335,24 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def ready_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that the ready posture is away from the joint limits and outside of every buffer."""
-    if not data.pairs.all:
-        return Row("ready pose", "passed", "no bodies can meet", {})
+    """Check that the ready posture is away from the position limits and outside of every buffer."""
     q_m = np.array(model.description.arm.ready_position)
     span = model.q_upper - model.q_lower
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
-    ready = judge_ready(model, data.pairs, q_m)
-    numbers = {"beyond_buffer_m": ready.beyond_buffer, "least_joint_margin": left}
-    text = f"{ready.nearest} is {ready.beyond_buffer:+.3f} m from its buffer; the smallest "
-    text += f"distance of a joint from its limits is {left:.0%} of its range"
-    good = ready.beyond_buffer >= 0 and left >= _MARGIN
+    numbers, text, good = {"least_joint_margin": left}, "no bodies can meet", left >= _MARGIN
+    if data.pairs.all:
+        ready = judge_ready(model, data.pairs, q_m)
+        numbers["beyond_buffer_m"], good = ready.beyond_buffer, good and ready.beyond_buffer >= 0
+        text = f"{ready.nearest} is {ready.beyond_buffer:+.3f} m from its buffer"
+    text += f"; the smallest distance of a joint from its limits is {left:.0%} of its range"
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that the border of each pair of L_m has points at all heights between its ends.
+    """Check that the border of each pair with l_m has points at the heights that the arm reaches.
 
-    The arm possibly does not reach the border at its lowest and highest heights, and a pair that is
-    rarely near possibly has no points at all. There the exact offset of l_m replaces the points;
-    the row reports these pairs and heights.
+    A gap between the lowest and the highest point causes a warning. The row also reports other
+    heights and pairs without points; there the exact offset of l_m replaces the points.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -379,8 +388,14 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """Guide the end-effector towards the base, and compare with a run without avoidance.
 
-    The outcome is `warned` if the arm cannot start on the line. If the arm does not come nearer to
-    the base than half of d_b even without avoidance, and nothing fails, it is "nothing to show".
+    A run that cannot start is `warned`. The outcome of another run is the first of these that
+    applies:
+
+    - `failed` after a contact, an unsolved QP, or a distance to the base below 0.03 m;
+    - "nothing to show" if the arm without avoidance stays d_b/2 or more away from the base;
+    - `warned` if the base moves by less than d_b/3, and the arm cannot hold its end-effector;
+    - `failed` if the base moves by less than d_b/3;
+    - `passed`.
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of

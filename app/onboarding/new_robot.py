@@ -60,7 +60,7 @@ def finish(
     """Create a robot and its border, and write the complete folder or nothing.
 
     `helpers` starts workers after the meshes are read; they do all parallel work except sampling
-    the border. The border is sampled by `processes`, by default one for each usable core; with
+    the border. `processes` processes sample the border, by default one for each usable core; with
     `sampling`, the parameters of a coarse border, this process samples it alone, because starting
     others would take longer. `whole` is the result of `whole_robot`, or None, which means that this
     function calls it. `tell` is called with the name of each step, and `on_progress` with the
@@ -68,9 +68,9 @@ def finish(
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
-        AssetError: A package is not installed.
+        AssetError, UnknownNameError: As for `whole_robot`.
         DescriptionError: The result is not a valid robot.
-        OutputError: The folder exists or cannot be written.
+        OutputError: The folder exists and is not empty, or cannot be written.
     """
     request.name  # noqa: B018 - reports a wrong name before any work
     doing = ""
@@ -152,17 +152,17 @@ def _written(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> NewRobot:
-    """Search lines for guiding, collect all warnings, and write all files but URDF and meshes.
+    """Find lines for guiding, collect all warnings, and write all files but URDF and meshes.
 
     Returns:
         The robot with its lines and warnings.
     """
     tell("searching lines for guiding")
-    # If the arm cannot hold its end-effector, it avoids the base by itself, on any line.
+    # An arm that cannot hold its end-effector avoids the base by itself: a fault is acceptable.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
     jobs = [(name, robot.model, data, anyway) for name in names]
     lines = workers.map(line_from, jobs, on_progress, tells=True)
-    # Imported here: worker processes import this module, and need no matplotlib.
+    # Imported here: matplotlib would delay the start of the workers, which import this module.
     from app.onboarding.report import VIEW, draw, report_html
 
     pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
@@ -173,7 +173,7 @@ def _written(
     content = robot.content | {"lines": content, "without_line": lacking}
     model = compiled(content, folder / _URDF)
     robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
-    weak = push_warning(borne_push(model, data.pairs.mobile))
+    weak = push_warning(model, borne_push(model, data.pairs.mobile))
     robot = replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)])
     tell("writing the report")
     write_robot(robot, folder)
@@ -184,7 +184,9 @@ def _written(
 
 
 class _Embodied(NamedTuple):
-    """A robot with its bodies, and the buffer distance and the limits that these need."""
+    """A robot with fitted bodies; `request` has the final buffer distance, `parsed` the final joint
+    limits.
+    """
 
     request: Request
     parsed: Parsed
@@ -203,13 +205,14 @@ def _embodied(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> _Embodied:
-    """Fit bodies around groups of links, up to three times if the bodies miss a collision.
+    """Fit bodies around groups of links, up to three times if a collision remains undetected.
 
-    The result is the fit with the fewest pairs that miss more than half of the collisions of their
-    links in new random postures, and among equals the one that misses the fewest collisions.
+    The result is the fit with the fewest pairs in `Detection.blind`, and among equals the one with
+    the smallest `Detection.undetected`.
 
     Raises:
-        RobotFileError: In each fit, a pair misses more than half of its links' collisions.
+        RobotFileError: In each fit, a pair is in `Detection.blind`, which means that it misses more
+            than half of its links' collisions; or as for `with_stops` or `find_grouping`.
     """
     tell("sampling random postures")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
@@ -247,7 +250,7 @@ def _embodied(
     best = min(found, key=lambda each: (len(each.detection.blind), each.detection.undetected))
     if best.detection.blind:
         raise RobotFileError(
-            f"the bodies {', '.join(best.detection.blind)} do not enclose their colliding links; "
+            f"the bodies of {', '.join(best.detection.blind)} do not enclose their links; "
             f"choose a number of --bodies other than {len(best.grouping.bodies) - 1}, or "
             "a different --seed"
         )
@@ -260,7 +263,7 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
     Raises:
         RobotFileError: The URDF cannot become a robot; the message names the reason and the option
             that helps.
-        AssetError: A package is not installed.
+        AssetError, UnknownNameError: As for `whole_robot`.
     """
     tree, base, tip, arm, changes = whole or whole_robot(request)
     limits = read_limits(arm)
@@ -298,7 +301,7 @@ def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
-    """Refuse a ready posture with a wrong number of joints, or outside of their limits."""
+    """Refuse a ready posture with a wrong number of joints, or outside of the position limits."""
     if request.ready is None:
         return
     if len(request.ready) != len(arm.joints):

@@ -21,7 +21,7 @@ from app.strict import Array
 Sourced = Mapping[str, tuple[Any, str]]
 """Values with their sources, by the field of the description."""
 
-_TURN = np.pi  # [rad] assumed limit in both directions of a joint without limits
+_TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from the other limit
 _SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
 _LARGEST = 1000.0  # [rad] or [m] position limit from which a joint counts as unlimited
 _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
@@ -72,14 +72,12 @@ def read_limits(arm: Arm) -> Limits:
     """
     _check_ranges(arm.joints)
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
-    endless = [joint.name for joint in arm.joints if _range(joint) is None]
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
-    position = _origin(endless, "half a turn in both directions")
-    lower, upper = zip(*(_range(joint) or (-_TURN, _TURN) for joint in arm.joints), strict=True)
+    lower, upper = zip(*map(_assumed_range, arm.joints), strict=True)
     source = {
-        "position_lower": position,
-        "position_upper": position,
-        "max_velocity": _origin(speedless, "1.5 rad/s or 0.3 m/s"),
+        "position_lower": _range_origin(arm.joints, "lower"),
+        "position_upper": _range_origin(arm.joints, "upper"),
+        "max_velocity": _origin({"1.5 rad/s or 0.3 m/s": speedless}),
         "max_effort": "from the URDF",
     }
     velocity = tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True))
@@ -88,23 +86,28 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
-    """The limits with a multiple of the gravity load of `model` for each missing effort."""
+    """The limits; a missing effort is a multiple of the gravity load, at least `_MIN_EFFORT`."""
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
     effort = [
-        round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
+        e or round(float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     ]
-    text = _origin(missing, "2.5 times the largest gravity load in random postures")
+    why = (
+        f"{_GRAVITY_SHARE:g} times the largest gravity load in random postures, at least "
+        f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
+    )
+    text = _origin({why: missing})
     return limits._replace(effort=tuple(effort), source=limits.source | {"max_effort": text})
 
 
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     """(n_m,) [N m s/rad or N s/m] damping D of the joints while a person guides the arm.
 
-    It is the damping of the paper's robot, but at most m/(3 dt), which pybullet simulates stably. m
-    is the smallest inertia of the joint in random postures, with the other joints free; dt = 1 ms.
+    It is the damping of a similar joint of the paper's robot, or 20 N s/m for a prismatic joint;
+    but at most m/(3 dt), which pybullet simulates stably. m is the smallest inertia of the joint in
+    random postures, with the base and the other joints free; dt = 1 ms.
     """
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
@@ -130,34 +133,55 @@ def largest_of_postures(model: RobotModel, values: Callable[[Array], Array]) -> 
     return np.max([values(each) for each in q], axis=0)
 
 
-def _range(joint: Joint) -> tuple[float, float] | None:
-    """The limits of a joint, or None if it turns without limits."""
-    low, high = joint.lower, joint.upper
-    if low is None or high is None or max(abs(low), abs(high)) >= _LARGEST:
-        return None
-    return low, high
+def _range(joint: Joint) -> list[float | None]:
+    """The lower and the upper limit of a joint; None on a side without a limit."""
+    return [None if q is None or abs(q) >= _LARGEST else q for q in (joint.lower, joint.upper)]
+
+
+def _assumed_range(joint: Joint) -> tuple[float, float]:
+    """The limits of a joint, with assumed ones on the sides without a limit."""
+    low, high = _range(joint)
+    return (
+        min(0.0, high or 0.0) - _TURN if low is None else low,
+        max(0.0, low or 0.0) + _TURN if high is None else high,
+    )
+
+
+def _range_origin(joints: Sequence[Joint], side: str) -> str:
+    """The source of the lower or the upper limits of joints; `side` is `lower` or `upper`."""
+    found: dict[str, list[str]] = {}
+    for joint in joints:
+        low, high = _range(joint)
+        if low is high is None:
+            found.setdefault("half a turn in both directions", []).append(joint.name)
+        elif (low if side == "lower" else high) is None:
+            found.setdefault("half a turn", []).append(joint.name)
+        elif joint.unstated == side:
+            found.setdefault("0, as the URDF states only the other", []).append(joint.name)
+    return _origin(found)
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
     """Refuse implausible limits; one message names all joints and their corrections."""
     wrong: dict[str, list[str]] = {}
     for joint in joints:
-        limits = _range(joint)
-        if limits is None:
-            why = "are prismatic without limits; add a <limit>" * (joint.kind == "prismatic")
-        elif limits == (0.0, 0.0):
+        limits = [q for q in _range(joint) if q is not None]
+        farthest = max(map(abs, limits), default=0.0)
+        if joint.kind == "prismatic" and len(limits) < 2:
+            why = "are prismatic without a limit on each side; write them in the <limit>"
+        elif limits == [0.0, 0.0]:
             why = "have limits of 0, as some exporters write; write those of the real joints, as "
             why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'
-        elif not limits[0] < limits[1]:
+        elif len(limits) == 2 and not limits[0] < limits[1]:
             why = "have a lower limit that is not below the upper limit; correct the <limit>"
-        elif joint.kind == "prismatic" and max(map(abs, limits)) > _TOO_FAR:
+        elif joint.kind == "prismatic" and farthest > _TOO_FAR:
             why = "have limits of many metres, which are probably millimetres; write metres"
-        elif joint.kind == "revolute" and max(map(abs, limits)) > _DEGREES:
+        elif joint.kind == "revolute" and farthest > _DEGREES:
             why = "have limits of more than two turns, which are probably degrees; write radians "
             why += '(90 degrees are 1.5708), or type="continuous" for a joint without limits'
         else:
             why = ""
-        stated = f" ({limits[0]:g} to {limits[1]:g})" if limits else ""
+        stated = f" ({joint.lower:g} to {joint.upper:g})" if limits else ""
         wrong.setdefault(why, []).append(joint.name + stated)
     wrong.pop("", None)
     if wrong:
@@ -169,10 +193,10 @@ def _within(value: float | None, most: float) -> float:
     return value if value and 0 < value < most else 0.0
 
 
-def _origin(assumed: list[str], what: str) -> str:
-    if not assumed:
-        return "from the URDF"
-    return f"from the URDF; assumed for {', '.join(assumed)}: {what}"
+def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
+    """The source of numbers; `assumed` has the names of joints by the assumption for these."""
+    parts = [f"assumed for {', '.join(names)}: {what}" for what, names in assumed.items() if names]
+    return "; ".join(["from the URDF", *parts])
 
 
 _BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as for the paper's robot
@@ -185,7 +209,7 @@ _AS_PAPERS = "assumed: as for the paper's robot"
 
 
 def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
-    """The fields that name joints, for the base of a description."""
+    """The fields that name the wheels' joints, for a description's base of the kind `kind`."""
     if kind == "differential":
         return {"left_wheel_joints": wheels.left, "right_wheel_joints": wheels.right}
     if wheels.steering is None:
@@ -225,7 +249,7 @@ def base_numbers(
     if kind != "car-like":  # the steering limits its angular velocity
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
         w = min(_BASE_SPEED[1], v / b if b else np.inf)
-        one_wheel = "assumed: one wheel is at rest, the other is at its speed limit"
+        one_wheel = "assumed: the wheels turn at their speed limit in opposite directions"
         turning = _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel
         found["max_angular_velocity_radps"] = round(w, 3), turning
         found["max_angular_acceleration_radps2"] = _ACCELERATION[1], _AS_PAPERS
@@ -233,7 +257,7 @@ def base_numbers(
 
 
 def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, tuple[Any, str]]:
-    """The wheel radius, and the half track or the steering; none for a holonomic base."""
+    """Wheel radius, and half track or steering, with sources; empty for a holonomic base."""
     how = wheels.how if wheels.how.startswith("from --") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
@@ -279,7 +303,7 @@ def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach
     """The names and coefficients of all bodies that are a candidate for a pair with l_m.
 
     `workers` start at once, so the caller can do other work before it reads the results. If fewer
-    than three joints move a body, or if (9) does not fit its map, the coefficients are assumed.
+    than three joints move a body, or it has no map or no fit of (9), the coefficients are assumed.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]

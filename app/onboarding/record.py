@@ -26,12 +26,12 @@ class Parsed:
     inertias: dict[str, LinkInertia]
     limits: Limits
     changes: tuple[str, ...] = ()
-    """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
+    """Sentences on removed shapes, telescopes with one joint, and a reduced buffer distance."""
 
 
 @dataclass(frozen=True)
 class NewRobot:
-    """All data of a new robot, which its files contain; lines and warnings come last."""
+    """All data of a new robot, which its files contain; lines and warnings are added last."""
 
     request: Request
     parsed: Parsed

@@ -31,7 +31,7 @@ Bare = Literal["design", "mistake"]
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
 """Colours of links: None for links inside of their bodies."""
 _BARE = 0.005  # [m] distance beyond its body up to which a point of a link counts as enclosed
-_BODY = "#0072B2"  # colour of bodies
+_BODY = "#0072B2"  # colour of all bodies in the 3D view
 _ORIGIN = (0.0, 0.0, 0.0)  # pose of the base
 
 
@@ -53,8 +53,8 @@ class Pictures(NamedTuple):
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
     """Draw a robot and its border, in a worker process.
 
-    The pictures do not show the lines for guiding. Therefore a worker can draw them while another
-    worker still searches for a line.
+    The pictures do not show the lines for guiding. Therefore a worker can draw the pictures while
+    another worker still searches for a line.
     """
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
@@ -169,7 +169,7 @@ BODY_COLOURS = (
     *("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9"),
     *("#332288", "#882255", "#999933"),
 )
-"""One colour for the base and for each of the largest number of --bodies."""
+"""Nine colours: one for the base, and one for each body of the arm, up to eight (--bodies)."""
 _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
@@ -203,7 +203,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
 
 
 def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
-    """The border of each pair of L_m at two heights, or None without border points.
+    """The border of each pair with l_m at two heights, or None if no pair has sampled points.
 
     The heights are half the height of l_m, and d_b / 2 above its top.
     """
@@ -267,7 +267,7 @@ def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
 
 
 def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -> None:
-    """Draw the hull of points (N, 3) [m], projected on the coordinates number x and y."""
+    """Draw the hull of points (N, 3) [m], projected to the coordinates with the indices x and y."""
     flat = points[:, [x, y]]
     ring = flat[ConvexHull(flat, qhull_options="QJ").vertices]  # QJ: a plate can become a line
     style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}

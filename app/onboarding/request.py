@@ -3,12 +3,15 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os.path import isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from typing import NamedTuple
 
 from app.config import Config, parameter
 from app.errors import ConfigError, RobotFileError, UnknownNameError
+from app.robot.assets import robot_folder
 from app.strict import MAX_SEEDS, Vector3, check_range
+from app.system import home_expanded
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # pattern of a robot's name
 
@@ -41,8 +44,8 @@ class Request:
     tip_xyz: Vector3 = (0.0, 0.0, 0.0)
     """[m] position of the end-effector's frame in the frame of --tip."""
     tip_rpy: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] rotation of the end-effector's frame in the frame of --tip; its z axis points out of
-    the gripper."""
+    """[rad] rotation of the end-effector's frame in the frame of --tip. The z axis of the
+    end-effector's frame must point out of the gripper."""
     half_track: float | None = None
     """[m] effective half track of the base; default: half of the distance between the
     wheels. Only for a differential base."""
@@ -67,20 +70,21 @@ class Request:
     licence: str | None = None
     """Licences of the files that the URDF refers to."""
     seed: int = 0
-    """Seed of all random postures."""
+    """Seed of the random postures for the bodies and the ready posture."""
     d_b: float | None = None
     """[m] buffer distance d_b of this robot; the bodies and the ready posture depend on it.
-    Default: 0.15, or less if a link of the arm is nearer than this to the base in most postures,
-    and no joint limit prevents their contact."""
+    Default: 0.15. It is smaller if a link of the arm is nearer than 0.15 m to the base in most
+    postures, and no joint limit prevents their contact."""
     file: str | None = None
     """Path of the URDF within the zip, if the zip contains several."""
     source: str | None = None
     """Displayed source of the robot; default: `urdf`."""
     package: tuple[str, ...] = ()
-    """Folders of ROS packages, as NAME=FOLDER. Other packages are searched in the URDF's folder and
-    its parents, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed packages."""
+    """Folders of ROS packages, as NAME=FOLDER. The program looks for other packages in the URDF's
+    folder and its parents, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and in this Python
+    environment."""
     xacro: tuple[str, ...] = ()
-    """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
+    """Arguments of a xacro file, as NAME=VALUE or NAME:=VALUE, such as ur_type=ur20."""
 
     @property
     def zipped(self) -> bool:
@@ -136,17 +140,24 @@ _FARTHEST = 10.0  # [m] or [rad] largest coordinate of a position or rotation
 
 
 def option(field: str) -> str:
-    """The option of `dbb new-robot` that sets a field of `Request`."""
+    """The option of `dbb new-robot` that sets a field of `Request` other than `urdf` and `d_b`."""
     return "--" + field.replace("_", "-")
 
 
 def check_request(request: Request) -> None:
-    """Refuse numbers out of bounds, options of another kind of base, and packages without a folder.
+    """Refuse an existing robot's name, numbers out of bounds, options of another kind of base, and
+    packages without a folder.
 
     Raises:
         UnknownNameError: The kind of base does not exist.
         ConfigError: An option is wrong; the message names the option and the valid values.
+        RobotFileError: The folder's name is not a valid name.
     """
+    used = robot_folder(request.name)
+    if isfile(used / "robot.toml") and used.resolve() != request.out.resolve():
+        raise ConfigError(
+            f"--out: the robot {request.name!r} exists in {used}; choose another name"
+        )
     known = parameter("border.d_b")
     check_range("--buffer-distance", request.buffer, known.low, known.high, known.unit)
     check_range("--seed", request.seed, 0, MAX_SEEDS)
@@ -193,14 +204,17 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
     Raises:
         ConfigError: An entry has another form, or its folder does not exist.
     """
-    folders = named("--package", entries, "FOLDER")
-    if lost := [folder for folder in folders.values() if not Path(folder).is_dir()]:
+    entered = named("--package", entries, "FOLDER")
+    folders = {name: home_expanded(folder) for name, folder in entered.items()}
+    if lost := [folder for folder in folders.values() if not folder.is_dir()]:
         raise ConfigError(f"--package: there is no folder {lost[0]}")
-    return {name: Path(folder).resolve() for name, folder in folders.items()}
+    return {name: folder.resolve() for name, folder in folders.items()}
 
 
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
-    """The values of an option by name, from entries of the form `NAME=…`; `what` is for the error.
+    """The values of an option by name, from entries of the form `NAME=…`.
+
+    `NAME:=…`, the form of ROS, is accepted too. `what` is the word for the value in an error.
 
     Raises:
         ConfigError: An entry has another form.
@@ -208,6 +222,7 @@ def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
     found = {}
     for each in entries:
         name, _, value = each.partition("=")
+        name = name.removesuffix(":")
         if not (name and value):
             raise ConfigError(f"{option}: {each!r} is not of the form NAME={what}")
         found[name] = value

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from app.border.mobile import MobileBody
-from app.config import AdmittanceConfig, PersonConfig, parameter
-from app.control.admittance import largest_command
+from app.config import parameter
+from app.control.inputs import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
@@ -34,9 +34,9 @@ _IN_FLOOR = 0.005  # [m] largest depth below the floor
 _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
 _TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
 _FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
-_POSTURES, _SAMPLES = 100, 2000  # [-] number of postures near the base, and of random ones
+_POSTURES, _SAMPLES = 100, 2000  # [-] largest numbers of postures near the base, and of random ones
 _NEAR = 0.30  # [m] largest distance between arm and base in a posture near the base
-_LEFT = 0.10  # [-] largest share of the base's motion that the arm does not compensate
+_LEFT = 0.10  # [-] largest residual of a held end-effector, relative to the base's motion
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
 _NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
@@ -46,7 +46,7 @@ _OFTEN = 0.25  # [-] share of postures above which there is a warning
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
-    """All warnings, one sentence each; the most serious ones are first."""
+    """All warnings except `push_warning`, one sentence each; the most serious ones are first."""
     return [
         *_scale(robot),
         *_places(robot),
@@ -129,7 +129,10 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
             )
     for pair in sorted(meetings.nested):
         a, b = (meetings.units[unit].name for unit in pair)
-        yield f"{a} and {b} touch in most postures: they count as nested, and are not a pair"
+        yield (
+            f"the hulls of {a} and {b} touch in most postures: they count as nested, and no pair "
+            "monitors them"
+        )
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
     for body in robot.bodies:
@@ -182,9 +185,13 @@ def _joints(robot: NewRobot) -> Iterator[str]:
                 f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
                 f"before {why.partition('; ')[0]}"
             )
+    assumed: dict[str, str] = {}
     for field, text in limits.source.items():
-        if "assumed for" in text and field != "position_upper":
-            yield f"{field.replace('_', ' ')} of {text.partition('assumed for ')[2]} (assumed)"
+        for part in text.split("; "):
+            if part.startswith("assumed for "):  # for both position limits at once, or for one
+                assumed.setdefault(part.removeprefix("assumed for "), field.replace("_", " "))
+    for part, field in assumed.items():
+        yield f"{field} of {part} (assumed)"
 
 
 def _inertias(robot: NewRobot) -> Iterator[str]:
@@ -260,7 +267,7 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of the distances of points to the shapes of a body.
+    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes.
 
     The points (N, 3) [m] are in the frame of the body's joint.
     """
@@ -274,7 +281,7 @@ def outside(model: RobotModel, body: str, points: Array) -> Array:
 
 
 def wheels_carried(parsed: Parsed) -> list[str]:
-    """Joints without limits on the fixed links of a separate URDF of the arm."""
+    """Continuous joints on fixed links of a separate arm's URDF that do not belong to the arm."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
@@ -342,11 +349,11 @@ class Carried(NamedTuple):
     place: float
     """[-] share of the postures in which the arm cannot hold the end-effector's position."""
     pose: float
-    """[-] share of the postures in which it cannot hold both position and orientation."""
+    """[-] share of the postures in which the arm cannot hold both position and orientation."""
 
     @property
     def text(self) -> str:
-        """The words after "while the base" in a warning."""
+        """The base's motion in words, such as "turns at 0.5 rad/s"."""
         if self.axis.angular:
             return f"turns at {self.speed:g} rad/s"
         return f"moves {self.axis.way} at {self.speed:g} m/s"
@@ -359,7 +366,7 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
     `_near_postures`; the base moves along one axis at its largest commanded speed.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
-    speeds = largest_command(base, AdmittanceConfig())
+    speeds = largest_command(base, model.description.config.admittance)
     postures = _near_postures(model)
     lost = np.zeros((len(postures), n_b, 2))
     for k, q_m in enumerate(postures):
@@ -379,9 +386,9 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
     The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' speed
     limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
-    linear motion. The pose is lost if the position is, or if the linear or the angular residual of
-    all rows exceeds a tenth of the larger one of linear and angular motion; a lever of 0.3 m
-    converts angular parts to metres.
+    linear motion. The pose is lost if the position is lost. The pose is lost too if, for all rows,
+    the linear or the angular residual exceeds a tenth of the larger one of linear and angular
+    motion. A lever of 0.3 m converts angular parts to metres.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
@@ -429,7 +436,7 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
 
     Each value is the `force_bound` of the nearest pair at rest in one of the postures of
-    `_near_postures`; `pairs` are the pairs of L_m. Without pairs, N is 0.
+    `_near_postures`; `pairs` are the pairs with the base. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():
@@ -443,13 +450,18 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     return np.array(found)
 
 
-def push_warning(borne: Array) -> str:
+def weaker_than_person(model: RobotModel, borne: Array) -> tuple[float, float]:
+    """[N] force of a person, and [-] the share of `borne` of `borne_push` that is smaller."""
+    person = model.description.config.hand.f_max
+    return person, float((borne < person).mean()) if len(borne) else 0.0
+
+
+def push_warning(model: RobotModel, borne: Array) -> str:
     """A warning of an arm that a person can push against the base, or empty.
 
     `borne` is the result of `borne_push`.
     """
-    person = PersonConfig().f_max
-    weak = float((borne < person).mean()) if len(borne) else 0.0
+    person, weak = weaker_than_person(model, borne)
     if weak <= _OFTEN:
         return ""
     return (
@@ -460,7 +472,7 @@ def push_warning(borne: Array) -> str:
 
 
 def _near_postures(model: RobotModel) -> Array:
-    """(N, n_m) up to 100 random postures without contact in which the arm is near the base.
+    """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base.
 
     If fewer than 25 of these are found, the arm may be anywhere; if no posture is without contact,
     the result is the posture at the lower limits.

@@ -1,6 +1,7 @@
 """The robot of a request: one or two URDFs as one tree, before any shape is read.
 
-This module imports little, so a wrong file is refused before slow imports and before processes.
+This module imports little, so a wrong file is refused before slow imports and before
+processes start.
 """
 
 import logging
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from app.errors import DbbError, RobotFileError
+from app.errors import DbbError, RobotFileError, check_name
 from app.onboarding import ROOT
 from app.onboarding.read.source import locate, read_robot
 from app.onboarding.read.telescope import as_one_slide
@@ -63,15 +64,19 @@ def whole_robot(request: Request) -> Whole:
     Raises:
         RobotFileError: A file is not a URDF, or the requested links do not exist or have no arm
             between them.
+        UnknownNameError: No xacro declares an argument of --xacro.
         AssetError: A package is not installed.
     """
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
-    trees, said = [], []
+    trees, said, known = [], [], set[str]()
     for file in filter(None, (request.urdf, request.arm_urdf)):
-        robot, left_out = read_robot(locate(file), packages, arguments)
+        robot, left_out, declared = read_robot(locate(file), packages, arguments)
         trees.append(make_tree(robot))
         said += left_out
+        known |= declared
+    for name in arguments:
+        check_name("argument of --xacro", name, known)
     tree, *arms = trees
     tip = request.tip
     for arm in arms:
@@ -109,8 +114,8 @@ def with_distinct_names(tree: Tree) -> tuple[Tree, dict[str, str]]:
     """The tree with distinct names, and the new names of its renamed links by the old ones.
 
     A joint with the name of a link or with a reserved name gets the suffix `_joint`, a link with a
-    reserved name the suffix `_link`. This program and pinocchio use the reserved names. A URDF may
-    contain such names, but pinocchio and MuJoCo cannot distinguish them.
+    reserved name the suffix `_link`. This program and pinocchio use the reserved names. In a URDF a
+    link and a joint may have the same name, but pinocchio and MuJoCo cannot distinguish the two.
     """
     links = _distinct(tree.links, _OWN_LINKS, {*tree.links, *tree.joints}, "{}_link")
     foreign = {links.get(name, name) for name in tree.links} | _OWN_JOINTS

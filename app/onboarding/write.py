@@ -100,14 +100,18 @@ BY_HAND = "set by hand"  # source of a number that a person has changed
 def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     """Write a robot's folder with changes; all other content stays the same.
 
-    If `out` is the folder `source`, the changes are made in place; otherwise `out` is a copy.
+    If `out` is the folder `source`, the changes are made in place. If `out` is a different folder,
+    it becomes a copy with a new name and title.
 
     Raises:
-        DescriptionError: The result is not a valid description, or reading the present description
-            takes more time or memory than `within_budget` allows.
-        OutputError: `out` is another robot's folder, or cannot be written.
+        DescriptionError: The result is not a valid description, or the present description cannot
+            be read, or not with the time and memory that `within_budget` allows.
+        OutputError: `out` is another folder that is not empty, or cannot be written.
     """
-    before = file_text(source / "robot.toml")
+    try:
+        before = file_text(source / "robot.toml")
+    except (OSError, ValueError) as error:
+        raise DescriptionError(f"{source / 'robot.toml'}: cannot be read: {error}") from None
     in_place = out.resolve() == source.resolve()
     name = None if in_place else out.name
     try:
@@ -126,7 +130,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
 
 
 def _changed_text(text: str, name: str | None, changes: HandMade) -> str:
-    """The text of a description with changes, and with a new name unless `name` is None."""
+    """The text of a description with changes, and with a new name if `name` is not None."""
     document: Any = tomlkit.parse(text)
     if name is not None:
         document["name"], document["title"] = name, f"{document['title']} ({BY_HAND})"
@@ -219,10 +223,10 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
 def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
-    For a mesh in `home`, the folder of the new URDF, this is a relative path, because the folder
-    may be moved. For other meshes, and without `home`, it is `address`. With `home`, a mesh for
-    which `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the
-    link in an error.
+    For a mesh in `home`, the folder of the new URDF, the result is a relative path, because the
+    folder may be moved. For other meshes, and without `home`, the result is `address`. With `home`,
+    a mesh for which `is_foreign` is true is converted to an STL file in metres in `home`. `where`
+    names the link in an error.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -314,8 +318,8 @@ def description(
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
-    joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics do
-    not need the two arguments. `unwatched` has the reason for each pair of bodies that is not
+    joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics do not
+    need `bodies` and `moving`. `unwatched` has the reason for each pair of bodies that is not
     monitored, by the pair's name.
     """
     arm, limits = parsed.arm, parsed.limits

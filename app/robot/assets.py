@@ -24,7 +24,7 @@ import platformdirs
 
 from app.errors import AssetError, DescriptionError, RobotFileError, UnknownNameError, check_name
 from app.strict import content_of, placeholder
-from app.system import cache_folders, home_folder, is_writable
+from app.system import cache_folders, home_expanded, home_folder, is_writable
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _PROJECT = _PACKAGE.parent
@@ -46,8 +46,10 @@ _WITH_PYBULLET = (
 
 
 def cache_folder() -> Path:
-    """Folder of new borders: `dbb_cache/` in a writable checkout, otherwise the first writable one
-    of the user's cache folders; if none is writable, the first of them.
+    """Folder of new borders.
+
+    It is `dbb_cache/` in a writable checkout. Without one, it is the first writable one of the
+    user's cache folders or, if none is writable, the first of them.
     """
     if IN_CHECKOUT and is_writable(SHIPPED_CACHE):
         return SHIPPED_CACHE
@@ -56,7 +58,7 @@ def cache_folder() -> Path:
 
 
 def user_robots() -> list[Path]:
-    """Folders of the user's own robots in `$DBB_ROBOTS`; new ones go into the first.
+    """Folders of the user's own robots in `$DBB_ROBOTS`; the dashboard uses the first for new ones.
 
     An empty entry, or an unset `$DBB_ROBOTS`, means the folder `robots` in the user's data folder.
     """
@@ -67,8 +69,7 @@ def user_robots() -> list[Path]:
 def _listed_folders() -> list[Path | None]:
     """The folders in `$DBB_ROBOTS`; None for an empty entry."""
     parts = map(str.strip, os.environ.get("DBB_ROBOTS", "").split(os.pathsep))
-    # `Path.expanduser` would raise an error for an unknown user.
-    return [Path(os.path.expanduser(part)) if part else None for part in parts]
+    return [home_expanded(part) if part else None for part in parts]
 
 
 def is_own(name: str) -> bool:
@@ -86,7 +87,7 @@ def check_robot_name(name: str) -> None:
     """Refuse the name of a robot that does not exist.
 
     Raises:
-        UnknownNameError: Lists the existing robots, and wrong folders of `$DBB_ROBOTS`.
+        UnknownNameError: Lists the existing robots, and the first wrong folder of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())
@@ -112,8 +113,21 @@ def robot_folder(name: str) -> Path:
     """Folder of a robot's description; a delivered robot has precedence over a user's robot of the
     same name. For an unknown name, the folder that a delivered robot of this name would have.
     """
-    folders = [top / name for top in _tops()]
-    return next((each for each in folders if isfile(each / "robot.toml")), folders[0])
+    return next(iter(_folders(name)), ASSETS / name)
+
+
+def hidden_robot(name: str) -> str:
+    """A sentence on an unused folder, if several folders have a robot of this name; or empty."""
+    used, *others = dict.fromkeys(each.resolve() for each in _folders(name)) or [None]
+    if not others:
+        return ""
+    winner = "a delivered robot" if used == (ASSETS / name).resolve() else f"the robot in {used}"
+    return f"{others[0]} is not used, because {winner} has the same name; rename the folder"
+
+
+def _folders(name: str) -> list[Path]:
+    """All folders with a robot of this name; the first has precedence."""
+    return [folder for top in _tops() if isfile((folder := top / name) / "robot.toml")]
 
 
 def _tops() -> list[Path]:
@@ -222,7 +236,7 @@ _ZERO_INERTIAL = (
 def resolved_urdf(description: HasUrdf) -> str:
     """The robot's URDF with every mesh by its absolute path, and an inertia for each link.
 
-    A link without an inertia gets zero, because pybullet would assume 1 kg.
+    A link without an inertia gets mass and inertia 0, because pybullet would assume 1 kg.
 
     Raises:
         AssetError: The URDF or one of its meshes is missing, or a mesh with a relative path is
@@ -276,8 +290,8 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
 
     Raises:
         AssetError: The file is missing.
-        DescriptionError: The file cannot be read, is not valid XML, or is larger than the file of
-            any robot.
+        DescriptionError: The file cannot be read, is not valid XML, is too large, or has more than
+            200 moving joints.
     """
     path = urdf_path(description)
     try:
@@ -302,6 +316,15 @@ _UTF16 = {
 }
 """First bytes of a file in UTF-16; a file with other first bytes is read as UTF-8 if it declares
 UTF-16."""
+_KINDS = {
+    **dict.fromkeys((b"#usda", b"PXR-USDC"), "a USD file"),
+    b"%PDF": "a PDF",
+    b"solid ": "an STL mesh",
+    **dict.fromkeys((b"\x89PNG", b"\xff\xd8\xff", b"GIF8"), "a picture"),
+    b"glTF": "a glTF mesh",
+    b"\x7fELF": "a program",
+}
+"""Kinds of files by their first bytes."""
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
 
@@ -317,12 +340,18 @@ def refuse_placeholder(content: bytes, where: object) -> None:
         raise RobotFileError(f"{where}: in the place of the file is {name}")
 
 
+def stated_stl(begin: bytes) -> tuple[int, int]:
+    """Number of facets in the header of a binary STL, and the size [bytes] of a file with these."""
+    facets = int.from_bytes(begin[80:84], "little")
+    return facets, 84 + 50 * facets
+
+
 def xml_text(path: Path) -> str:
-    """The text of a valid XML file in its declared encoding; without a declaration, in UTF-8.
+    """The text of a valid XML file: UTF-16 by its first bytes, or the declared encoding, or UTF-8.
 
     Raises:
-        RobotFileError: The file is a placeholder, is too large or cannot be decoded, or as for
-            `refuse_entities`.
+        RobotFileError: The file is a placeholder or of another kind, is too large or cannot be
+            decoded, or as for `refuse_entities`.
         OSError: The file cannot be read.
     """
     try:
@@ -330,6 +359,9 @@ def xml_text(path: Path) -> str:
     except ValueError as error:
         raise RobotFileError(f"{path}: {error}") from None
     refuse_placeholder(content, path)
+    kind = next((name for begin, name in _KINDS.items() if content.startswith(begin)), None)
+    if kind or len(content) == stated_stl(content)[1]:
+        raise RobotFileError(f"{path}: it is {kind or 'an STL mesh'}, not a URDF")
     content = content.removeprefix(codecs.BOM_UTF8)
     declared = _DECLARED.match(content)
     stated = declared[1].decode().lower() if declared else "utf-8"
@@ -393,7 +425,7 @@ def _mesh(reference: str, folder: Path) -> Path:
     """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF.
 
     Raises:
-        AssetError: The file does not exist.
+        AssetError: The file does not exist, or a relative path leaves the folder of the URDF.
     """
     if "://" in reference:
         return resolve_package_uri(reference)

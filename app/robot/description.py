@@ -1,4 +1,4 @@
-"""The description of a robot: one TOML file, typed and validated, each number with its source."""
+"""The description of a robot: one TOML file, typed and validated, with sources of its numbers."""
 
 from itertools import chain, combinations
 from pathlib import Path
@@ -46,8 +46,8 @@ class ArmDescription(Sourced):
     end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
     """[m] origin of the end-effector's frame in the frame of `end_effector_link`."""
     end_effector_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] fixed-axis roll, pitch and yaw of the end-effector's frame; its z points out of the
-    gripper."""
+    """[rad] fixed-axis roll, pitch and yaw of the end-effector's frame in the frame of
+    `end_effector_link`; the z axis points out of the gripper."""
     position_lower: tuple[Finite, ...] | None = None
     """[rad or m] lower joint limits; default: from the URDF."""
     position_upper: tuple[Finite, ...] | None = None
@@ -122,7 +122,7 @@ class LinePlace(Sourced):
 class RobotDescription(Strict):
     """All data of a robot that the method uses.
 
-    `bodies` are in the order of the kinematic chain; the mobile robot l_m is first. Two neighbours
+    `bodies` are in the order of the kinematic chain; the mobile base l_m is first. Two neighbours
     in this order are connected by a joint and are never a pair.
     """
 
@@ -266,11 +266,14 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by its name.
+    """The description of a robot by its name, which is the name of its folder.
+
+    A different `name` in the file is ignored: the folder can be a copy of another robot's folder.
 
     Raises:
         UnknownNameError: The robot does not exist; the message lists the existing robots.
         DescriptionError: The description is invalid.
     """
     check_robot_name(name)
-    return load_description(robot_folder(name) / "robot.toml")
+    description = load_description(robot_folder(name) / "robot.toml")
+    return description.model_copy(update={"name": name})

@@ -2,15 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
-import coal
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled, direct
 from app.robot.model import RobotModel
+from app.robot.state import ShapeDistances
 from app.strict import Array
 
 
@@ -63,12 +62,12 @@ def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
 
 @dataclass(frozen=True)
 class LinkPairs:
-    """The set L of (1), split as in (2)."""
+    """The set L of (1), all pairs that can collide, split as in (2)."""
 
     mobile: tuple[Pair, ...]
-    """L_m, the pairs with the mobile robot."""
+    """L_m, the pairs of the mobile base and a body of the arm."""
     manipulator: tuple[Pair, ...]
-    """L_m^c, the pairs within the arm."""
+    """L_m^c, the pairs of two bodies of the arm."""
     never: tuple[Pair, ...]
     """Pairs without a sample in collision."""
     rates: dict[str, float] = field(hash=False)
@@ -86,27 +85,12 @@ class LinkPairs:
         return self.mobile + self.manipulator
 
 
-@compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
-def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
+class PairDistances(ShapeDistances):
+    """Distances and closest points of some pairs, for fast calls from Python.
 
-    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
-    `order` at which each group begins, then m.
-    """
-    for k in range(len(into)):
-        into[k] = values[order[firsts[k]]]
-        for j in range(firsts[k] + 1, firsts[k + 1]):
-            into[k] = min(into[k], values[order[j]])
-
-
-_write_least = direct(_put_least)
-
-
-class PairDistances:
-    """Distances and closest points of some pairs, fast from Python.
-
-    Call `update` or `update_from` once for a configuration, then the other methods. The distance of
-    a body of several shapes is that of its nearest shape.
+    Call `update` or `update_from` once for a configuration, before all other methods but `sampled`.
+    The distance of a body of several shapes is that of its nearest shape. `write_distances` writes
+    the distances of all pairs, then those of each part of the bodies `a` with several parts.
 
     Attributes:
         pairs: The pairs, in the order of their indices.
@@ -114,40 +98,27 @@ class PairDistances:
     """
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
-        self.pairs = tuple(pairs)
-        self.data = model.pin.createData()
-        self._model, self._pin, shape_ids = model, model.pin, model.shape_ids
-        self._geometry = model.geometry.copy()
-        self._geometry.removeAllCollisionPairs()
+        self.pairs, self.data = tuple(pairs), model.pin.createData()
+        shapes: list[tuple[int, int]] = []
         groups: list[list[range]] = []
         for pair in self.pairs:
-            first = len(self._geometry.collisionPairs)
-            for i in shape_ids[pair.a]:
-                for j in shape_ids[pair.b]:
-                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
-            whole, each = range(first, len(self._geometry.collisionPairs)), len(shape_ids[pair.b])
+            first, each = len(shapes), len(model.shape_ids[pair.b])
+            shapes += product(model.shape_ids[pair.a], model.shape_ids[pair.b])
+            whole = range(first, len(shapes))
             parts = [range(k, k + each) for k in whole[::each]]
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
-        self._placed = geometry_data(self._geometry)
+        by_part = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
+        super().__init__(model, shapes, by_part)
         # References to pinocchio's result objects: requesting these objects again at each step
         # would take longer than computing the distances.
         results = self._placed.distanceResults
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
         """For each pair a list: first the results of all pairs of shapes of `a` and `b`, then, if
         `a` has several parts, the results of each part with the shapes of `b`."""
-        by_part = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
-        self._order = np.concatenate([np.arange(0), *by_part])
-        self._firsts = np.cumsum([0, *map(len, by_part)])
-        self._signed = distance_view(results)
 
     def update(self, q: Array) -> None:
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
-        pin.updateGeometryPlacements(self._pin, self.data, self._geometry, self._placed, q)
-        pin.computeDistances(self._geometry, self._placed)
-
-    def update_from(self, data: pin.Data) -> None:
-        """Compute all distances from pinocchio's data with existing kinematics."""
-        pin.updateGeometryPlacements(self._pin, data, self._geometry, self._placed)
+        pin.updateGeometryPlacements(self._model.pin, self.data, self._geometry, self._placed, q)
         pin.computeDistances(self._geometry, self._placed)
 
     def distance(self, i: int) -> float:
@@ -159,12 +130,6 @@ class PairDistances:
         rows = np.empty(len(self._firsts) - 1)
         self.write_distances(rows)
         return tuple(rows[: len(self.pairs)].tolist())
-
-    def write_distances(self, into: Array) -> None:
-        """Write signed distances [m] into an array: those of all pairs, then those of each part of
-        the bodies `a` with several parts.
-        """
-        _write_least(self._signed, self._order, self._firsts, into)
 
     def sampled(self, q_m: Array) -> Array:
         """(N, pairs) [m] signed distances at joint positions q_m (N, n_m) [rad or m]."""
@@ -192,36 +157,6 @@ class PairDistances:
 
 def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
     return min(results, key=lambda r: r.min_distance)
-
-
-def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] the signed distances of coal's results, as a view that later calls overwrite.
-
-    Reading them one by one takes as long as computing them. Each result stores its distance before
-    its normal, and all results have the same size.
-    """
-    if len(results) == 0:
-        return np.zeros(0)
-    first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
-    size = (last - first) // max(len(results) - 1, 1)
-    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
-    view = before[:, 1]
-    for k, each in enumerate(results):
-        each.min_distance = float(k)
-    assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
-    return view
-
-
-def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Data for distances that depend on the poses of the bodies alone, not on former calls.
-
-    With pinocchio's own requests, each search starts at the result of the pair's last search. This
-    changes distances by less than 1e-6 m, and saves no time.
-    """
-    data = pin.GeometryData(geometry)
-    for k in range(len(data.distanceRequests)):
-        data.distanceRequests[k] = coal.DistanceRequest()
-    return data
 
 
 def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:

@@ -64,7 +64,7 @@ class RobotModel:
         """Compile a description.
 
         Raises:
-            AssetError: The URDF is missing.
+            AssetError: The URDF, or the file of a convex mesh, is missing.
             DescriptionError: The description names a joint or link that the URDF does not have, its
                 limits contradict each other, or pinocchio cannot read the URDF.
         """
@@ -96,7 +96,7 @@ class RobotModel:
 
     @property
     def body_names(self) -> list[str]:
-        """Names of the bodies: the mobile robot, then those of the arm from the base outwards."""
+        """Names of the bodies: the base l_m, then those of the arm from the base outwards."""
         return [body.name for body in self.description.bodies]
 
     @property
@@ -233,9 +233,9 @@ def kept_per_model(
 ]:
     """Cache the results of a pure function of a model and hashable values while the model exists.
 
-    All callers share a result and must not change it. A result must not refer to the model,
-    otherwise neither is ever freed. Each model has at most `most` results; a further result
-    replaces the oldest.
+    All callers share a result and must not change it. A result must not refer to the model: with
+    such a reference, neither of the two would ever be freed. Each model has at most `most` results;
+    a further result replaces the oldest.
     """
 
     def keep(

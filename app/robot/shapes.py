@@ -119,7 +119,7 @@ class ConvexMesh(_Placed):
     """[-] factors of the mesh's coordinates, which are metres after the scaling."""
 
     def hull(self) -> trimesh.Trimesh:
-        """The convex hull of the mesh's scaled vertices, in the shape's frame (see `placement`).
+        """Read the file, and return the convex hull of its scaled vertices, in the shape's frame.
 
         Raises:
             AssetError: The file is missing, or reading it takes more time or memory than a valid
@@ -262,9 +262,9 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 
 
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """(…) [-] the function f at points (…, 3) [m] in the superquadric's frame; 1 on its surface.
+    """(…) [-] the function f at points p (…, 3) [m] in the superquadric's frame; 1 on its surface.
 
-    `semi_axes` are a, b and c [m]; e₁ is the exponent from top to bottom, e₂ that in plan.
+    `semi_axes` are a, b and c [m]; e1 is the exponent from top to bottom, e2 that in plan.
     """
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
     # Relative to the largest term of each sum, because a power of 2/e of other numbers would
@@ -280,7 +280,7 @@ def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> 
 
 
 def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, float, float]:
-    """Semi-axes [m] of the superquadric through all corners of a box of size (3,) [m]."""
+    """Semi-axes [m] of the superquadric through the corners of a box; e1, e2 as in `implicit`."""
     growth = (2.0 ** (e2 / e1) + 1.0) ** (e1 / 2)
     a, b, c = (0.5 * side * growth for side in size)
     return a, b, c
@@ -292,8 +292,9 @@ def polytope_vertices(
 ) -> Array:
     """Points of the surface whose convex hull approximates the superquadric, read-only.
 
-    They are the points of a cube's grid, denser towards its edges, where a small exponent bends the
-    surface most. The hull is inside of the surface.
+    Rays from the centre through a grid on a cube's faces meet the surface at these points. The grid
+    is denser towards the edges, where a small exponent bends the surface most.
+    The hull is inside of the surface.
 
     Returns:
         (6 intervals² + 2, 3) [m] in the superquadric's frame.

@@ -1,6 +1,6 @@
 """Functions that read elements of a URDF: numbers, poses, triangles and colours.
 
-All parts of the program use these functions, so they all read an element in the same way.
+The program reads a URDF by these functions, or by pinocchio and the engines.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def unit_of(length: float) -> str:
 
 
 def origin(element: Element, where: str) -> pin.SE3:
-    """The `<origin>` of an element [m]; the identity if there is none.
+    """The `<origin>` [m] of an element, or the identity; `where` begins the message of an error.
 
     Raises:
         RobotFileError: An attribute is not three numbers, or the numbers are so large that their
@@ -55,7 +55,7 @@ def origin(element: Element, where: str) -> pin.SE3:
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute; the default if the element or the attribute is missing.
+    """The numbers of an attribute `key`, or the default if element or attribute is missing.
 
     Raises:
         RobotFileError: The attribute does not have as many finite numbers as the default.
@@ -71,7 +71,7 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
 
 
 def without_commas(words: str) -> str:
-    """The remedy for a text of numbers with commas; empty without a comma."""
+    """Advice in an error message about a text of numbers with commas; empty without a comma."""
     return "; write points in numbers and blanks between them, no commas" * ("," in words)
 
 
@@ -108,20 +108,24 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    A mesh counts as large data at any size: a few bytes can encode millions of triangles. The
-    errors are those of `resolve_package_uri`.
+    The size of a `.gltf` includes the `.bin` files in its folder, which have its vertices. A mesh
+    counts as large data at any size: a few bytes can encode millions of triangles. The errors are
+    those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
-    sizes = [path.stat().st_size for path in map(mesh_path, named) if path.is_file()]
+    files = {path for path in map(mesh_path, named) if path.is_file()}
+    folders = {path.parent for path in files if path.suffix.lower() == ".gltf"}
+    files.update(*(folder.glob("*.bin") for folder in folders))
+    sizes = [path.stat().st_size for path in files]
     return max(SMALL + 1, sum(sizes)) if sizes else 0
 
 
 def urdf_mesh(
     shape: Element, where: str, load: Callable[[Path, str], trimesh.Trimesh]
 ) -> tuple[trimesh.Trimesh, float | None]:
-    """A shape's triangles [m], and the radius [m] of a round shape, otherwise None.
+    """A shape's triangles [m], and its radius [m]; the radius is None if the shape is not round.
 
-    `load` reads the triangles of a mesh file.
+    `load` reads the triangles of a mesh file; `where` begins the message of an error.
 
     Raises:
         RobotFileError: It is not a shape of a URDF, or an attribute is missing or invalid.
@@ -136,7 +140,7 @@ def urdf_mesh(
 
 
 def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
-    """Triangles [m] of a box, sphere, cylinder or capsule, and the radius [m] of a round one.
+    """Triangles [m] of a box, sphere, cylinder or capsule, and its radius [m], None for a box.
 
     Raises:
         RobotFileError: It is none of these shapes, or a size is missing or not above zero.

@@ -1,4 +1,4 @@
-"""A planned run, and a case: a file with all data for the exact repetition of a run."""
+"""A planned run, and a case: a file that repeats a run exactly, with the same code and robot."""
 
 import json
 from functools import cache
@@ -20,8 +20,8 @@ from app.simulation.scenarios.line import RANDOM_PULL
 from app.strict import MAX_SEEDS, Strict, explain, file_text, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {RANDOM_PULL.name: RANDOM_PULL}
-_MAX_ENTRIES = 1000  # [-] options or parameters of a case; about a hundred are usual
-FORMAT = "dbb_case"  # the key that identifies such a file
+_MAX_ENTRIES = 1000  # [-] largest number of options, or of parameters; usual numbers are below 100
+FORMAT = "dbb_case"  # the key that identifies a case file
 
 
 class RunSpec(NamedTuple):
@@ -179,7 +179,7 @@ def read_case(path: Path) -> RunCase:
 
 @cache
 def _options_of(kind: type[Scenario]) -> type[Strict]:
-    """The record of a scenario's options; each has its field's type, or is None for no change."""
+    """The record of options of the scenario class `kind`: its fields; None means no change."""
     options: dict[str, Any] = {
         name: (hint | None, None) for name, hint in get_type_hints(kind).items()
     }

@@ -9,10 +9,10 @@ from app.strict import Array
 
 
 class PointLoad:
-    """A point mass that is fixed to the end-effector: its weight and its inertia are a force.
+    """A point mass fixed to the end-effector; its weight and inertia act on the arm as a force.
 
     A force m (g - a) with the last acceleration a would be unstable for a load that is heavier than
-    the arm's effective mass. Therefore the force takes into account how it changes a.
+    the arm's effective mass. Therefore the computation includes the effect of the force on a.
     """
 
     def __init__(self, model: RobotModel, mass: float, centre: Array, dt: float) -> None:
@@ -24,7 +24,7 @@ class PointLoad:
         self._effect, self._v = np.zeros(3), np.full(3, np.nan)
 
     def push(self, state: RobotState) -> Push:
-        """The force of the load on the arm in the next step, from the true state of the robot."""
+        """The load's force on the arm in the next step, from the true state; call once a step."""
         model, n_b = self._model, self._model.n_b
         p = state.p_ee + state.R_ee @ self._centre
         q = model.configuration(state.base_pose, state.q_m)

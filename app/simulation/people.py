@@ -12,15 +12,15 @@ import pinocchio as pin
 
 from app.compiled import compiled, direct
 from app.config import PersonConfig
+from app.control.qp import fill, put
 from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Push
 from app.strict import Array
-from app.structs import fill, put
 
 _ARM = 2  # pinocchio's index of the arm's first joint; joint 1 is the base's planar joint
-_QUICKNESS = 20.0  # [rad/s] bandwidth of the hand's motion towards a new target
+_QUICKNESS = 20.0  # [rad/s] natural frequency of the hand's motion to a new target
 _TOP_SPEED = 1.5  # [m/s] largest speed of the hand
 _FARTHEST = 1e4  # [m] largest coordinate of a target in the world
 _LINK_SIZE = 1.0  # [m] largest distance of a held point from the origin of its link
@@ -74,13 +74,13 @@ class People:
         Args:
             model: The robot.
             config: The strength of each person.
-            dt: [s] the period of `pull`.
+            dt: [s] time between two calls of `pull`.
         """
         self._model, self._config, self._dt = model, config, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
 
     def configure(self, config: PersonConfig) -> None:
-        """Use another strength of each person from the next period on."""
+        """Use another strength of each person from the next call of `pull` on."""
         self._config = config
         for hand in self._hands.values():
             hand.configure(config)
@@ -88,7 +88,7 @@ class People:
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
-        """Compute the pull of each person in one period, and all forces.
+        """Compute the pull of each person in one control step, and all forces.
 
         A person without a hold releases the robot. A person who changes to another point releases
         the previous point; the spring of the new hold starts without stretch.
@@ -136,13 +136,13 @@ class PersonHand:
 
         Args:
             config: The strength and the mass of the hand.
-            dt: [s] period of `force`.
+            dt: [s] time between two calls of `force`.
         """
         self._dt, self._motion = dt, np.full((4, 3), np.nan)
         self.configure(config)
 
     def configure(self, config: PersonConfig) -> None:
-        """Use another strength and mass from the next period on."""
+        """Use another strength and mass from the next call of `force` on."""
         spring = config.stiffness, config.damping, config.f_max, config.mass
         self._spring = np.array([*spring, self._dt])
 
@@ -152,7 +152,7 @@ class PersonHand:
         return self._motion[:2].copy()
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
-        """Compute the person's force (3,) [N] on the held point for one period, in the world.
+        """Compute the person's force (3,) [N] on the held point for one step, in the world.
 
         Args:
             p_ee: (3,) [m] position of the held point.
@@ -182,7 +182,7 @@ def held_links(model: RobotModel) -> tuple[str, ...]:
 
 
 def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[int, Array]:
-    """The joint that carries a point of a link, and the point (3,) [m] in the joint's frame."""
+    """Index of the joint that moves a link's point, and the point (3,) [m] in the joint's frame."""
     frame: pin.Frame = model.pin.frames[model.pin.getFrameId(link)]
     return frame.parentJoint, frame.placement.act(np.array(point, dtype=float))
 
@@ -223,9 +223,9 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
 
 
 def _point(point: Sequence[float] | Array, name: str) -> Array:
-    """The point as an array (3,)."""
+    """The point as an array (3,); a TargetError with its `name` if it is not three numbers."""
     try:
-        place = np.array(point, dtype=float)
+        place = np.asarray(point, dtype=float)
     except (TypeError, ValueError):
         raise _not_finite(point, name) from None
     if place.shape != (3,):
@@ -250,11 +250,11 @@ def _shorten(vector: Array, longest: float) -> None:
 def _push_mass(
     x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
+    """Move the mass in the hand for one step; m ẍ = F - G, by the implicit Euler rule.
 
     F = K' (p - x) - D ẋ, limited to f_max, acts on the mass. The grip's force G = k (x - p_ee) +
-    c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the period's end; the position of
-    the held point is extrapolated with its velocity. K' and k in series have the stiffness K.
+    c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the end of the step; the position
+    of the held point is extrapolated with its velocity. K' and k in series have the stiffness K.
     The rule is stable for every mass, spring and damper. The force limit does not change the
     direction of F.
 
@@ -264,7 +264,7 @@ def _push_mass(
         p: (3,) [m] position of the spring's free end, p of `PersonHand`.
         p_ee: (3,) [m] position of the held point.
         v_ee: (3,) [m/s] velocity of the held point.
-        spring: (5,) as in `_pull`: K of spring and grip in series, D, limit of F, m and period.
+        spring: (5,) as in `_pull`: K of spring and grip in series, D, limit of F, m and step [s].
         force: (3,) [N] result: the grip's force G.
     """
     stiffness, damping, f_max, mass, dt = spring
@@ -286,17 +286,17 @@ def _push_mass(
 def _pull(
     motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
+    """Move the person's hand for one step: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
 
     Args:
         motion: (4, 3) p [m] and ṗ [m/s] of the hand, position and velocity of its mass; NaN before
-            the first period. Changed in place.
+            the first step. Changed in place.
         target: (3,) [m] target of the hand.
         p_ee: (3,) [m] position of the held point.
         v_ee: (3,) [m/s] velocity of the held point.
         spring: (5,) stiffness [N/m], damping against the world [N s/m], largest force [N], mass of
-            the hand [kg] and period [s].
-        force: (3,) [N] result: the force on the held point in the period.
+            the hand [kg] and duration of the step [s].
+        force: (3,) [N] result: the force on the held point in the step.
     """
     p, v, x, x_dot = motion
     stiffness, damping, f_max, mass, dt = spring
@@ -313,7 +313,7 @@ def _pull(
     if mass == 0.0:
         fill(x, np.nan)
         return
-    if math.isnan(x[0]):  # the mass starts with the robot's velocity
+    if math.isnan(x[0]):  # the mass starts with the held point's velocity
         put(x, p_ee)
         put(x_dot, v_ee[:3])
     _push_mass(x, x_dot, p, p_ee, v_ee[:3], spring, force)

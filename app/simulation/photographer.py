@@ -1,7 +1,6 @@
 """Pictures of the robot by pybullet's software renderer, without display, browser or graphics card.
 
-The renderer draws only bodies. A figure with other elements, such as lines on the floor, draws
-these at the coordinates from `Picture.pixels`.
+The renderer draws only bodies. A figure draws other elements, such as lines, at `Picture.pixels`.
 """
 
 import math
@@ -29,7 +28,7 @@ class Camera(NamedTuple):
     """Viewpoint of a picture."""
 
     target: Array
-    """(3,) [m] target in the world."""
+    """(3,) [m] point in the world at the centre of the picture."""
     distance: float
     """[m] distance from the target."""
     yaw: float
@@ -122,6 +121,7 @@ class Photographer:
 
         Raises:
             AssetError: A mesh is missing, or pybullet cannot load the robot.
+            ConfigError: pybullet is not installed.
         """
         self._world = BulletWorld(planar_urdf(model.description), DT)
         self._client = self._world.client
@@ -201,13 +201,13 @@ class Photographer:
 
 
 def _smaller(image: Array) -> Array:
-    """An image (h, w, c) of the means of blocks of f by f pixels of a finer image (h f, w f, c)."""
+    """The means (h, w, c) of blocks of f by f pixels of an image (h f, w f, c); f is `_FINER`."""
     h, w, c = image.shape
     return image.reshape(h // _FINER, _FINER, w // _FINER, _FINER, c).mean(axis=(1, 3))
 
 
 def _project(points: Array, to_clip: Array) -> Array:
-    """(N, 2) offsets right and up from the picture's centre, relative to half its width and height.
+    """Project points to the picture: (N, 2) right and up, from −1 to 1 between the edges.
 
     The points are (N, 3) [m] in the world; `to_clip` (4, 4) is that of `Picture`.
     """

@@ -27,13 +27,14 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting; `robot` is the robot without a held door.
+    """Make a session at the start of a setting.
 
-    The other arguments are those of `Session`.
+    `robot` is the robot without the door that its end-effector may hold; the other arguments are
+    those of `Session`.
 
     Raises:
         DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
-            beyond its limits at the start.
+            beyond its position limits at the start.
     """
     check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
@@ -143,8 +144,8 @@ def filmed(
 ) -> list[Snapshot]:
     """Execute a run up to the last of some simulated times, and return its snapshots.
 
-    There are snapshots at 50 Hz, and additional ones at `times` [s]; a time after the end of the
-    run means the last step. `run_from_spec` documents the other arguments and the errors.
+    There are snapshots at 50 Hz, and additional ones at `times` [s], one or more; a time after the
+    run's end means the last step. `run_from_spec` documents the other arguments and the errors.
     """
     scenario, snapshots = run.scenario, []
     last = round(scenario.duration / DT) - 1

@@ -13,8 +13,8 @@ from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.config import Config, DisturbanceConfig
 from app.control.buffer_watch import BufferReading, BufferWatch
-from app.control.control_loop import ControlLoop
-from app.control.controller import Controller
+from app.control.contract import check_gains
+from app.control.controller import Controller, ControlLoop
 from app.control.inputs import MOVES_BASE
 from app.control.quantities import ControlStep
 from app.control.tasks import Reference
@@ -26,10 +26,10 @@ from app.simulation.people import Hold, People, PersonForces, PullReading, first
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorReading, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, Push
-from app.strict import Array
+from app.strict import Array, Vector3
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
-_BANDWIDTH = 250.0  # [rad/s] bandwidth (40 Hz) of the computation of velocities from positions
+_BANDWIDTH = 250.0  # [rad/s] natural frequency (40 Hz) of the loop `VelocityTracking`
 _ROUNDING = 1e-6  # [rad or m] tolerance of a joint at its limit
 SCENARIO_PERSON = -1  # number of a scenario's person
 
@@ -47,11 +47,11 @@ class Step(NamedTuple):
     hand_target: Array | None
     """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
     hand_force: Array
-    """(3,) [N] force of all people on the end-effector, in the world; while `door` is present,
+    """(3,) [N] force of all people on the end-effector, in the world; if `door` is not None,
     the end-effector's force on the door."""
     ee_error: float
-    """[m] true distance of the end-effector from the person's target; without a person, from its
-    reference; 0 if there is neither."""
+    """[m] true distance of the end-effector from the target of the (first) person who holds it;
+    without such a person, from its reference; 0 if there is neither."""
     contacts: Contacts
     """Contacts of the step."""
     duration: float
@@ -116,10 +116,12 @@ class Session:
 
         Raises:
             UnknownNameError: The controller or plant does not exist.
-            DescriptionError: No monitored part of the arm can meet the base.
-            ConfigError: The plant does not suit the base or the door, or needs a library that is
+            DescriptionError: No monitored part of the arm can meet the base, or the description has
+                no reachability of such a part.
+            ConfigError: The plant does not suit the base or the door, or needs pybullet, which is
                 not installed; or the stated control period is too long for a gain.
-            AssetError: A file of the robot is missing.
+            AssetError: A file of the robot is missing, or the engine cannot load the robot.
+            RobotFileError: As for `collision_shapes`, with MuJoCo.
         """
         if not data.pairs.mobile:
             raise DescriptionError(
@@ -129,10 +131,10 @@ class Session:
             )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
-        """Name of the plant; seed of all random numbers; the held door with its initial angle, or
-        None."""
-        period = config.disturbance.stated_period
-        self.loop = ControlLoop(model, data, config, name=controller, dt=period)
+        """Name of the plant; seed of all random numbers; the door that the end-effector holds, with
+        its initial angle, or None."""
+        self._stated = config.disturbance.stated_period
+        self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
         """The control loop, with the same interface as in a robot's own loop."""
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
@@ -167,10 +169,27 @@ class Session:
         """The true state of the robot at the last step; without sensor errors, the controller's
         estimate."""
         self._watch.reset()
+        self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)
 
+    def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
+        """`reset` with other parameters, also with another `disturbance.stated_period`.
+
+        Raises:
+            TargetError: The posture is invalid; then nothing has changed.
+            ConfigError: The stated control period is too long for a gain; then nothing has changed.
+        """
+        check_posture(self.model, q_m)
+        period, name = config.disturbance.stated_period, self.controller.name
+        check_gains(config, period)
+        if period != self._stated:
+            self.loop = ControlLoop(self.model, self.data, config, name=name, dt=period)
+            self._stated = period
+        self.configure(config)
+        self.reset(q_m, base_pose)
+
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on.
+        """Use other parameters from the next step on; `disturbance.stated_period` does not change.
 
         Raises:
             ConfigError: The control period is too long for a gain; then nothing has changed.
@@ -230,7 +249,7 @@ class Session:
         target = first_target(holds)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._weights(state))
+        pushes = (*person.pushes, *self._weights(state)) if self._loads else person.pushes
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
@@ -258,24 +277,34 @@ class Session:
         self.t += DT
         return step
 
-    def _loads_of(self, config: Config) -> list[tuple[PointLoad, float]]:
-        """The payload and the unknown load, each with the time [s] at which it begins to act."""
+    def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
+        """The loads by name, mass [kg], centre [m] and time [s] at which each begins to act.
+
+        An unchanged load remains the same object, which has the load's last velocity.
+        """
         load, disturbance = config.payload, config.disturbance
-        centre, unknown = np.array([load.x, load.y, load.z]), disturbance.unknown_load
-        loads = (load.mass, centre, 0.0), (unknown, np.zeros(3), disturbance.begins)
-        return [(PointLoad(self.model, m, p, DT), begins) for m, p, begins in loads if m > 0.0]
+        loads = (
+            ("payload", load.mass, (load.x, load.y, load.z), 0.0),
+            ("unknown", disturbance.unknown_load, (0.0, 0.0, 0.0), disturbance.begins),
+        )
+        return {
+            each: self._loads.get(each) or PointLoad(self.model, each[1], np.array(each[2]), DT)
+            for each in loads
+            if each[1] > 0.0
+        }
 
     def _weights(self, state: RobotState) -> list[Push]:
         """The forces of the loads that act at present."""
-        return [load.push(state) for load, begins in self._loads if self.t >= begins]
+        acting = (load for (*_, begins), load in self._loads.items() if self.t >= begins)
+        return [load.push(state) for load in acting]
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
         """The robot's true state, and the distances (n_p,) [m] of all pairs.
 
-        Without sensor errors both are those of the controller, which saves a second computation;
-        they deviate by hundredths of a millimetre from the truth.
+        Without sensor errors both are those of the controller, which saves a second computation.
+        With the default parameters, they deviate from the truth by less than 0.1 mm.
         """
         if sensed is truth:
             self.state = self.controller.state
@@ -298,7 +327,8 @@ class Disturbances:
 
     They convert true sensor values to readings with noise, delay and losses, and base commands to
     the commands that reach the drive after delay and slip. The error of the arm's masses is in the
-    controller's model (`RobotState`), and the unknown load in `Session`.
+    controller's model (`RobotState`). The unknown load, and the control period that the controller
+    assumes (`stated_period`), are in `Session`.
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
@@ -319,7 +349,8 @@ class Disturbances:
     def configure(self, config: DisturbanceConfig) -> None:
         """Use these disturbances from the next step on.
 
-        At the beginning of a longer delay, the oldest known command and reading stay in use.
+        If a delay becomes longer, sufficiently old commands and readings do not exist at first.
+        Until they exist, the oldest known command and reading are used.
         """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip = config.slip
@@ -329,6 +360,7 @@ class Disturbances:
         self._sensor_late = round(config.sensor_delay / self._dt)
         self._sent = deque(self._sent, self._sensor_late + 1)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
+        self._punctual = self._sensor_late == 0 and self._sensor_every == 1 and self._dropped == 0.0
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
@@ -360,14 +392,14 @@ class Disturbances:
     def _arrived(self, sent: Measurement) -> Measurement:
         """The readings that reach the controller: new, late, or a repetition of the last ones."""
         self._sent.append(sent)
-        if self._steps < self._begins:
-            due, lost, late = True, False, 0
-        else:
-            due, late = self._steps % self._sensor_every == 0, self._sensor_late
-            lost = self._dropped > 0.0 and self._rng.random() < self._dropped
-        self._steps += 1
+        step, self._steps = self._steps, self._steps + 1
+        if self._punctual or step < self._begins:
+            self._seen = sent
+            return sent
+        due = step % self._sensor_every == 0
+        lost = self._dropped > 0.0 and self._rng.random() < self._dropped
         if self._seen is None or (due and not lost):
-            self._seen = self._sent[max(-1 - late, -len(self._sent))]
+            self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
         return self._seen
 
     def arriving(self, command: Array) -> Array:
@@ -397,7 +429,7 @@ class VelocityTracking:
         Args:
             q: (n,) [rad or m] positions.
             qd: (n,) [rad/s or m/s] velocities.
-            dt: [s] period of `update`.
+            dt: [s] time between two calls of `update`.
         """
         pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
@@ -413,10 +445,10 @@ class VelocityTracking:
 
 
 def check_posture(model: RobotModel, q_m: Array) -> None:
-    """Check that joint positions (n_m,) are within their limits, beyond which a plant would push.
+    """Check that no joint position (n_m,) is beyond a limit: a plant would push the joint back.
 
     Raises:
-        TargetError: The number of joints is wrong, or a joint is beyond its limits.
+        TargetError: The number of joints is wrong, or a joint is beyond its position limits.
     """
     if len(q_m) != model.n_m:
         raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")

@@ -118,9 +118,9 @@ def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
 
 
 def label(key: str) -> str:
-    """A figure of a run in words, any other key with blanks, and the unit of the key's ending.
+    """The words for a key of results, and the unit of the key's ending in brackets.
 
-    `d_m` becomes `d [m]`.
+    A figure of a run has its description; other keys have blanks for `_`: `d_m` becomes `d [m]`.
     """
     ending, unit = next(((e, u) for e, u in _UNITS.items() if key.endswith(e)), ("", ""))
     about = _FIGURES[key].about.partition(";")[0].rstrip(".") if key in _FIGURES else ""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from itertools import cycle
 from typing import Any
 
@@ -25,16 +26,20 @@ _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
 """Colours of the pairs without a colour in `PAIR_COLOURS`, repeated if there are more pairs."""
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
 
+_UNKNOWN = ("duration_us", "force_bound_n", "buffer_needed_m", "buffer_needed_max_m")
+"""Columns that can have NaN or infinite values in a complete log, besides the optional ones."""
+_LISTED = 5  # [-] largest number of listed columns
+
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the page of a run with snapshots: key numbers, pictures, and changed parameters.
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
 
     Before each picture, `on_progress` gets the share of the pictures that are finished.
     """
-    controllers = ", then ".join(run.controllers)
+    run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
-    parts = [Part(text=[verdict(numbers, chain)])]
+    parts = [Part(text=[verdict(numbers, chain), *_missing(run)])]
     if chain:
         named = numbers["min_distance_m"].items()
         numbers["min_distance_m"] = {spoken(pair, chain): d for pair, d in named}
@@ -52,6 +57,19 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
     return page_html(title, about, parts)
 
 
+def _missing(run: Trace) -> list[str]:
+    """A sentence on the columns with missing values, if there are any."""
+    empty = zip(run.columns, np.isnan(run.table).sum(axis=0).tolist(), strict=True)
+    found = [
+        f"{column.name} ({count} of {len(run)} rows)"
+        for column, count in empty
+        if count and not column.optional and column.name not in _UNKNOWN
+    ]
+    more = f" and {len(found) - _LISTED} other columns" if len(found) > _LISTED else ""
+    listed = ", ".join(found[:_LISTED])
+    return [f"Values are missing in the log, in {listed}{more}."] if found else []
+
+
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
     """Names of the robot's bodies, the base first; empty without a valid description here."""
     try:
@@ -66,7 +84,15 @@ def key_numbers(run: Trace) -> dict[str, Any]:
     These are the duration, the largest speeds of the base, and the largest torque or force of each
     joint. None replaces values that are not finite, which a log that was edited can have.
     """
+    run = _without_infinite(run)
     return _finite({**extremes(run), **metrics(run)})
+
+
+def _without_infinite(run: Trace) -> Trace:
+    """The run with NaN for infinite values of the table, which thus are missing."""
+    finite = copy(run)
+    finite.table = np.where(np.isinf(run.table), np.nan, run.table)
+    return finite
 
 
 def _finite(value: Any) -> Any:
@@ -110,7 +136,7 @@ def _value(value: Any) -> str:
 
 @style.picture("distances", "Distances and activations")
 def distances_figure(run: Trace) -> Figure:
-    """Above: distances of all pairs. Below: activations of all pairs."""
+    """Above: distances of all pairs. Below: activations. Dashed curves: pairs within the arm."""
     figure = style.new_figure(6.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     chain = _chain(run.meta)
@@ -122,9 +148,9 @@ def distances_figure(run: Trace) -> Figure:
         above.plot(run.t, run.distances[:, k], label=spoken(pair, chain) if chain else pair, **line)
         below.plot(run.t, run.betas[:, k], **line)
     d_b = [s.d_b for s in run.snapshots]
-    if len(set(d_b)) == 1:
+    if len(set(d_b)) == 1 and math.isfinite(d_b[0]):
         style.level(above, d_b[0], "buffer distance $d_b$")
-    else:  # it changed during the run
+    else:  # it changed during the run, or is missing
         times = [s.t for s in run.snapshots]
         above.step(times, d_b, where="post", color=style.SOFT, linestyle=(0, (4, 3)), label="$d_b$")
     above.axhline(0.0, color=style.TARGET, linewidth=1.0)

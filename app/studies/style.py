@@ -29,7 +29,7 @@ METHOD_NAMES = {
     "none": "no avoidance",
 }
 PAIR_COLOURS = {"lm-lEE": "#009E73", "lm-l3": "#E69F00", "lm-door": "#882E72"}
-"""One colour for each pair of L_m of the paper's robot."""
+"""One colour for each pair of the paper's arm and base, and for the pair of base and door."""
 PAIR_NAMES = {
     "lm-lEE": r"$\mathcal{L}_m(1)$: base, end-effector",
     "lm-l3": r"$\mathcal{L}_m(2)$: base, forearm",
@@ -121,7 +121,7 @@ class Picture(NamedTuple):
 
 
 def picture(name: str, title: str, *needs: Any) -> Callable[[Callable[..., Any]], Picture]:
-    """Decorator that replaces a drawing function by its `Picture`, with the fields' arguments."""
+    """Decorator that replaces a drawing function by a `Picture` with this name, title and runs."""
     return lambda draw: Picture(name, title, needs, draw)
 
 

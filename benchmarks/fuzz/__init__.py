@@ -17,7 +17,8 @@ class Length(NamedTuple):
     count: int | None = None
 
     def share(self, gone: float, done: int) -> float:
-        """The finished share: by the elapsed time `gone` [s], or with a `count` by the number
-        `done`; 1 or more at the end.
+        """The finished share; 1 or more at the end.
+
+        It follows from the elapsed time `gone` [s], or with a `count` from the number `done`.
         """
         return gone / self.seconds if self.count is None else done / self.count

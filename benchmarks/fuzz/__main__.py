@@ -25,8 +25,8 @@ def main(
     """Send mutated messages and read mutated files; the status is 1 after a finding.
 
     Args:
-        seconds: [s] total duration, without the starts of processes; half for each of messages and
-            files.
+        seconds: [s] total duration, without the starts of processes. With `what` both, messages and
+            files take half each.
         seed: Seed of the mutations.
         what: Messages, files or both.
         count: Number of messages, and number of files of each kind, instead of the duration.

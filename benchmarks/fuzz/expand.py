@@ -53,7 +53,7 @@ def _joint(k: int) -> str:
 
 
 def _csv(right: bytes, n: int, rng: np.random.Generator) -> bytes:
-    """Many columns, many short rows, or a long name."""
+    """The valid table `right` with n columns, n/10 empty rows, or a name of n characters."""
     head, names, *rest = right.split(b"\n")
     match int(rng.integers(3)):
         case 0:
@@ -139,7 +139,7 @@ _TEXTS = {
 
 
 def expanded(kind: str, right: bytes, rng: np.random.Generator) -> bytes:
-    """A file that could need far more memory or time than its size suggests."""
+    """A file of a kind that could need far more memory or time than its size suggests."""
     n = int(10 ** rng.uniform(_MIN_POWER, _MAX_POWER))
     if kind in _TEXTS:
         texts = _TEXTS[kind]

@@ -1,6 +1,6 @@
-"""Mutated files of every kind that the project reads: each must give one error line or a correct
-result.
+"""Mutated files of every kind that the project reads.
 
+Each file must give one error line or a correct result.
 A separate process reads the files, because a file may crash it. Files that the project reads in a
 child process are read in a fork of that process, with the same limits: a fork starts in
 milliseconds instead of a second. One of a hundred files is read in the project's own child process.
@@ -148,7 +148,7 @@ def _table(right: bytes) -> pa.Table:
 
 
 def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """Mutate the bytes; or the arrays, with valid checksums."""
+    """Mutate the bytes; or the header and an array, with valid checksums."""
     if rng.random() < 0.3:
         _mutate_bytes(path, right, rng)
         return
@@ -318,7 +318,8 @@ class Outcome(NamedTuple):
     Attributes:
         result: `right`, `line` or `finding`.
         text: The output of a finding.
-        lost: Whether the reading process has crashed or hangs.
+        lost: Whether a new reading process is necessary, after a crash, without an answer, or
+            because the present one uses too much memory.
     """
 
     result: str
@@ -333,7 +334,7 @@ def fuzz_files(
 
     Args:
         length: Length of the test, without the starts of the reading process.
-        seed: Seed of the mutations; file k of a kind depends only on it.
+        seed: Seed of the mutations; file k depends only on the seed and k.
         keep: Folder for the files of findings.
         on_progress: Called with the share that is done.
     """
@@ -370,7 +371,7 @@ def _answered(child: Child) -> Outcome:
 
 
 def _kept(path: Path, keep: Path, k: int) -> str:
-    """Copy a file to the folder of the findings, and return its name."""
+    """Copy file k to `keep`, the folder of the findings, and return the copy's path."""
     keep.mkdir(parents=True, exist_ok=True)
     copy = keep / f"{k}-{path.name}"
     copy.write_bytes(path.read_bytes() if path.exists() else b"")

@@ -1,8 +1,7 @@
 """Mutated messages of every kind that a page may send, to a real dashboard server.
 
-The gate's own check first judges each message in this process. A rejected message ends the
-connection of its sender, so only some of the rejected messages are sent through a socket, and the
-client then connects again.
+The gate's own check first judges each message in this process. Garbage ends the connection
+of its sender, so only some of it is sent through a socket, and the client then connects again.
 """
 
 from __future__ import annotations
@@ -178,14 +177,14 @@ class _Fuzz:
                 self._client()
 
     def _in_parts(self, data: bytes) -> Iterator[bytes]:
-        """Split a message into few or many fragments, empty or large."""
+        """A message as the first of few or many fragments; the further ones are empty or large."""
         count, size = int(10 ** self._rng.uniform(0, 4.5)), int(10 ** self._rng.uniform(0, 5))
         self._tally["parts"] += count
         yield data
         yield from (b"\0" * (size * (k % 2)) for k in range(min(count, 2**26 // size)))
 
     def _verdict(self, data: bytes) -> str:
-        """The verdict of the gate; `websockets` ends messages that are too long."""
+        """The gate's verdict; messages that are too long for `websockets` do not reach the gate."""
         if len(data) > gate.LARGEST_MESSAGE:
             return "garbage"
         try:
@@ -274,7 +273,10 @@ class _Fuzz:
         return sum(each.memory_info().rss for each in everyone) / 2**20
 
     def _wait(self, true: Callable[[], Any], otherwise: str, why: Callable[[], str] = str) -> None:
-        """Wait until a condition is true; a timeout is a finding with the text `otherwise`."""
+        """Wait until the function `true` returns a true value.
+
+        A timeout is a finding with the text `otherwise`, and the result of `why` as its details.
+        """
         end = time.monotonic() + _PATIENCE
         while not true():
             if time.monotonic() > end:

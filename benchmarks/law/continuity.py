@@ -54,7 +54,7 @@ class Path(NamedTuple):
 
     Attributes:
         options: Robot, controller and seed.
-        number: Number of the motion; a negative number is a fixed state with one moving joint.
+        number: Number of the motion; a negative number is the fixed state with one moving joint.
         mode: `tracking` with a reference, `guided` without one.
         limits: `robot` for the robot's limits, `wide` for limits that no motion reaches.
         duration: [s] duration of the motion.
@@ -93,7 +93,8 @@ def continuity(
         duration: [s] duration of each motion.
         speed: [m/s] largest speed of the end-effector.
         refined: Number of places of each kind at which the step is refined.
-        first: Number of the first motion; with 0 the fixed state is included.
+        first: Number of the first motion; with 0, motions from a fixed state of the paper's robot
+            are included.
         kinds: Modes of the law: see `KINDS`.
     """
     fixed = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
@@ -151,7 +152,7 @@ def jumps_of(by_step: Array) -> Array:
 
 
 def _place(place: Refinement, by_step: Array) -> str:
-    """A row: the motion, the time, and the changes in steps of 1, 0.5, 0.25 and 0.125 ms."""
+    """A row: motion and time of `place`, and the changes in steps of 1, 0.5, 0.25 and 0.125 ms."""
     changes = ", ".join(f"{change:.3g}" for change in by_step)
     return f"{place.path.number} at {place.t:.3f} s: {changes}"
 
@@ -203,7 +204,7 @@ def _refined(place: Refinement) -> list[list[float]]:
 def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
     """(len - 1, 2) change of the linear and the angular acceleration from each instant to the next.
 
-    All methods limit the commanded acceleration to the robot's limits. The change is 0 if a pair
+    Each commanded acceleration is first limited to the robot's limits. The change is 0 if a pair
     touches, because the law need not be continuous there.
     """
     options = path.options

@@ -28,7 +28,7 @@ Array = np.ndarray
 _H = 0.002  # [s] step of the differences
 _FIVE = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  # second difference of fourth order
 _KINK = 0.05  # [m/s²] and [-] largest change of a difference with the step; more means a kink
-_MIN_D = 0.02  # [m] distance below which the term of two fixed points is constant
+_MIN_D = 0.02  # [m] smallest divisor d of the term |v_across|²/d
 _MIN_ROWS = 5  # [-] smallest number of samples of a displayed pair
 _MODELS = "law", "without_term", "with_term"
 
@@ -141,7 +141,7 @@ def _fixed_points(state: RobotState, closest: ClosestPoints) -> tuple[float, flo
 
 
 def _differences(robot: Robot, motion: Motion, t: float, h: float) -> Array:
-    """(pairs,) [m/s²] d̈ of each pair, from the library's distances around the time t [s]."""
+    """(pairs,) [m/s²] d̈ of each pair at t [s], from the library's distances in steps of h [s]."""
     reader = PairDistances(robot.model, robot.data.pairs.all)
     d = np.empty((len(_FIVE), len(reader.pairs)))
     for k in range(len(_FIVE)):

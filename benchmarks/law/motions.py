@@ -67,7 +67,7 @@ def random_motion(
 
     Args:
         model: The robot.
-        q: (n_m,) [rad or m]
+        q: (n_m,) [rad or m] joint positions at half of the duration.
         speed: [m/s] largest speed of the end-effector in the world.
         rng: Random generator.
         duration: [s] duration of the motion.
@@ -82,7 +82,7 @@ def random_motion(
 
 
 def one_joint_motion(model: RobotModel, q: Array, joint: int, speed: float, t: float) -> Motion:
-    """A motion of a single joint that passes q (n_m,) at time t [s] with a speed [rad/s]."""
+    """A motion of joint number `joint` that passes q (n_m,) at t [s] with a speed [rad/s]."""
     rate = 2 * math.pi * _BAND[0]
     amplitude = np.zeros((1, model.n_m))
     amplitude[0, joint] = speed / rate

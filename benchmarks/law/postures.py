@@ -11,12 +11,12 @@ from benchmarks.law.robot import Robot
 
 Array = np.ndarray
 
-_NEAR = 0.01  # [m] smallest distance of a pair, and of a pair of L_m from d_b
+_NEAR = 0.01  # [m] smallest distance of any pair, and smallest depth in the base's buffer
 _MARGIN = 0.05  # [-] smallest distance from a joint's limits, as a share of its range
 
 
 def posture_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
-    """(n_m,) random joint positions with a pair of L_m inside its buffer and without contact."""
+    """(n_m,) random joint positions with the arm inside the base's buffer and without contact."""
     model, pairs, d_b = robot.model, robot.data.pairs, robot.config.border.d_b
     reader, n = PairDistances(model, pairs.all), robot.n_mobile
     state = RobotState(model)

@@ -29,7 +29,7 @@ class Pull(NamedTuple):
         controller: Name of the controller.
         q_m: (n_m,) [rad or m] joint positions at the start, with the base at the origin.
         start: (3,) [m] position of the end-effector at the start.
-        move: (3,) [m] displacement of the person's hand.
+        move: (3,) [m] displacement of the person's target.
         lead_s: [s] duration of this displacement, which is a cubic in time.
         stiffness: [N/m] stiffness of the person's hand.
         f_max: [N] largest force of the person.
@@ -46,7 +46,7 @@ class Pull(NamedTuple):
     f_max: float
 
     def target(self, t: float) -> Array:
-        """(3,) [m] position of the person's hand at time t [s]; never below the floor."""
+        """(3,) [m] target of the person's hand at time t [s]; never below the floor."""
         s = min(max(t / self.lead_s, 0.0), 1.0)
         place = np.array(self.start) + s * s * (3 - 2 * s) * np.array(self.move)
         place[2] = max(place[2], 0.0)

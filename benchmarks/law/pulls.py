@@ -19,7 +19,7 @@ from benchmarks.law.work import played
 _FIXED = (0.369, 0.639, 0.30), (-0.245, -0.424, 0.0)
 """[m] start and displacement of the fixed pulls."""
 _FIXED_LEAD = 0.54  # [s] duration of the displacement
-_FIXED_HELD = 0.36  # [s] time at its end
+_FIXED_HELD = 0.36  # [s] time of holding after the displacement
 _FIXED_STIFFNESS = 2000.0  # [N/m]
 _FIXED_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
 _ABOVE = 0.2  # [-] share of the random pulls that start over the base
@@ -42,7 +42,7 @@ def pulls(
     Args:
         options: See `Options`.
         count: Number of random pulls, in addition to four fixed pulls.
-        held: [s] time for which the end-effector is held at the end of the pull.
+        held: [s] time for which the person holds the end-effector at the end of a random pull.
         first: Number of the first random pull; the fixed pulls run only with 0.
         column: [-] share of the random pulls towards the arm's own column.
     """

@@ -17,7 +17,7 @@ Array = np.ndarray
 
 
 class Robot(NamedTuple):
-    """A robot and the surroundings of its base.
+    """A robot with the data of its border and the box around its base.
 
     Attributes:
         model: The robot.
@@ -32,7 +32,7 @@ class Robot(NamedTuple):
 
     @property
     def config(self) -> Config:
-        """Its own parameters."""
+        """The parameters of the robot's own description."""
         return self.model.description.config
 
     @property
@@ -43,7 +43,7 @@ class Robot(NamedTuple):
 
     @property
     def n_mobile(self) -> int:
-        """Number of pairs of L_m."""
+        """Number of pairs of arm and base (L_m)."""
         return len(self.data.pairs.mobile)
 
 

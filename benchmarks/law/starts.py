@@ -20,6 +20,8 @@ import numpy as np
 import platformdirs
 
 from app.errors import UnreachableError
+from app.robot.assets import resolved_urdf
+from app.simulation.scenarios import posture as posture_module
 from app.simulation.scenarios import start as start_module
 from app.simulation.scenarios.start import StartSolver
 from benchmarks.law.robot import load
@@ -129,8 +131,13 @@ def _solver(robot: str) -> StartSolver:
 
 @cache
 def _digest(robot: str) -> str:
-    description = load(robot).model.description.model_dump_json()
-    return hashlib.sha256((inspect.getsource(start_module) + description).encode()).hexdigest()
+    model, data, *_ = load(robot)
+    pairs = repr([(pair.name, pair.a, pair.b) for pair in data.pairs.all])
+    sources = "".join(map(inspect.getsource, (start_module, posture_module)))
+    content = (
+        sources + resolved_urdf(model.description) + pairs + model.description.model_dump_json()
+    )
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 @cache

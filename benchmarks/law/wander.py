@@ -127,7 +127,7 @@ def play(walk: Walk) -> dict[str, Any]:
 
 
 def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[PullEvent]:
-    """The pulls of one person, with a release `_ALONE` before the end of the run."""
+    """The pulls of person `who` at a link (None: end-effector), with a release before the end."""
     found, t = [], rng.uniform(0.0, 1.0)
     while t < _DURATION - _ALONE:
         angle, r = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, _FARTHEST)

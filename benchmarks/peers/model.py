@@ -29,16 +29,16 @@ _FARTHEST = 100.0  # [m] or [rad] limit of the base's joints: never met
 class CommonModel(NamedTuple):
     """The model of a robot for all libraries.
 
-    Each shape is a box, a sphere, a cylinder or a capsule; there are no visual shapes. The limits
-    are those of our own controller. Names of links and joints are distinct. Each link has 1 kg,
-    because masses have no effect at velocity level.
+    Each shape is a box, a sphere, a cylinder or a capsule; there are no visual shapes. The position
+    and speed limits are those of our own controller. Names of links and joints are distinct. Each
+    link has 1 kg, because masses have no effect at velocity level.
 
     Attributes:
         planar: The URDF with base joints x, y and yaw, for libraries with equality rows.
         unicycle: The URDF with base joints yaw and x, for the other libraries. If both joints are
             at zero, its Jacobian equals the Jacobian of a base that cannot move sideways.
         joints: Joints of the arm, from the base outwards.
-        pairs: The two links of each pair, those of L_m first.
+        pairs: The two links of each pair, those of arm and base first.
         body_pairs: The same pairs by the names of the bodies.
     """
 
@@ -134,7 +134,7 @@ def _geometry(geometry: Element, body: str, shape: Shape) -> None:
 
 
 def _joint(robot: Element, source: Element, model: RobotModel) -> None:
-    """A joint of the arm with its limits; other joints are fixed."""
+    """A joint of the arm with its position and speed limits; other joints are fixed."""
     name, joints = str(source.get("name")), model.description.arm.joints
     moves = name in joints
     joint = SubElement(

@@ -92,7 +92,10 @@ def _times(axes: Axes, names: Sequence[str], rows: Sequence[Row]) -> None:
 def _cells(
     axes: Axes, names: Sequence[str], paths: Sequence[str], rows: dict[tuple[str, str], Row]
 ) -> None:
-    """Draw the final error as a colour and in words, above the smallest distance."""
+    """Draw a cell for each library and path.
+
+    Its colour and its upper number are the final error; its lower number is the smallest distance.
+    """
     for y, name in enumerate(names):
         for x, path in enumerate(paths):
             row = rows.get((name, path))
@@ -130,7 +133,7 @@ def _cell(axes: Axes, x: int, y: int, row: Row) -> None:
 
 
 def _closed(axes: Axes, x: int, y: int, text: str) -> None:
-    """Draw a run without results."""
+    """Draw a run without results: a hatched cell at column x and row y, with a text."""
     axes.add_patch(
         Rectangle(
             (x - 0.47, y - 0.44),

@@ -19,7 +19,7 @@ from benchmarks.peers.model import EE, PLANAR, UNICYCLE, CommonModel, common_mod
 Array = np.ndarray
 
 BASE_WEIGHTS = (300.0, 1.0)
-"""[-] cost of base motion relative to arm motion, in the objectives of the libraries."""
+"""[-] costs of base motion relative to arm motion; a library's objective has their squares."""
 DT = 0.005
 """[s] time between two steps of a library, and between two samples of all motions."""
 D_MIN = 0.05

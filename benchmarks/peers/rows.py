@@ -35,8 +35,8 @@ def rows_of(
         name: Name of the peer.
         peer: The peer.
         plan: The content of the plan's JSON.
-        folder: Folder with the plan in `plan`; the driver writes into `runs/NAME`.
-        environments: Folder of the environments.
+        folder: Its subfolder `plan` contains the plan; the driver writes into `runs/NAME`.
+        environments: Folder of the Python environments, with one subfolder for each library.
         judge: The evaluator on the common model.
 
     Returns:

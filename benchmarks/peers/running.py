@@ -1,5 +1,6 @@
-"""Runs a driver in a separate process with one thread; only the drivers of our own controllers can
-import this project.
+"""Runs a driver in a separate process with one thread.
+
+Only the drivers of our own controllers can import this project.
 """
 
 from __future__ import annotations

@@ -51,11 +51,8 @@ def markdown(rows: Sequence[Row]) -> str:
 
 def weight_title(weight: float) -> str:
     """The title of a cost of the base."""
-    return (
-        f"Base {weight:g} times as costly as the arm"
-        if weight != 1
-        else "Base as costly as the arm"
-    )
+    times = f"{weight:g} times that" if weight != 1 else "equal to that"
+    return f"Cost of base motion in the objective: {times} of arm motion"
 
 
 def _one(rows: Sequence[Row]) -> str:

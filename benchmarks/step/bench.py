@@ -13,8 +13,7 @@ from app.border.cache import BorderData
 from app.border.config import SamplingConfig
 from app.border.sampling import sample_clouds
 from app.config import Config
-from app.control.control_loop import ControlLoop
-from app.control.controller import Controller
+from app.control.controller import Controller, ControlLoop
 from app.control.quantities import ControlStep
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
@@ -88,7 +87,7 @@ def bench(
 
 
 def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int) -> dict[str, Any]:
-    """Durations of all control steps, and of the calls of `Floor` after each active step.
+    """Durations of all control steps, and of the calls of `Floor` in active steps of two paths.
 
     Each step is measured `_REPEATS` times; the `own` durations are the shortest ones, which exclude
     other work of the machine.
@@ -143,7 +142,7 @@ def _figures(name: str, steps: Array, floors: Array) -> dict[str, float | None]:
 
 
 def _reselect(model: RobotModel, data: BorderData) -> float:
-    """[ms] median duration of `configure` with another d_b."""
+    """[ms] median duration of `Controller.configure` with a new d_b, and thus a new border."""
     controller, times = Controller(model, data, Config()), []
     for d_b in _RESELECTED:
         config = Config().replace("border.d_b", d_b)

@@ -11,7 +11,7 @@ from app.border.cache import BorderData
 from app.border.dbb import DISTANCE_UNIT, make_cloud, quantise_points
 from app.border.offset import RAYS, OffsetContours
 from app.config import Config
-from app.control.control_loop import ControlLoop
+from app.control.controller import ControlLoop
 from app.robot.model import RobotModel
 from benchmarks.step.paths import Path
 from benchmarks.step.timing import time_steps
@@ -25,9 +25,9 @@ _ROUNDS = 3
 def by_points(
     model: RobotModel, data: BorderData, paths: Sequence[Path], counts: Sequence[int], seed: int
 ) -> dict[str, dict[str, float]]:
-    """[µs] median of a step with both pairs of L_m active, by kind of border and number of points.
+    """[µs] median of the steps of `Times.both`, by kind of border and number of points.
 
-    The points lie on the exact offset of the mobile robot. The borders take turns, and the smallest
+    The points lie on the exact offset of the mobile base. The borders take turns, and the smallest
     median of each counts, because the machine's speed varies.
     """
     offset = OffsetContours(model, Config().border.d_b)

@@ -26,7 +26,7 @@ class Floor:
     """Measures the duration of the direct calls of the libraries.
 
     Attributes:
-        size: Unknowns, equalities and inequalities of the QP.
+        size: Numbers of unknowns, equalities and inequalities of the QP.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, seed: int) -> None:
@@ -65,7 +65,7 @@ class Floor:
 def _make_qp(
     n: int, equalities: int, inequalities: int, rng: np.random.Generator
 ) -> proxqp.dense.QP:
-    """A feasible QP of a size; some inequalities are active at its solution."""
+    """A feasible QP of n variables; some of its inequalities are active at its solution."""
     R, C = rng.normal(size=(n, n)), rng.normal(size=(inequalities, n))
     bound = rng.uniform(0.3, 3.0, inequalities)
     qp = proxqp.dense.QP(n, equalities, inequalities)

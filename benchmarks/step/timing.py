@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.control import controller as controller_module
-from app.control.control_loop import ControlLoop
+from app.control.controller import ControlLoop
 from app.control.quantities import ControlStep
 from app.robot.link_pairs import PairDistances
 from app.simulation.loop.pacing import gc_frozen
@@ -27,7 +27,7 @@ class Times(NamedTuple):
 
     Attributes:
         step: (N,) [µs] duration.
-        mobile: (N,) number of active pairs of L_m.
+        mobile: (N,) number of active pairs of arm and base.
         active: (N, pairs) whether each pair was active.
         tracking: (N,) whether the end-effector had a reference.
     """
@@ -39,12 +39,12 @@ class Times(NamedTuple):
 
     @property
     def both(self) -> Array:
-        """(N,) whether two pairs of L_m were active, or one if never two were active."""
+        """(N,) whether two pairs of arm and base were active, or one if there were never two."""
         return self.mobile >= min(2, int(self.mobile.max()))
 
     @property
     def guided_by_one(self) -> Array:
-        """(N,) whether the arm was guided with one active pair of L_m."""
+        """(N,) whether the arm was guided with one active pair of arm and base."""
         return (self.mobile == 1) & ~self.tracking
 
     @property
@@ -124,7 +124,7 @@ class Stages:
 
 
 def time_stages(loop: ControlLoop, paths: Sequence[Path]) -> dict[str, float]:
-    """[µs] median of each stage over the steps with both pairs of L_m active.
+    """[µs] median of each stage over the steps of `Times.both`.
 
     This needs a separate run, because the clocks take time too.
     """

@@ -1,7 +1,7 @@
 // Helpers inside the page. viser's version is fixed, because they use private hooks of its client.
 (() => {
   // Software rendering is intended here: without this change, a warning covers a part of the page.
-  // The server then assumes a GPU and sends full detail.
+  // With this change, the server assumes a GPU and sends full detail.
   for (const kind of [self.WebGLRenderingContext, self.WebGL2RenderingContext]) {
     if (!kind || self.dbbHonest) continue;
     const original = kind.prototype.getParameter;
@@ -49,15 +49,9 @@
     canvas,
     node,
     ready: () => !!viewer()?.canvas && frame() > 0,
-    // Reflections of meshes are ready later than the scene.
-    lit: () => {
-      let root = viewer().nodeRefFromName[""];
-      while (root?.parent) root = root.parent;
-      return !!root?.environment;
-    },
     has: (name) => !!node(name),
     hold: (on) => { held = on; },
-    // x of the last frame from the server: all messages before this frame have arrived.
+    // x of a scene node: the last number of `send_barrier`, which follows all earlier messages.
     arrived: (name) => viewer().nodePoseData[name]?.position?.[0],
     // Reading back a pixel waits until the drawing is complete; software renderers delay it.
     render: async (count) => {

@@ -60,8 +60,8 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 def browser_path(bundled: str) -> str | None:
     """Return the path of a browser, or None for playwright's own browser at `bundled`.
 
-    The environment variable `DBB_BROWSER` has priority over an installed browser, and an installed
-    browser over playwright's own one.
+    If the environment variable `DBB_BROWSER` names a browser, this browser is used. If not, an
+    installed browser is used, and without one playwright's own browser.
 
     Raises:
         BrowserError: There is no browser, or the environment variable names a missing file.

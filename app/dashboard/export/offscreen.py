@@ -37,7 +37,7 @@ from app.simulation.loop.commands import Command
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
-from app.simulation.trace.trace import Trace
+from app.simulation.trace.trace import Stored, Trace
 from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.system import whole_file
 
@@ -85,8 +85,7 @@ class RecordedLoop(LoopHandle):
         super().__init__()
         self.snapshots = tuple(snapshots)
         """Snapshots in order of time, at least one."""
-        self._times = [snapshot.t for snapshot in self.snapshots]
-        self._at = 0
+        self._times, self._at = [snapshot.t for snapshot in self.snapshots], 0
 
     def go_to(self, t: float) -> Snapshot:
         """Go to the last snapshot at or before time `t` [s], or to the first snapshot."""
@@ -103,9 +102,9 @@ class RecordedLoop(LoopHandle):
     def latest(self) -> Snapshot:
         return self.snapshots[self._at]
 
-    def history(self, after: float) -> list[Snapshot]:
+    def stored(self, after: float = -1.0) -> list[Stored]:
         """Return the snapshots with t > `after` [s] up to the present one, oldest first."""
-        return list(self.snapshots[bisect_right(self._times, after) : self._at + 1])
+        return [*map(Stored, self.snapshots[bisect_right(self._times, after) : self._at + 1])]
 
 
 class OffscreenScene:
@@ -153,7 +152,7 @@ class OffscreenScene:
     def outline(self, base_pose: np.ndarray) -> None:
         """Draw the base's outline at a pose (3,) [m, m, rad] on the floor."""
         base = [body for body in self._data.parts.bodies if not body.joint]
-        around = np.vstack([body.mesh.bounds + body.placement.translation for body in base])
+        around = np.vstack([body.corners() for body in base])
         (low_x, low_y), (high_x, high_y) = around.min(axis=0)[:2], around.max(axis=0)[:2]
         xs, ys = (low_x, high_x, high_x, low_x), (low_y, low_y, high_y, high_y)
         corners = in_world(base_pose, np.column_stack([xs, ys, np.full(4, _LIFT)]))
@@ -273,7 +272,7 @@ def send_barrier(server: viser.ViserServer, number: int) -> None:
 def open_page(page: web.Page, server: viser.ViserServer) -> None:
     """Open a server's page and wait until it is ready to draw."""
     page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
-    page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
+    page.wait_for_function("() => dbbPage.ready()", timeout=1000 * TIMEOUT)
 
 
 def with_ghosts(shown: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
@@ -358,16 +357,20 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     ]
 
 
-def captioned(picture: Image.Image, snapshot: Snapshot, look: Look) -> Image.Image:
-    """Draw scenario, time, and the clearance of each robot into a picture."""
-    title = f"{snapshot.scenario}, " if snapshot.scenario else ""
-    robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *colours.GHOSTS), strict=False)
-    door, words = snapshot.door is not None, METHOD_WORDS
+def captioned(
+    picture: Image.Image, shown: Snapshot, look: Look, *, named: bool = False, posed: bool = False
+) -> Image.Image:
+    """Draw a title, with the time if not `posed`, and distances unless ghosts are `named`."""
+    title = f"{shown.scenario}, " if shown.scenario else ""
+    title = "Preview, not simulated" if posed else f"{title}t = {shown.t:.2f} s"
+    robots = zip((shown, *shown.ghosts), (INK[look.dark], *colours.GHOSTS), strict=False)
+    door, words = shown.door is not None, METHOD_WORDS
     lines = [
         (f"{words.get(robot.controller, robot.controller)}: {nearness(robot, door=door)}", colour)
         for robot, colour in robots
     ]
-    return label(picture, [f"{title}t = {snapshot.t:.2f} s", *lines], dark=look.dark)
+    texts = [] if named and shown.ghosts else lines
+    return label(picture, [title, *texts], dark=look.dark)
 
 
 def write_film(

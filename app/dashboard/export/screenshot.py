@@ -100,7 +100,7 @@ def _of_page(
     for t in times:
         loop.go_to(t)
         shared.update()
-        shown.viewer.look(look.view)
+        shown.viewer.camera.wanted = look.view
         for _ in range(2):  # the first call creates a panel's widgets, the second fills them
             shown.draw(texts=True)
         pictures.append(_settled(page, server))

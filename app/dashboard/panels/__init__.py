@@ -19,6 +19,7 @@ from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
+from app.errors import ConfigError
 from app.simulation.loop.commands import Pause, Play, Reset, StepOnce
 from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
@@ -58,15 +59,21 @@ class Viewer:
         self.timeline = Timeline(shared.loop, shared.strip)
         self.channel = Channel(client, notifier)
         """Messages to and from the page's own scripts."""
-        self.grip = Grip(shared.loop, notifier, client.client_id)
+        self.grip = Grip(shared.loop, notifier, client, self.timeline)
         self.camera = before.camera if before else Camera(client)
         self.camera.extent = shared.parts.extent
         self.channel.on("scene", self.camera.cover)
         self.files = before.files if before else Job()
-        """Creates the viewer's files, one after the other."""
+        """Creates the viewer's files, at most one at a time."""
 
     def look(self, preset: str) -> None:
-        """Set the camera to a preset, a key of `PRESETS`, for the displayed snapshot."""
+        """Set the camera to a preset, a key of `PRESETS`, for the displayed snapshot.
+
+        Raises:
+            ConfigError: The preset is "door", and the scenario has no door.
+        """
+        if preset == "door" and self.timeline.shown().door is None:
+            raise ConfigError("this scenario has no door")
         self.camera.wanted = preset
 
     def play(self, scenario: str) -> None:

@@ -28,8 +28,8 @@ from app.strict import Array
 MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below the node of its frame
 _NONE = "(none)"
 _OPACITY = 0.45  # [-]
-_MIN_HALF = 0.002  # [m] least half the size of a body
-_MAX_OFFSET = 5.0  # [m] largest coordinate of a body in its frame, and half its size
+_MIN_HALF = 0.002  # [m] smallest half extent of a body
+_MAX_OFFSET = 5.0  # [m] largest coordinate of a body in its frame, and largest half extent
 _DIGITS = 4  # [-] decimals of lengths [m] and angles [rad]
 
 
@@ -54,11 +54,8 @@ class EditPanel(Panel):
         self._q_m: Array | None = None  # (n_m,) [rad or m] joint positions of the shown arm
         with gui.add_folder("Edit this robot", expand_by_default=False):
             self._text = gui.add_html("")
-            self._body = gui.add_dropdown(
-                "Body",
-                (_NONE, *self._keys),
-                hint="The large gizmo moves and rotates the body, the small one resizes it.",
-            )
+            hint = "The large gizmo moves and rotates the body, the small one resizes it."
+            self._body = gui.add_dropdown("Body", (_NONE, *self._keys), hint=hint)
             with gui.add_folder("Monitored pairs", expand_by_default=False):
                 self._watched = {
                     pair: gui.add_checkbox(words.spoken(pair, names), False)
@@ -66,12 +63,9 @@ class EditPanel(Panel):
                 }
                 for box in self._watched.values():
                     self.on_update(box, lambda _: self._switch_pairs())
-            self.button(
-                "Use this posture as ready posture",
-                lambda _: self._take_posture(),
-                viser.Icon.STRETCHING,
-                hint="The arm's posture in the scene: pull it, or use “Joint sliders” in Lab.",
-            )
+            hint = "The arm's posture in the scene: pull it, or use “Joint sliders” in Lab."
+            ready, icon = "Use this posture as ready posture", viser.Icon.STRETCHING
+            self.button(ready, lambda _: self._take_posture(), icon, hint=hint)
             own = self._robot.name if is_own(self._robot.name) else f"{self._robot.name}_by_hand"
             self._name = gui.add_text("Save as", own, hint="A letter, then letters, digits and _")
             self.button("Save and use", lambda _: self._save(), viser.Icon.DEVICE_FLOPPY)
@@ -150,7 +144,7 @@ class EditPanel(Panel):
         )
 
     def _frame(self, key: str) -> str:
-        """Add the scene node of a body's frame, which moves with the body's joint; return it."""
+        """Add a scene node for a body's frame, which moves with its joint; return its name."""
         model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
         frame = model.frames[model.getFrameId(body.frame)]
         position, wxyz = to_viser(frame.placement)

@@ -1,6 +1,7 @@
 """Folder "Joint sliders": the controller's response to a posture while the simulation is paused."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from threading import RLock
 from typing import Any
 
@@ -113,7 +114,7 @@ class ExplorerPanel(Panel):
         self._error, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         with self._lock:
             self._set(posture)
-            self.posture, self._viewer.grip.reach = posture, self._move_end_effector
+            self.posture, self._viewer.grip.reach = posture, partial(setattr, self, "_target")
             self._show(on=True)
 
     def _go(self, _: Any) -> None:
@@ -130,9 +131,6 @@ class ExplorerPanel(Panel):
             self._viewer.grip.release()  # otherwise the rest of a drag would pull the robot
             self.posture = self._target = self._viewer.grip.reach = None
             self._show(on=False)
-
-    def _move_end_effector(self, place: Array) -> None:
-        self._target = np.array(place)
 
     def _read(self) -> None:
         """Read the posture from the sliders; each value is clipped to the range of its slider."""

@@ -53,8 +53,8 @@ is shared, and the forces of all who pull add up.
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
 TOUR = "Take the tour"
 SHOWN = "guiding-lateral"
-"""The scenario of the demonstration: the arm is pulled along the wheel axis."""
-FARTHER = 1.5  # [-] factor on this scenario's path; the arm then hits a base that stays
+"""The scenario of the demonstration: the arm is pulled from the side towards the base."""
+FARTHER = 1.5  # [-] factor on this scenario's path; the arm then almost reaches a resting base
 
 
 class Card(NamedTuple):
@@ -69,23 +69,25 @@ class Card(NamedTuple):
 
 _NO_CARD = Card("", "", ())
 _STEP = (SHOW, NEXT, CLOSE)
+_BOTH = (  # the demonstration in words, until its results replace them
+    "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays, and the "
+    "arm comes much too near or runs into it."
+)
 CARDS = {
     "welcome": Card(
         "This robot moves its base out of the way of its own arm",
-        "A person guides the arm towards the base: the base drives away before the arm touches it. "
-        "Without avoidance the base would stay, and the arm would hit it.",
+        "A person guides the arm towards the base, and the base gives way. Without avoidance the "
+        "base stays, and the arm comes much too near or runs into it.",
         (WATCH, PULL),
     ),
     "watch": Card(
         "The same pull on two robots",
-        "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays and "
-        f"the arm runs into it. The scenario is {SHOWN}, with a path {FARTHER:g} times as long.",
+        f"{_BOTH} The scenario is {SHOWN}, with a path {FARTHER:g} times as long.",
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(
         "Demonstration",
-        "It repeats until you click or press a key. Solid: with avoidance, the base gives way. "
-        "Violet: the same pull without avoidance.",
+        f"{_BOTH} It repeats until you click or press a key.",
         (WATCH, PULL, CLOSE),
     ),
     "pull": Card(
@@ -150,7 +152,7 @@ def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifi
 
 
 def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
-    """Create the tab in the GUI container that is open."""
+    """Add the help text, with the keys of the shortcuts, to the GUI container that is open."""
     keys = ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
     gui.add_markdown(TEXT.format(keys=keys))
 
@@ -161,22 +163,18 @@ class Guide(Panel):
     def __init__(self, viewer: Viewer, state: str) -> None:
         super().__init__(viewer)
         self.state, self._shown = state, _NO_CARD
+        self._compares = False  # whether the guide has started a comparison
         self._lock = RLock()  # the drawing thread, too, begins and ends the demonstration
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
         viewer.channel.on("card", self._press, str)
 
     def go(self, state: str) -> None:
-        """Show the card of a state, or no card if the state is empty.
-
-        The demonstration ends with its card "demo", or when its viewer chooses "pull" to pull.
-        """
+        """Show the card of a state, or no card if it is empty; end the guide's own comparison."""
         with self._lock:
             before, self.state = self.state, state
-            if (before, state) == ("watch", "pull") or (
-                before == "demo" and state not in ("demo", "watch")
-            ):
-                self._end()
+            if self._compares:
+                self._end(anew=before == "demo" or state == "pull")
 
     def watch(self, state: str) -> None:
         """Play the demonstration, and show the card "watch" or "demo".
@@ -201,8 +199,9 @@ class Guide(Panel):
     def update(self, moment: Moment) -> None:
         card, newest = CARDS.get(self.state, _NO_CARD), moment.newest
         if self.state in ("watch", "demo") and newest.ghosts and not newest.scenario:
-            ends = [f"{METHOD_WORDS[each.controller]}: {each.text}" for each in newest.scores]
-            card = card._replace(text=f"{card.text} Result {'; '.join(ends)}.")
+            robots = zip(("Solid", "Violet", "Teal"), newest.scores, strict=False)
+            ends = (f"{look}, {METHOD_WORDS[s.controller]}: {s.text}." for look, s in robots)
+            card = card._replace(text=card.text.replace(_BOTH, " ".join(("Result.", *ends))))
         if card == self._shown:
             return
         self._shown = card
@@ -213,8 +212,8 @@ class Guide(Panel):
     def _press(self, label: str) -> None:
         """Handle a click on a button of the card.
 
-        Ignore a label that the card does not have, except for the labels of a card that the same
-        click has just closed (`leave_demonstration`).
+        Ignore a label that the card does not have. Without a card, the labels of the demonstration
+        count, because the same click has just closed its card (`leave_demonstration`).
         """
         with self._lock:
             card = CARDS.get(self.state)
@@ -246,11 +245,15 @@ class Guide(Panel):
             scenario = scenario.changed(move=(x, y, z))
         self._shared.loop.send(Compare(("none",)))
         self._shared.loop.send(Play(scenario))
+        self._compares = True
 
-    def _end(self) -> None:
-        """Remove the ghost, and put the robot at the free start unless a viewer holds it."""
-        loop = self._shared.loop
+    def _end(self, *, anew: bool) -> None:
+        """Remove the ghost; with `anew`, put a robot that no viewer holds at the free start."""
+        loop, self._compares = self._shared.loop, False
+        if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
+            return  # a viewer has chosen another comparison
         loop.send(Compare())
         held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
-        if not (held or self._viewer.grip.holds_anything):  # whose pull can be newer
+        held |= self._viewer.grip.holds_anything  # the grip can be newer than the pulls
+        if anew and not held:
             loop.send(Reset())

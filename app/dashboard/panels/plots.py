@@ -40,11 +40,10 @@ class Plots(Panel):
         with tab:
             viewer.channel.sight(SIGHT)
             with self._gui.add_folder("Add a curve", expand_by_default=False):
-                self._name = self._gui.add_dropdown(
-                    "Quantity",
-                    tuple(viewer.shared.quantities),
-                    hint="A column of a log; its name ends in the unit.",
-                )
+                names = tuple(viewer.shared.quantities)
+                self._name = self._gui.add_dropdown("Quantity", names)
+                self.on_update(self._name, self._explain)
+                self._explain()
                 self._into = self._gui.add_dropdown("Plot", tuple(self._plans))
                 acts = {"Add": lambda: self._change(add=True), "Remove": self._change}
                 self.buttons("Curve", acts, hint="An added curve has the axis on the right.")
@@ -82,13 +81,11 @@ class Plots(Panel):
         unseen = SIGHT not in self._viewer.channel.seen
         if unseen or soon or drawn == self._drawn:
             return
-        past = self._viewer.timeline.between(until - LENGTH, until)
+        past = self._viewer.timeline.between(until - LENGTH, until, SPACING)
         if not past:  # the simulation has just restarted
             return
         self._drawn = drawn
         times = np.array([snapshot.t for snapshot in past])
-        due = np.diff(np.floor(times / SPACING), prepend=-1.0) > 0.0
-        past, times = [past[i] for i in np.flatnonzero(due)], times[due]
         instant = np.full(len(times), OFF)
         if not live:
             instant[int(np.abs(times - shown.t).argmin())] = 1.0
@@ -100,15 +97,21 @@ class Plots(Panel):
         period = PERIOD_REST if rests else PERIOD_LIGHT if view.light else PERIOD
         self._due = time.monotonic() + period
 
+    def _explain(self, _: object = None) -> None:
+        self._name.hint = f"Column of a log: {self._shared.quantities[self._name.value].hint}"
+
     def _change(self, *, add: bool = False) -> None:
-        """Remove the chosen quantity from the chosen plot; with `add`, append it as last curve."""
+        """Remove the chosen quantity from the chosen plot, or append it if `add`; show the plot."""
         name, title = self._name.value, self._into.value
         plan, view = self._plans[title], self._viewer.view
         curves = tuple(curve for curve in plan.curves if curve.label != name)
         if add:
-            used, value = {curve.colour for curve in curves}, self._shared.quantities[name]
+            used, curve = {curve.colour for curve in curves}, self._shared.quantities[name]
             colour = next((each for each in SERIES if each not in used), SERIES[0])
-            curves += (Curve(name, value, colour, "right axis; a column of a log", right=True),)
+            curves += (curve._replace(colour=colour, hint=f"right axis; {curve.hint}"),)
+            if math.isnan(curve.value(self._viewer.timeline.shown())):
+                text = f"{name} has no value at this instant; its curve starts with the next value."
+                self._notifier.tell(self._viewer.client, "Empty curve", text)
         self._plans[title] = plan._replace(curves=curves)
         view.plots = view.plots | {title}
 
@@ -134,13 +137,15 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHand
     The shown instant is a curve with its own scale; only at this instant, its value is within the
     scale.
     """
-    lines = []
-    for curve in plan.curves:
-        more: dict[str, Any] = {"fill": curve.colour + "40"} if plan.fill else {}
+    lines, hidden = [], uplot.Series_Points(show=False)
+    for curve in (*plan.curves, _INSTANT):
+        scale = "instant" if curve is _INSTANT else "right" if curve.right else "y"
+        look: dict[str, Any] = {"stroke": curve.colour, "width": LINE, "points": hidden}
+        if plan.fill and scale == "y":
+            look["fill"] = curve.colour + "40"
         if curve.dashed:
-            more["dash"] = [6, 4]
-        lines.append(_line(curve, scale="right" if curve.right else "y", **more))
-    lines.append(_line(_INSTANT, scale="instant"))
+            look["dash"] = [6, 4]
+        lines.append(uplot.Series(label=curve.label, scale=scale, **look))
     axes = [uplot.Axis(size=38), uplot.Axis(size=48)]
     if any(curve.right for curve in plan.curves):
         axes.append(uplot.Axis(size=48, side=1, scale="right"))
@@ -161,8 +166,3 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHand
         padding=(10, 12, 0, 0),
         order=order,
     )
-
-
-def _line(curve: Curve, **more: Any) -> uplot.Series:
-    points = uplot.Series_Points(show=False)
-    return uplot.Series(label=curve.label, stroke=curve.colour, width=LINE, points=points, **more)

@@ -1,6 +1,7 @@
 """Tab "Robot": choice of the robot, changes of its description, and a new robot from a zip."""
 
 import re
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -100,16 +101,10 @@ class RobotPanel(Panel):
             page = file_text(path)
         except (OSError, ValueError) as error:
             raise AssetError(f"{path} cannot be read: {error}") from None
-        modal = client.gui.add_modal(f"Report on the creation of {name}")
-        with modal:
-            self.button(
-                "Save as a file",
-                lambda _: client.send_file_download(
-                    f"{name}-report.html", page.encode(), save_immediately=True
-                ),
-                viser.Icon.DOWNLOAD,
-                color="gray",
-            )
+        with client.gui.add_modal(f"Report on the creation of {name}") as modal:
+            send = partial(client.send_file_download, f"{name}-report.html", page.encode())
+            save, icon = lambda _: send(save_immediately=True), viser.Icon.DOWNLOAD
+            self.button("Save as a file", save, icon, color="gray")
             client.gui.add_html(report_html(page))
             self.button("Close", lambda _: modal.close())
 
@@ -151,12 +146,8 @@ class NewRobotPanel(Panel):
             )
             self.status = JobStatus(viewer, build, lambda: outcome_html(build))
             self.fields = {name: _field(gui, name) for name in _QUESTIONS}
-            self._make = self.button(
-                "Create robot",
-                lambda _: build.build(self.request()),
-                viser.Icon.HAMMER,
-                visible=False,
-            )
+            create, icon = lambda _: build.build(self.request()), viser.Icon.HAMMER
+            self._make = self.button("Create robot", create, icon, visible=False)
 
     def update(self, moment: Moment) -> None:
         package, progress = self._build.package, self._build.progress
@@ -191,11 +182,8 @@ class NewRobotPanel(Panel):
         )
         if bool(left) != bool(right):
             raise ConfigError("choose both wheels, or detect both")
-        numbers: dict[str, Any] = {
-            name: float(value[name])
-            for name in _QUESTIONS
-            if name in BOUNDS and self._suits(name) and value[name]
-        }
+        asked = [n for n in value if n in BOUNDS and self._suits(n) and value[n]]
+        numbers: dict[str, Any] = {name: float(value[name]) for name in asked}
         request = Request(
             str(package.archive),
             value["base"],
@@ -227,7 +215,7 @@ class NewRobotPanel(Panel):
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
 
     def _offer_links(self, package: Package) -> None:
-        """Offer the links and wheel joints of the chosen URDF, by default its two end links."""
+        """Offer links and wheel joints of the chosen URDF; preselect its root and `last` link."""
         self._shown_urdf = self.fields["file"].value
         contents = package.urdfs.get(self._shown_urdf)
         if contents is None:  # a choice from the previous zip
@@ -265,9 +253,7 @@ def outcome_html(build: RobotBuild) -> str:
     if failed:
         return problem(in_words(failed))
     if built:
-        return (
-            f"<b>{escape(built)}</b> is ready: choose it in the list above, then “Use this robot”."
-        )
+        return f"<b>{escape(built)}</b> is ready: choose it above, then “Use this robot”."
     if package is not None:
         count = len(package.urdfs)
         content = "a URDF" if count == 1 else f"{count} URDFs"

@@ -25,7 +25,8 @@ from app.dashboard.markup import (
     table,
 )
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, Viewer
-from app.dashboard.panels.why import BAR_RANGE, state_chip
+from app.dashboard.panels.tuning import changing_html
+from app.dashboard.panels.why import distance_bar, state_chip
 from app.dashboard.record import Course, pulled
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, LATE, State, Verdict, is_slow
@@ -47,6 +48,7 @@ METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
 INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
+_STARTS = "A scenario starts at once. A pull of the end-effector ends it."
 _SCORES = (
     ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("end-effector error, now or final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
@@ -60,13 +62,12 @@ _SCORES = (
 
 
 class RunPanel(Panel):
-    """Tab "Run": scenario, controller, pause, distances and result; it applies to all viewers."""
+    """Tab "Run": scenario, controller, pause, distances and result, the same for all viewers."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, sink = self._gui, viewer.shared.loop
-        hint = "A scenario starts at once. A pull of the end-effector ends it."
-        self._scenario = self.choice("Scenario", {"": FREE, **TITLES}, viewer.play, hint)
+        self._scenario = self.choice("Scenario", {"": FREE, **TITLES}, viewer.play, _STARTS)
         self._controller = self.choice(
             "Controller",
             METHOD_TITLES,
@@ -76,9 +77,8 @@ class RunPanel(Panel):
             "barrier: a minimum distance as a constraint. none: no avoidance.",
         )
         self._pause = self.button(PAUSE, lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)
-        self._restart = self.button(
-            RESTART, lambda _: sink.send(Restart()), viser.Icon.REFRESH, color="gray"
-        )
+        restart, icon = lambda _: sink.send(Restart()), viser.Icon.REFRESH
+        self._restart = self.button(RESTART, restart, icon, color="gray")
         self.button(BACK, lambda _: viewer.play(""), viser.Icon.HOME, color="gray")
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
 
@@ -95,9 +95,8 @@ class RunPanel(Panel):
         self._restart.label = f"{RESTART} {course.name}".strip()
         ended = course.name and not (course.running or newest.busy)
         beside = newest.scores[1:] if ended else ()
-        about = "It changes slowly: a jump would suddenly push away an arm inside the buffer."
         self._course.content = (
-            (banner("notice", newest.changing, about) if newest.changing else "")
+            changing_html(newest)
             + course_html(course, newest.busy, self._shared.model.description)
             + (small(outcomes_html(beside)) if beside else "")
         )
@@ -115,12 +114,8 @@ class LabPanel(Panel):
         self._speed = gui.add_slider("Speed", *SPEEDS, 0.1, 1.0, hint=hint)
         self.on_update(self._speed, lambda event: sink.send(Speed(event.target.value)))
         if (case := viewer.shared.case) is not None:
-            self.button(
-                "Play the case",
-                lambda _: sink.send(Play(case)),
-                viser.Icon.PLAYER_TRACK_NEXT,
-                hint=f"{case.about}. It starts at once. A pull of the end-effector ends it.",
-            )
+            act, hint = lambda _: sink.send(Play(case)), f"{case.about}. {_STARTS}"
+            self.button("Play the case", act, viser.Icon.PLAYER_TRACK_NEXT, hint=hint)
         self._status = gui.add_html("")
 
     def update(self, moment: Moment) -> None:
@@ -136,12 +131,9 @@ class ComparePanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui = self._gui
-        text = "Other controllers run as ghosts beside the robot. hqp needs much computing time."
-        gui.add_markdown(text)
-        self._choices = [
-            gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
-            for label in ("Second robot", "Third robot")
-        ]
+        gui.add_markdown("Other controllers run as ghosts beside the robot. hqp is slow.")
+        titles, labels = (OFF, *METHOD_TITLES.values()), ("Second robot", "Third robot")
+        self._choices = [gui.add_dropdown(label, titles) for label in labels]
         hint = "All end-effectors have the same path, or the same force acts on all robots."
         self._input = gui.add_dropdown("Same input", tuple(INPUTS), hint=hint)
         for handle in (*self._choices, self._input):
@@ -167,6 +159,8 @@ class ComparePanel(Panel):
         names = {title: name for name, title in METHOD_TITLES.items()}
         others = tuple(names[title] for title in self._chosen())
         self._shared.loop.send(Compare(others, INPUTS[self._input.value]))
+        if others:
+            self._notifier.tell(self._viewer.client, "New run", "The timeline starts again.")
 
     def _chosen(self) -> list[str]:
         values = [handle.value for handle in self._choices]  # once: a person can change them
@@ -176,7 +170,7 @@ class ComparePanel(Panel):
 def scores_html(scores: tuple[Score, ...]) -> str:
     """Return the table of scores with a column for each robot, the main robot first.
 
-    A robot that has touched or overlapped itself cannot have the best value of a row.
+    A robot with a contact or an overlap cannot have the best value of a row.
     """
     if not scores:
         return small("No comparison is running.", FAINT)
@@ -187,9 +181,7 @@ def scores_html(scores: tuple[Score, ...]) -> str:
     )
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
     valid = [end == "no contact" for end in ends]
-    texts = [
-        end if good else state_chip("contact", end) for end, good in zip(ends, valid, strict=True)
-    ]
+    texts = [end if end == "no contact" else state_chip("contact", end) for end in ends]
     rows = [row(cell("outcome", FAINT), *(cell(text, RIGHT) for text in texts))]
     for label, name, text, best in _SCORES:
         values = [getattr(score, name) for score in scores]
@@ -255,7 +247,8 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
     changed = course.case is not None and course.name in SCENARIOS
     with suppress(DbbError):  # the robot has no line of its own for this scenario
         changed &= course.case is None or course.case.scenario() != scenario_of(robot, course.name)
-    title = f"{course.name}{' (options changed)' if changed else ''} {ended}"
+    by = f" with {course.last.controller}" if course.last is not None else ""
+    title = f"{course.name}{' (options changed)' if changed else ''}{by} {ended}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
     values = (
@@ -275,7 +268,7 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
     """Return the state of the simulation as rows of a table, in the verdict's colours.
 
-    A row "buffer" exists only if d_b was too small in the last seconds; it has a sufficient d_b.
+    A row "buffer" exists only if d_b was too small in the last 3 s; it has the required d_b.
     """
     state = "paused" if snapshot.paused else "running"
     pull, bound = f"{pulled(snapshot):.1f} N", snapshot.force_bound
@@ -328,26 +321,23 @@ def pairs_html(
         cell("activation β", RIGHT, ONE_LINE, "padding-left:1em"),
         style=FAINT,
     )
-    pairs = enumerate(zip(snapshot.pairs, verdict.pairs, strict=True))
-    d_b, known = snapshot.d_b, spoken or {}
+    known = spoken or {pair.name: pair.name for pair in snapshot.pairs}
+    order = list(known)  # also that of the colours in the plots
     rows = (
-        _pair_row(i, pair, state, d_b, known.get(pair.name, pair.name))
-        for i, (pair, state) in pairs
+        _pair_row(order.index(pair.name), pair, state, snapshot.d_b, known[pair.name])
+        for pair, state in zip(snapshot.pairs, verdict.pairs, strict=True)
     )
     return table((head, *rows), f"{_SIZE};line-height:1.65;padding:.3em .7em")
 
 
 def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) -> str:
-    """Return the row of pair number i; if its bodies overlap, the bar is full."""
-    colour = css(COLOURS[state])
-    share = 1.0 if state == "contact" else min(pair.d, BAR_RANGE) / BAR_RANGE
-    limit = min(d_b, BAR_RANGE) / BAR_RANGE
+    """Return the row of a pair with the colour number `i`."""
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),
-        cell(bar(share, colour, limit), "width:26%;padding-left:.4em"),
+        cell(distance_bar(pair.d, d_b, state), "width:26%;padding-left:.4em"),
         cell(_distance(pair.d), RIGHT),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "
-        f"the mark is d_b = {millimetres(d_b)}; activation β is 0 at d_b and 1 at d_full",
+        f"the mark is d_b = {millimetres(d_b)}; activation β is 0 at d_b",
     )

@@ -14,6 +14,7 @@ from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
 from app.dashboard.job import FILM_RATE, write_film_of, write_log, write_replay, write_report
+from app.dashboard.markup import small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
@@ -36,8 +37,7 @@ class SavePanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._job = self._gui, viewer.files
-        self._drawn = viewer.timeline.shown()  # or a posture, which the timeline does not have
-        JobStatus(viewer, viewer.files)
+        self._drawn = viewer.timeline.shown(), False  # True: a posture, which is not simulated
         with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
@@ -61,10 +61,11 @@ class SavePanel(Panel):
         with gui.add_folder("Last scenario"):
             hint = "The last scenario with its parameters, for dbb serve --case FILE"
             self.button("Case (JSON)", self._case, viser.Icon.FILE_DOWNLOAD, hint=hint)
-        gui.add_markdown("The tab *Tune* saves parameters.")
+        gui.add_html(small('<i class="dbb-saved">The tab Tune saves parameters.</i>'))  # page.css
+        JobStatus(viewer, viewer.files)  # below the buttons, which thus do not move
 
     def update(self, moment: Moment) -> None:
-        self._drawn = moment.shown
+        self._drawn = moment.shown, self._viewer.grip.reach is not None
 
     def _file(
         self,
@@ -102,12 +103,11 @@ class SavePanel(Panel):
         """Return the chosen width and height [px]."""
         for name, box in self._sizes.items():
             check_range(name, box.value, *SIZES[name][:2], "px")
-        width, height = (int(box.value) for box in self._sizes.values())
-        return width, height
+        return int(self._sizes["width"].value), int(self._sizes["height"].value)
 
     def _picture(self) -> bytes:
-        shown, look = self._drawn, Look(light=not self._viewer.view.dark)
-        return png(captioned(self._scene(*self._size()), shown, look))
+        (shown, posed), look = self._drawn, Look(light=not self._viewer.view.dark)
+        return png(captioned(self._scene(*self._size()), shown, look, named=True, posed=posed))
 
     def _scene(self, width: int, height: int) -> Image.Image:
         """Return the scene from the viewer's browser, in a size [px].
@@ -127,9 +127,8 @@ class SavePanel(Panel):
             raise BrowserError(f"the browser did not deliver a picture: {error}") from None
         if pixels.shape != (height, width, 4):
             raise BrowserError("the browser delivered a picture of another size")
-        picture = Image.fromarray(pixels, "RGBA")  # with a transparent background
-        whole = Image.new("RGBA", picture.size, (*BACKGROUND[self._viewer.view.dark], 255))
-        whole.alpha_composite(picture)
+        whole = Image.new("RGBA", (width, height), (*BACKGROUND[self._viewer.view.dark], 255))
+        whole.alpha_composite(Image.fromarray(pixels, "RGBA"))  # with a transparent background
         return whole.convert("RGB")
 
     def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> bytes:

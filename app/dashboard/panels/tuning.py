@@ -10,9 +10,11 @@ import viser
 
 from app.config import sections, tunable
 from app.config_file import decode_config, save_config
+from app.dashboard.markup import banner
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
+from app.simulation.trace.snapshot import Snapshot
 
 DECIMALS = 6  # [-] decimals of a number box
 MARK = "\N{NO-BREAK SPACE}•"  # after the label of a changed parameter
@@ -25,15 +27,14 @@ class TuningPanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        self._tuning = viewer.shared.tuning
+        tuning = self._tuning = viewer.shared.tuning
         self.widgets: dict[str, ParameterWidget] = {}
         """Widget of each parameter, by the parameter's path."""
         self._folders: list[tuple[Any, Any, str, tuple[str, ...]]] = []
-        """Folder of each section, its button that resets it, its title, and its parameters."""
-        tuning = self._tuning
+        """Folder, reset button, title, and paths of the parameters of each section."""
         self.buttons(
             "Changes",
-            {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset},
+            {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": self._reset},
             hint="A step is the change of a parameter, or of several by a file or a reset. The "
             "steps of all viewers count.",
         )
@@ -46,6 +47,7 @@ class TuningPanel(Panel):
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
+        self.changing.content = changing_html(moment.newest)
         changes = self._tuning.changes
         for path, widget in self.widgets.items():
             widget.is_marked = path in changes
@@ -55,38 +57,30 @@ class TuningPanel(Panel):
             reset.disabled = not count
         self._show_advanced()
 
+    def _reset(self) -> None:
+        if not self._tuning.changes:
+            raise ConfigError("nothing to reset: all parameters have their defaults")
+        self._tuning.reset()
+
     def _add_file(self) -> None:
         with self._gui.add_folder("File"):
-            self._name = self._gui.add_text(
-                "Name", FIRST_NAME, hint="Name of the file, without .toml"
-            )
-            self.button(
-                "Save",
-                self._save,
-                viser.Icon.DOWNLOAD,
-                hint="A TOML file for the option --config of dbb run, serve and sweep",
-            )
-            self.upload(
-                "Load",
-                self._load,
-                color="gray",
-                mime_type=".toml",
-                hint="A TOML file; parameters that are not in the file get their defaults",
-            )
+            hint = "Name of the file, without .toml"
+            self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
+            hint = "A TOML file for the option --config of dbb run, serve and sweep"
+            self.button("Save", self._save, viser.Icon.DOWNLOAD, hint=hint)
+            hint = "A TOML file; parameters that are not in the file get their defaults"
+            self.upload("Load", self._load, color="gray", mime_type=".toml", hint=hint)
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
         folder = self._gui.add_folder(title, expand_by_default=expand)
         with folder:
             for path in paths:
                 self.widgets[path] = ParameterWidget(self._viewer, path)
-            reset = self.button(
-                "Defaults",
-                lambda _: self._tuning.reset(paths),
-                viser.Icon.ARROW_BACK_UP,
-                color="gray",
-                disabled=True,
-                hint="Reset the parameters of this folder",
-            )
+            if expand:  # below the widgets, which must not move under the pointer
+                self.changing = self._gui.add_html("")
+            look = {"color": "gray", "hint": "Reset the parameters of this folder"}
+            undo, icon = lambda _: self._tuning.reset(paths), viser.Icon.ARROW_BACK_UP
+            reset = self.button("Defaults", undo, icon, disabled=True, **look)
         self._folders.append((folder, reset, title, paths))
 
     def _show_advanced(self) -> None:
@@ -97,10 +91,8 @@ class TuningPanel(Panel):
 
     def _save(self, event: Any) -> None:
         name = self._name.value.strip()
-        text = save_config(self._tuning.config, name)
-        event.client.send_file_download(
-            file_name(name), text.encode("utf-8"), save_immediately=True
-        )
+        data = save_config(self._tuning.config, name).encode("utf-8")
+        event.client.send_file_download(file_name(name), data, save_immediately=True)
 
     def _load(self, event: Any) -> None:
         file: viser.UploadedFile = event.target.value
@@ -109,15 +101,20 @@ class TuningPanel(Panel):
         except ConfigError as error:
             raise ConfigError(f"{file.name[:60]}: {error}") from None
         self._tuning.load(loaded.config)
-        count = len(self._tuning.changes)
-        self._notifier.tell(
-            event.client, "Parameters", f"{file.name[:60]}: {count} changed from the defaults."
-        )
+        text = f"{file.name[:60]}: {len(self._tuning.changes)} changed from the defaults."
+        self._notifier.tell(event.client, "Parameters", text)
         self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
 
 
+def changing_html(newest: Snapshot) -> str:
+    """Return a note while d_b changes to a new value, or an empty string."""
+    slowly = "It changes slowly: a jump would suddenly push away an arm inside the buffer."
+    about = "The simulation is paused; d_b changes once it continues." if newest.paused else slowly
+    return banner("notice", newest.changing, about) if newest.changing else ""
+
+
 def file_name(name: str) -> str:
-    """Return a file name that is valid on all systems, such as `stiff arm.toml`."""
+    """Return a file name such as `stiff arm.toml`; "-" replaces forbidden characters."""
     safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
     return f"{safe or FIRST_NAME}.toml"
 
@@ -179,11 +176,7 @@ def _widgets(
 
 
 def _value_of(power: float) -> float:
-    """Return 10 to the power, with three digits.
-
-    If the power is too large for a float, the result is ±inf or NaN, which is outside of the range
-    of each parameter and is therefore refused.
-    """
+    """Return 10 to the power, with three digits; ±inf or NaN if the power is too large."""
     return float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
 
 

@@ -77,7 +77,9 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
 def details_html(snapshot: Snapshot) -> str:
     """Return tables of the quantities behind the sentence, or one line if no pair is active."""
     why = snapshot.explanation
-    if why is None or why.bearing is None:
+    if why is None:
+        return small("There are no details for this instant.")
+    if why.bearing is None:
         return small("Avoidance does not act: no link pair is inside its buffer.")
     tables = (
         _table("Nearest active pair", _near_rows(snapshot, why, why.bearing))
@@ -98,7 +100,7 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
     more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
     return [
         _row("Force on the base", "sum of the forces (14) at the acting points", force),
-        _row("Base motion", "measured velocity", words.speeds(snapshot.base_velocity)),
+        _row("Base motion", "true velocity of the base", words.speeds(snapshot.base_velocity)),
         _row("Limited by", "limits that are active in this control step", limit + more),
     ]
 
@@ -111,7 +113,7 @@ def _push(why: Explanation | None) -> Sequence[float]:
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
     """Return the header: verdict, sentence, nearest pair, base speed and real-time factor."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
-    share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
+    share = distance_bar(pair.d, d_b, verdict.state)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
     pace = "paused" if snapshot.paused else pace
     late = ' title="busy computer" class="dbb-late"' if is_slow(snapshot) else ""
@@ -122,6 +124,12 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
         f'<b>{millimetres(pair.d)}</b></span><span class="dbb-bar" title="{hint}">{share}</span>'
         f"<span>base {words.speeds(snapshot.base_velocity)}</span><span{late}>{pace}</span></div>"
     )
+
+
+def distance_bar(d: float, d_b: float, state: State) -> str:
+    """Return a bar as long as the distance [m], full for an overlap, with a mark at d_b [m]."""
+    share = 1.0 if d < 0.0 else min(d / BAR_RANGE, 1.0)
+    return bar(share, css(COLOURS[state]), min(d_b / BAR_RANGE, 1.0))
 
 
 def state_chip(state: State, text: str = "") -> str:
@@ -135,8 +143,8 @@ def sentence(snapshot: Snapshot) -> str:
     if why is None:
         return "There is no explanation for this instant."
     first, *more = contacts(snapshot) or [""]
-    also = f", {len(more)} more" if more else ""
-    return (f"Contact: {first}{also}. " if first else "") + _answer(snapshot, why)
+    also = f" (+{len(more)})" if more else ""
+    return (f"{first.capitalize()} touch{also}. " if first else "") + _answer(snapshot, why)
 
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
@@ -182,7 +190,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
         else:
             least = millimetres(snapshot.config.barrier.d_min)
-            rest = f"; the arm itself will stop at {least}"
+            rest = f"; the arm itself comes no nearer than {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
     (x, y), (forward, left, _) = _push(why), planar(why.axes, snapshot.base_velocity)
@@ -222,7 +230,7 @@ def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Return distance or overlap of a pair in words, with the buffer distance d_b [m] if any."""
+    """Return distance or overlap of a pair as text, with the buffer distance d_b [m] if any."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
@@ -232,7 +240,7 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
-    """Return the motion of the base, by default its next motion; None without both."""
+    """Return the motion of the base, or its next motion if it is at rest; None without both."""
     ahead = pair.n[0] > _BEHIND
     moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
     if moves is not None:
@@ -263,10 +271,9 @@ def _task_effect(why: Explanation, *, limited: bool = False) -> str:
 
 
 def _off_target(snapshot: Snapshot) -> str:
-    """Return the end-effector's error in words; empty if it is small, or a contact matters more."""
-    if snapshot.ee_error < 0.01 or contacts(snapshot):
-        return ""
-    return f"; the end-effector is {millimetres(snapshot.ee_error)} from its target"
+    """Return the end-effector's error as text; empty if it is below 10 mm, or with a contact."""
+    text = f"; the end-effector is {millimetres(snapshot.ee_error)} from its target"
+    return "" if snapshot.ee_error < 0.01 or contacts(snapshot) else text
 
 
 def _also(why: Explanation) -> str:
@@ -288,7 +295,7 @@ def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
     beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
     return [
-        _row("pair", "the most active link pair", name),
+        _row("pair", "deepest overlap; otherwise the most active pair, of the base if any", name),
         _row("distance d", "signed distance of its convex bodies", distance),
         _row("activation β", "0 outside the buffer, 1 at full activation", beta),
     ]
@@ -382,7 +389,7 @@ def _acceleration(
     *,
     on: bool = True,
 ) -> str:
-    """Return a row with the size of a force [N] and accelerations; dashes unless `on`."""
+    """Return a row with the size of a force [N] and accelerations; only dashes if not `on`."""
     newtons = "" if f is None else f"{math.hypot(*f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]
     return _row(label, hint, *(values if on else [_NONE] * len(values)))

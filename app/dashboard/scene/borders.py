@@ -35,7 +35,7 @@ _GRAIN = 0.002  # [m] resolution of the slice's height
 _EVERY = 3  # [-] every third point of a contour is drawn
 _ON_DARK: Rgb = (255, 255, 255)
 _ON_LIGHT: Rgb = (20, 24, 30)
-_INSIDE = 0.5  # [-] assumed distance of the arm from the base for a `Probe`, relative to d_b
+_INSIDE = 0.5  # [-] assumed distance of the arm from the base for a `_Probe`, relative to d_b
 _NEAR = 8.0  # [px] largest distance of a point from the pointer
 _SMALL = 1e-4  # [m] step of a numerical gradient
 
@@ -53,7 +53,7 @@ class ColouredCloud(NamedTuple):
 class _Probe(NamedTuple):
     """A point of the border, and the base's response if the arm were there.
 
-    `text` has the values of the point in words. For the response, the arm is assumed at the
+    `text` has the values of the point as text. For the response, the arm is assumed at the
     distance `_INSIDE` d_b from the base.
     """
 
@@ -72,7 +72,7 @@ class Borders:
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
         self.body = MobileBody(model)
-        """Shape of the mobile robot l_m, in the base's frame."""
+        """Shape of the mobile base l_m, in the base's frame."""
         self.top = float(self.body.upper[2])
         """[m] height of the base's top; the border above it is drawn on demand only."""
         self._model, self._clouds = model, clouds
@@ -126,7 +126,7 @@ class Borders:
         d_b = snapshot.d_b
         d = _INSIDE * d_b
         p_b = p - (d_b - d) * n
-        finder = ActingPointFinder(BorderSearch(self.surface(snapshot.border)), field)
+        finder = ActingPointFinder(BorderSearch(self.surface(snapshot.border).table), field)
         found = finder.find_acting_point(p_b, d, config.force)
         assert found is not None, "a drawn border has contours"
         f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
@@ -175,7 +175,7 @@ class DrawnBorders:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each border whose quantity, d_b, ε, height or detail has changed.
+        """Draw each border whose quantity, d_b, ε, shown part or detail has changed.
 
         This takes milliseconds: call it outside of `atomic`, which delays all messages.
 

@@ -19,7 +19,7 @@ from app.strict import Array
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; less distortion than viser's 75°
 _MARGIN = 0.10  # [-] empty share of the free part of the picture, both sides together
 _ASPECTS = (0.4, 4.0)  # [-] limits of a reported aspect ratio
-_MOST_COVERED = 0.25, 0.55  # [-] limits of the shares that are covered from above and from below
+_MOST_COVERED = 0.8, 0.55  # [-] limits of the shares that are covered in all and from below
 UP = np.array([0.0, 0.0, 1.0])
 _LEAST_STEP = 1e-3  # [m] smaller steps of the camera are invisible
 _SAME = 0.02  # [m] within this distance from its set position, a camera counts as unmoved
@@ -56,8 +56,8 @@ class Window(NamedTuple):
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, *_ASPECTS))
-        above, below = np.clip((above, below), 0.0, _MOST_COVERED)
-        return cls(aspect, float(below), float(above))
+        covered = min(float(below), _MOST_COVERED[1])
+        return cls(aspect, covered, min(float(above), _MOST_COVERED[0] - covered))
 
     @property
     def edges(self) -> tuple[float, float]:
@@ -107,8 +107,8 @@ class Camera:
         self.wanted = ""
         """Preset, a key of `PRESETS`, that the next call of `settle` uses; callbacks assign it."""
         self._preset = "iso"  # the preset that was used last
-        self._eye = np.full(3, np.inf)  # [m] its position, with the later motion with the base
-        self._fitted: Window | None = None  # its window; None once the viewer has moved the camera
+        self._eye = np.full(3, np.inf)  # [m] the preset's position, moved along with the base
+        self._fitted: Window | None = None  # the preset's window; None if a viewer moved the camera
         self._arrived = False
         self._before: Snapshot | None = None
         self._seen_at: Array | None = None
@@ -142,7 +142,7 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Use `first_view`."""
+        """Use the preset that `first_view` returns for a snapshot."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
@@ -166,11 +166,11 @@ class Camera:
         return self._preset if self._waits() or away < _SAME else ""
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the wanted preset, or the preset again after a change of the window.
+        """Use the wanted preset if there is one; otherwise fit the last preset to a changed window.
 
-        A camera that the viewer has moved stays where it is. The panels narrow the scene only after
-        the first picture, and a drawer opens later. While the viewer is `busy` with a drag, the
-        camera does not move.
+        The window changes because the panels narrow the scene only after the first picture, and a
+        drawer opens later. The camera is not fitted while the viewer is `busy` with a pull, or if
+        the viewer has moved it.
         """
         wanted, self.wanted = self.wanted, ""
         if wanted:
@@ -215,7 +215,7 @@ class Camera:
         Args:
             snapshot: The shown snapshot.
             on: Whether the camera follows the base.
-            busy: Whether the viewer drags something; then the camera does not move.
+            busy: Whether the viewer drags something; then only the view of a door can change.
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
@@ -273,7 +273,7 @@ def placed(
 ) -> tuple[Array, Array]:
     """Return eye and target (3,) [m] of a preset in the world.
 
-    The view turns with the base, or with the door, of the middle snapshot.
+    The view turns with the base of the middle snapshot; the view of a door turns with the door.
 
     Args:
         preset: The view.

@@ -40,7 +40,7 @@ class Lens(NamedTuple):
     focal: float
     """[px] focal length."""
     free: tuple[float, float, float, float]
-    """[px] left, lower, right and upper edge of the uncovered part, as from `pixel`."""
+    """[px] left, lower, right and upper edge of the uncovered part, in coordinates of `pixel`."""
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
         """Return coordinates [px] to the right and up from the picture's centre, and depth [m].
@@ -72,7 +72,7 @@ def set_apart(
     free: tuple[float, float, float, float],
     scale: float = 1.0,
 ) -> dict[str, Spot]:
-    """Choose spots for labels so that they do not overlap; earlier labels have priority.
+    """Choose spots for labels so that they do not overlap; earlier labels choose first.
 
     A label for which no spot is free gets the first spot, and overlaps others.
 
@@ -134,7 +134,7 @@ class Canvas:
         """Draw a picture; the texts of existing labels change only if `texts`.
 
         With a lens, labels overlap only if there is no free place. While the simulated time `t` [s]
-        advances, labels prefer their last spots; otherwise, they do not depend on earlier pictures.
+        advances in short steps, labels prefer their last spots; after a jump of `t` they do not.
         """
         if not 0.0 < t - self._t < _SOON:
             self._spots = {}
@@ -151,7 +151,7 @@ class Canvas:
         node.position = place
 
     def label(self, name: str, place: Array, text: str) -> None:
-        """Draw a text at a position (3,) [m] in the world; labels drawn earlier have priority."""
+        """Draw a text at a point (3,) [m] in the world; earlier labels choose their spots first."""
         if not self.labels:
             return
         node = self._node(name, self._scene.add_label, text, anchor=ANCHORS[0])

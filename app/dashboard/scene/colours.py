@@ -39,7 +39,7 @@ def viridis(u: Array) -> Array:
 
 
 def viridis_css() -> str:
-    """Return the colour map as a CSS gradient, low at the left."""
+    """Return the colours of the map for a CSS gradient, from low to high values."""
     return f"#{_VIRIDIS.replace(' ', ', #')}"
 
 

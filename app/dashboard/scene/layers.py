@@ -164,8 +164,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
             canvas.lines(f"/pull/{i}", [ends], colours.PERSON, 3.0)
             force = float(np.linalg.norm(pull.force))
             if force >= _LEAST_FORCE:
-                text = f"pull {force:.0f} N"
-                canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
+                canvas.label(f"/pull/label_{i}", ends.mean(axis=0), f"pull {force:.0f} N")
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
@@ -187,7 +186,8 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
 def nearness(robot: Snapshot | GhostReading, *, door: bool) -> str:
     """Return a robot's clearance in words; `door` means that its arm holds a door."""
     d, part = robot.clearance, "arm or door" if door else "arm"
-    return f"{part} hits its base" if d < 0.0 else f"{part} {millimetres(d)} from its base"
+    near = millimetres(abs(d))
+    return f"{part} overlaps its base by {near}" if d < 0.0 else f"{part} {near} from its base"
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:

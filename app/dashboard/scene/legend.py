@@ -45,7 +45,7 @@ class Legend(NamedTuple):
     """Content of a colour bar."""
 
     pair: str
-    """Name of the pair of L_m."""
+    """Name of the pair of arm and base."""
     title: str
     """Name of the quantity, as HTML."""
     unit: str

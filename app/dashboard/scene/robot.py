@@ -25,15 +25,15 @@ logger = logging.getLogger(__name__)
 MAX_FACES = 2500  # [-] aim of the decimation; a link of the Panda has 12,000 to 22,000 faces
 MOST_FACES = 4 * MAX_FACES  # [-] accepted faces of a decimated mesh
 AGGRESSIONS = (3, 5, 7)
-"""Settings of the decimation: the first one with at most `MOST_FACES` is used, otherwise the last.
-Higher settings remove parts of meshes that consist of many parts, such as UR5's tubes. Lower
-settings leave such meshes too large."""
+"""Settings of the decimation, in the order of trial. The first setting with at most `MOST_FACES`
+faces is used; if there is none, the last one is used. Higher settings remove parts of meshes that
+consist of many parts, such as UR5's tubes. Lower settings leave such meshes too large."""
 LIGHT_FACES = 400
 """[-] aim of the decimation for a page with low detail, for each joint and colour."""
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
 GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
 BODY: Rgb = (64, 156, 224)  # colour of convex bodies
-_DARKEST = 110  # [-] least brightest channel, of 255: a black base is invisible on a dark page
+_DARKEST = 110  # [-] smallest value of the brightest channel: black is invisible on a dark page
 _BELOW = np.array([0.0, 0.0, 0.12])  # [m] from the top of the arm down to the label's point
 _AT_TOP = 0.01  # [m] points within this distance below the highest one are at the top
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] space for a border around the base
@@ -49,6 +49,12 @@ class Visual(NamedTuple):
     """T_joint_mesh."""
     mesh: trimesh.Trimesh
     colour: Rgb
+
+    def corners(self, T: pin.SE3 | None = None) -> Array:
+        """Return the corners (8, 3) [m] of the bounding box, with the joint at T (the identity)."""
+        placed = self.placement if T is None else T * self.placement
+        corners = trimesh.bounds.corners(self.mesh.bounds)
+        return trimesh.transform_points(corners, placed.homogeneous)
 
 
 class LinkPoses:
@@ -88,8 +94,8 @@ class RobotParts:
     def __init__(self, robot: RobotModel, *, apart: bool = False) -> None:
         """Load all parts.
 
-        `apart` reads large meshes in a process of their own. This takes a second, but the library
-        that simplifies meshes keeps the memory of the largest mesh.
+        With `apart`, or for a user's own robot, a separate process reads large meshes. Its start
+        takes a second; its end frees memory that the library for simplification does not return.
 
         Raises:
             AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -115,7 +121,7 @@ class RobotParts:
         in the ready posture, and a part of the border around the base."""
         top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
         self.crown = self.extent[top].mean(axis=0) - _BELOW
-        """(3,) [m] position of a label above the robot's ready posture, in the base's frame."""
+        """(3,) [m] position of the robot's label in the base's frame, slightly below the top."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:
@@ -132,14 +138,10 @@ class RobotParts:
     def _extent(self, robot: RobotDescription) -> Array:
         ready = np.array(robot.arm.ready_position)
         poses = self.kinematics.update(ready, np.zeros(len(robot.base.wheels)))
-
-        def corners(visual: Visual) -> Array:
-            T = poses[visual.joint] * visual.placement
-            return trimesh.transform_points(trimesh.bounds.corners(visual.mesh.bounds), np.array(T))
-
-        mobile = np.vstack([corners(body) for body in self.bodies[: len(robot.bodies[0].shapes)]])
+        base = self.bodies[: len(robot.bodies[0].shapes)]
+        mobile = np.vstack([body.corners(poses[body.joint]) for body in base])
         around = np.array([mobile.min(axis=0) - _AROUND, mobile.max(axis=0) + _AROUND])
-        links = [corners(visual) for visual in self.visuals or self.bodies]
+        links = [each.corners(poses[each.joint]) for each in self.visuals or self.bodies]
         return np.vstack([trimesh.bounds.corners(around), *links])
 
 
@@ -201,7 +203,7 @@ def load_visuals(description: RobotDescription) -> list[Visual]:
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a mesh with about `MAX_FACES` faces, and with duplicate vertices at sharp edges.
+    """Return a mesh with duplicate vertices at sharp edges; decimate more than `MAX_FACES` faces.
 
     The browser averages normals at shared vertices; without duplicates, the edges of a box would
     look round.

@@ -24,7 +24,6 @@ from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
-SURROUNDINGS = "city"  # viser's default environment for reflections
 _TRACK_LIFT = 0.004  # [m] height of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "end-effector": TRAIL_EE}
 
@@ -43,12 +42,13 @@ class SceneData:
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
         """Source of the snapshots; the robot; P_i of each pair of L_m, by the pair's name."""
-        self.pairs = [pair.name for pair in first.pairs]
-        """Names of all link pairs, in the order of the snapshots."""
-        self.mobile = [pair.name for pair in first.pairs if pair.mobile]
-        """Names of the pairs of L_m."""
         self.of_door = f"{model.body_names[0]}-{DOOR}"
         """Name of the pair of base and door, which exists in scenarios with a door."""
+        pairs = [pair for pair in first.pairs if pair.name != self.of_door]
+        self.pairs = [pair.name for pair in pairs]
+        """Names of all link pairs, in the order of the snapshots."""
+        self.mobile = [pair.name for pair in pairs if pair.mobile]
+        """Names of the pairs of arm and base."""
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
         """Names of the pairs in words."""
@@ -188,7 +188,7 @@ class Scene:
         self.canvas = Canvas(scene)
         self.border = DrawnBorders(scene, data.borders, data.model)
         self._trails: dict[str, Array] = {}
-        self._dark, self._light, self._plain = view.dark, view.light, False
+        self._dark, self._light = view.dark, view.light
         self._light_up()
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
@@ -221,18 +221,16 @@ class Scene:
     def _light_up(self) -> None:
         """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black.
 
-        Low detail has no reflections: with software rendering, they double the time per pixel.
+        There are no reflections: with software rendering, they double the time per pixel.
         """
         scene, light = self._scene, self._light
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
-        if light or self._plain:
-            scene.configure_environment_map(None if light else SURROUNDINGS)
-        self._plain = light
+        scene.configure_environment_map(None)
         scene.add_light_hemisphere(
             "/lights/sky",
             sky_color=(255, 255, 255),
             ground_color=(120, 125, 135),
-            intensity=1.2 if light else 0.7,
+            intensity=1.2,
         )
         dark = self._dark
         scene.add_grid(
@@ -270,7 +268,7 @@ class Scene:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
-        """Move the ghosts, and hide links that are absent or coincide with the robot's."""
+        """Move the ghosts; hide absent ghosts, and links that coincide with the robot's."""
         for i, ghost in enumerate(snapshot.ghosts):
             if i == len(self._ghosts):
                 colour = GHOSTS[i % len(GHOSTS)]

@@ -1,1 +1,1 @@
-"""Fitting bodies, groups, reachability and postures to a robot."""
+"""Fitting bodies, groups, joint limits and postures to a robot."""

@@ -1,4 +1,8 @@
-"""Small convex bodies around groups of links: around the points that other links can reach."""
+"""Small convex bodies around groups of links: around the points that other links can reach.
+
+A unit is a group of links that moves as one rigid body (`app.onboarding.fit.units`). A body
+encloses one or more units.
+"""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
@@ -21,7 +25,7 @@ ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 on a capsule do not jump."""
 _MOST = 4  # [-] largest number of shapes of a body
 _SAVES = 0.03  # [-] contacts per free posture that one more shape of l_m has to save
-_LEFT = 0.85  # [-] largest volume of an arm's body that one more shape leaves
+_LEFT = 0.85  # [-] largest share of the volume of an arm's body that one more shape leaves
 _SPOT = 1e-6  # [m³] smallest swept volume of points around which a body is fitted
 
 
@@ -34,7 +38,7 @@ class FittedBody(NamedTuple):
     """Link whose frame the shapes use."""
     links: tuple[str, ...]
     units: tuple[int, ...]
-    """Indices of its units."""
+    """Indices of the units (groups of links) that the body encloses."""
     fits: tuple[Fit, ...]
     """Its shapes, in `frame`."""
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
@@ -140,7 +144,7 @@ class ArmFitter:
         needed = [self._meetings.needed(k, others) for k in group]
         whole = [np.ones(len(u.surface), dtype=bool) for u in units]
         links = tuple(link for unit in units for link in unit.links)
-        # Without a collision, or with one only in a tiny region, it encloses the whole links.
+        # Without a collision, or with one only in a tiny region, the body encloses the whole links.
         fitted = self._smallest(units, needed) or self._smallest(units, whole)
         if fitted is None:
             raise RobotFileError(
@@ -196,7 +200,7 @@ class ArmFitter:
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 _PASSED = 256  # [-] number of cached results of `_through`
-_SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] circle's radius, relative to the distance of its chords
+_SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to its inscribed radius
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
@@ -229,8 +233,8 @@ def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Arra
     """Corners (M, 3) [m] of the hull that points sweep while one joint moves through its range.
 
     With `outwards`, the points are in the frame of the joint, and the result is in the frame of the
-    joint before it; otherwise the reverse. `data` are the bytes of the points (N, 3) [m]: they are
-    a key for the cache, because other groupings need the same results.
+    joint before it. Without it, these two frames are exchanged. `data` are the bytes of the points
+    (N, 3) [m]: they are a key for the cache, because other groupings need the same results.
     """
     points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))

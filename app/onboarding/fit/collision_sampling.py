@@ -1,4 +1,7 @@
-"""Collision sampling: the units of links that meet in random postures of the arm."""
+"""Collision sampling: the units of links that meet in random postures of the arm.
+
+A unit is a group of links that moves as one rigid body (`app.onboarding.fit.units`).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,16 +29,16 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 ALWAYS = 0.6
-"""[-] share of the free postures inside the buffer above which a pair counts as always near."""
+"""[-] share of the free postures; a pair inside its buffer in more postures is always near."""
 MARGIN = 0.015  # [m] distance below which a point of a surface counts as reached by another unit
 BUILT_IN = 0.5
-"""[-] smallest share of the postures in which hulls of nested units touch, as in a telescope."""
+"""[-] smallest share of the postures in which two nested units (rigid groups of links) touch."""
 NESTED = BUILT_IN**2
 """[-] smallest share of random postures in which nested links touch. It is the product of two
 shares: the postures in which the units touch, and among these the postures in which the links
 touch."""
 _FEWEST = 50  # [-] smallest number of free postures for finding close pairs
-_MAX_LOOKS = 200  # [-] number of postures of two units in which the touched points are searched
+_MAX_LOOKS = 200  # [-] about this number of postures is searched for touched points of two units
 _OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
 _RARE = 30  # [-] number of colliding random postures of a pair below which more are searched
@@ -45,24 +48,24 @@ _MORE, _MAX_POSTURES = 1000, 40_000  # [-] postures that are sampled at a time, 
 _PARTS = 4  # [-] parts of the random postures, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
 _NEAREST, _TRIES = 20, 10  # [-] postures that are varied at a time, and variations of each posture
-_SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] sizes of the variations relative to a joint's range
+_SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] standard deviations, relative to a joint's range
 
 
 class Postures(NamedTuple):
-    """Postures of the arm."""
+    """Postures of the arm, with the distances of pairs of units."""
 
     q_m: Array
     """(N, n_m) [rad or m]"""
     distances: Array
     """(N, pairs) [m] signed distances of hulls."""
     possible: Array
-    """(N,) whether no close pair touches, except nested ones; joint limits have to prevent the
-    other postures."""
+    """(N,) whether no close pair touches; contacts of nested pairs do not count. Joint limits have
+    to prevent the other postures."""
 
 
 @dataclass(frozen=True)
 class Meetings:
-    """Distances and collisions of units in random postures."""
+    """Distances and collisions of units (groups of links) in random postures."""
 
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]
@@ -72,7 +75,7 @@ class Meetings:
     units of the arm that touch, but overlap by at most 3 mm."""
     apart: frozenset[tuple[int, int]]
     """Pairs of a unit on the base and a unit of the arm that are within d_b in most free postures
-    and overlap deeper than adjacent links: joint limits have to prevent this."""
+    and overlap by more than 5 mm in some postures: joint limits have to prevent the overlap."""
     random: Postures
     rare: Postures
     """Colliding postures of pairs that rarely meet in random postures; see `_rare_postures`."""
@@ -93,7 +96,7 @@ class Meetings:
 
     @property
     def collides(self) -> Array:
-        """(N, pairs) whether hulls overlap in a random posture; always False for close pairs."""
+        """(N, pairs) whether hulls touch in a random posture; always False for pairs in `close`."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
         return np.logical_and(self.random.distances <= 0.0, watched)
 
@@ -120,7 +123,7 @@ def sample_meetings(
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
-    First `samples` postures are drawn, then further postures until `enough` of them have a
+    First `samples` postures are drawn, then further ones until `enough` postures in total have a
     collision, up to 40,000 postures. With `points`, the field `met` of the result has the points of
     surfaces that other units reach. `stopped` means that joint limits prevent the collisions of the
     pairs in `apart`; then these pairs are not in `close`.
@@ -196,7 +199,7 @@ def _touch_mostly(distances: Array) -> Array:
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
-    """Pairs of nested links of the units u and v; none if the units are not nested.
+    """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
 
     Units are nested if `found.nested` has them, or if they are neighbours that touch in at least
     `BUILT_IN` of the postures. Two of their links are nested if they touch in at least `BUILT_IN`
@@ -219,7 +222,7 @@ def nested_touches(
 ) -> dict[tuple[str, str], float]:
     """[-] share of random postures in which two nested links of a description touch, by the pair.
 
-    `nested_links` finds only pairs with at least `NESTED`. For a link without a shape it is 0.
+    `nested_links` finds only shares of at least `NESTED`. The share of a link without a shape is 0.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -269,7 +272,7 @@ def _rare_postures(
 def free_postures(distances: Array) -> Array:
     """(N,) whether no hulls with the distances (N, pairs) [m] touch.
 
-    With very few such postures, all postures count.
+    With fewer than 50 such postures, the result is True for all postures.
     """
     free = np.asarray((distances > 0.0).all(axis=1))
     return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
@@ -287,7 +290,7 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
     data, units, (a, b) = model.pin.createData(), found.units, found.pairs[k]
     column = found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
-    # Shallow collisions first: in deep collisions the links pass through each other.
+    # Not all of many postures: a selection that is evenly spread from shallow to deep collisions.
     met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
     postures = found.random.q_m[met_in]
     if np.count_nonzero(column <= 0.0) < _RARE:

@@ -14,7 +14,7 @@ from app.robot.shapes import Box, Capsule, Hull, Shape
 from app.strict import Array
 
 _UNIT = 1e-4  # [m] resolution of sizes, which are rounded up
-_SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a capsule's end, [-] of its volume
+_SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a coordinate, [-] factor of the volume
 _THINNEST = 0.002  # [m] smallest side of a box
 _SAVED = 0.03  # [-] smallest volume that a cut saves, relative to the hull of the whole mesh
 _CUBE = 0.03**3  # [m³] smallest volume that a cut saves
@@ -30,17 +30,17 @@ class Fit(NamedTuple):
     volume: float
     """[m³] volume of the shape."""
     over_cover: float
-    """[-] ratio of its volume to that of the points' hull; infinite for flat points."""
+    """[-] ratio of the shape's volume to that of the points' hull; infinite for flat points."""
     protrusion: float
-    """[m] largest distance by which it extends beyond the points' hull, along 162 directions."""
+    """[m] largest extent of the shape beyond the points' hull, along one of 162 directions."""
 
 
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
     """The shape with the smallest weighted volume around points (N, 3) [m].
 
-    `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull. If all
-    points are corners of their convex hull, `volume` is the known volume of this hull [m³];
-    otherwise it is None.
+    `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull.
+    `volume` is the volume [m³] of the points' convex hull. It is None if the volume is not known,
+    or if some points are not corners of the hull.
     """
     corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -49,7 +49,7 @@ def fit_best(points: Array, weights: dict[str, float], *, volume: float | None =
 
 
 def hull_corners(points: Array) -> Array:
-    """Corners (M, 3) of the convex hull; if the points are flat, the points themselves."""
+    """Corners (M, 3) [m] of the convex hull; `hull` describes the result for flat points."""
     return hull(points)[0]
 
 
@@ -57,8 +57,8 @@ def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
     The polytope has a face for each of 642 directions, which are evenly spread after the points are
-    scaled to equal widths along their principal axes. It exceeds the hull by about 0.5 % of the
-    points' extent along each principal axis.
+    scaled to equal widths along their principal axes. It exceeds the hull by about 0.2 % of the
+    points' extent if the hull is round, and by up to 2 % at edges.
     """
     corners, D = hull_corners(points), directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many
@@ -77,7 +77,7 @@ def _polytope(D: Array, reach: Array) -> Array:
 
 
 def fit_capsule(points: Array) -> Capsule:
-    """A capsule with a small volume, by a local search that starts at the best principal axis."""
+    """A small capsule around points (N, 3) [m], by a local search from the best principal axis."""
     some = _outermost(points)
     centre = some.mean(axis=0)
     axes = np.linalg.svd(some - centre, full_matrices=False)[2]
@@ -109,10 +109,10 @@ def fit_capsule(points: Array) -> Capsule:
 
 
 def fit_box(points: Array) -> Box:
-    """A small box that has an edge along an axis of the frame or a principal axis of the points.
+    """A small box around points, with an edge along an axis of the frame or a principal axis.
 
     First the box along the axes of the frame is the best one. A rotated box replaces the best box
-    only if its volume is at least a tenth smaller.
+    only if its volume is smaller by more than a tenth.
     """
     straight = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -174,7 +174,8 @@ def hull_volume(points: Array) -> float:
 def hull(points: Array) -> tuple[Array, float]:
     """Corners (M, 3) of the convex hull and its volume [m³]; for flat points, the points and 0.
 
-    Fewer than five points count as flat.
+    Fewer than five points count as flat and do not change. Other flat points are rounded to 1 µm,
+    without duplicates.
     """
     points = np.asarray(points, dtype=float)
     if len(points) < 5:
@@ -207,7 +208,7 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 
 def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The halves of a mesh whose hulls have the smallest volume; none if no plane cuts the mesh.
+    """The halves of a mesh with the smallest sum of hull volumes; none if no plane cuts the mesh.
 
     The tried planes are normal to the axes of the frame. The search uses every k-th triangle of a
     large mesh, and the halves have all triangles.

@@ -29,19 +29,20 @@ from app.onboarding.fit.collision_sampling import (
 from app.onboarding.fit.stops import LEAST, contact_margin, detectable
 from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry
+from app.onboarding.request import BOUNDS
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.strict import Array
 
 _PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
-_MAX_BODIES = 6  # [-] largest number of bodies of the arm
-_MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
+_MAX_BODIES = 6  # [-] largest number of bodies of the arm without --bodies
+_MAX_JUDGED = 60  # [-] largest number of groupings that are fitted in one search
 MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their bodies may miss
 TEST_POSTURES = 4000  # [-] smallest number of random postures for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded postures in which meshes are compared
 _FEWEST_CONTACTS = 30  # [-] smallest number of postures for naming a range without a contact
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
-_TEST_SEED = 2**31  # [-] seed of these postures, which the fit does not use
+_TEST_SEED = 2**31  # [-] seed of the postures for testing, which the fit does not use
 _MISSED = 0.1 * MAX_UNDETECTED  # [-] largest share of colliding postures that a grouping may miss
 _BODY_COST = 0.03  # [-] cost of each body
 _MISSED_COST = 40.0  # [-] cost of missed collisions, per share above `_MISSED`
@@ -93,16 +94,16 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If the
-    pairs then miss more than 0.1 % of the unit's collisions, as for a mast, it belongs to l_m.
+    A unit is a rigid group of links. The unit fixed to the base below the arm belongs to l_1, like
+    the paper's link 0, or to l_m if the pairs miss over 0.1 % of its collisions, as for a mast.
 
     `count` is the number of bodies of the arm. None means four as in the paper or, if four are not
     sufficient, the best number from two to six. Four are not sufficient if `Verdict.always` or
     `Verdict.spurious` has a pair, or if more than 0.1 % of all collisions are missed.
-    `on_progress` is called with the finished share of the judged groupings.
+    `on_progress` is called with the finished share of the groupings; each search begins at 0.
 
     Raises:
-        RobotFileError: The arm has fewer units with shapes than `count`, or none.
+        RobotFileError: No grouping into `count` bodies is possible; the message has a valid range.
     """
     fixed = meetings.units[1]
     found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
@@ -176,9 +177,11 @@ def _arm_grouping(
     if count is None and not good:
         chosen = best(chosen, *(k for k in range(2, _MAX_BODIES + 1) if k <= len(units)))
     if chosen is None:
-        parts = sum(bool(meetings.units[unit].parts) for unit in units)
+        shaped = [unit for unit in units if meetings.units[unit].parts]
+        least = 1 + (1 in shaped and bool(slides))  # see `_ranked`
         raise RobotFileError(
-            f"--bodies: the arm has {parts} groups of links; choose a number from 1 to {parts}"
+            f"--bodies: the arm has {len(shaped)} groups of links; choose a number from {least} to "
+            f"{min(len(shaped), int(BOUNDS['bodies'].high))}"
         )
     return chosen
 
@@ -229,7 +232,7 @@ class Detection(NamedTuple):
     """Collisions of links in random postures that the fit has not used, and the undetected ones.
 
     A colliding posture is detected if the bodies of any pair overlap, because avoidance prevents
-    this.
+    the overlap.
     """
 
     looked_at: int
@@ -239,22 +242,25 @@ class Detection(NamedTuple):
     undetected: int
     """Number of these postures in which meshes of links collide, but no pair of bodies overlaps."""
     watched: int
-    """Collisions of links whose bodies are a pair, counted by posture and pair."""
+    """Number of collisions of links whose bodies are a pair. All collisions between two bodies in
+    one posture count once."""
     missed: int
     """Number of these collisions in which the bodies of the pair do not overlap."""
     deepest: float
     """[m] largest distance of these bodies in a missed collision; 0 without one."""
     blind: tuple[str, ...]
-    """Pairs of bodies that miss more than half of their links' random and searched collisions."""
+    """Pairs whose bodies do not overlap in more than half of the collisions of their links.
+    Collisions in random postures, and further ones that a search has found, count together."""
     worst: str
-    """The first links of the two units that meet most often in the undetected postures, with their
-    share of all random postures; `none` without undetected postures."""
+    """Names of the two units (groups of links) that meet most often in the undetected postures,
+    with the share of these contacts in all random postures; `none` without undetected postures."""
     left_out: int
     """Number of postures that a rule excludes: no pair of bodies overlaps, but links meet that are
     neighbours or close by design. It is extrapolated if more than 300 postures qualify."""
     rule: str
-    """Up to four pairs of links of these postures, with their shares of all random postures; the
-    most frequent ones are first."""
+    """Up to four pairs of links of these postures, the most frequent ones first. Each has its share
+    of all random postures and, if there is one, a d_b with which a pair detects the contacts, or a
+    joint range without them."""
 
     @property
     def share(self) -> float:
@@ -268,9 +274,9 @@ def detection_of(
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
     Contacts that are allowed by design (`neighbours`) do not count. Contacts of two links of the
-    arm that are within d_b [m] of each other by design do not count either. A contact of the base
-    with a link that is within d_b of the base by design counts. `workers` share the random
-    postures.
+    arm that are within d_b [m] by design or overlap by at most 3 mm do not count either. A contact
+    of the base with a link that is within d_b by design counts if the pair is in `Meetings.apart`.
+    `workers` share the random postures.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -357,10 +363,10 @@ def _left_out(
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
-    """The largest range of one of some joints without a posture of q_m (N, n_m), as text.
+    """The largest range of one of the `joints` that contains no posture of q_m (N, n_m), as text.
 
-    It is empty if no range has at least a quarter of the joint's range, or of a turn, and with
-    fewer than `_FEWEST_CONTACTS` postures, between which such a range is a coincidence.
+    It is empty if no range has at least a quarter of the joint's range, or of a turn. It is also
+    empty with fewer than `_FEWEST_CONTACTS` postures, because such a range is then a coincidence.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
@@ -395,10 +401,13 @@ def _ranked(
     mobile: Sequence[int],
     slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
-    """All divisions of the chain into groups with shapes, each with a lower bound of its cost.
+    """All divisions of the chain into groups, each with a lower bound of its cost.
 
-    The order is by the cost that a division would have with ideal bodies: two ideal bodies overlap
-    exactly if links of both overlap. `slides` are the units on prismatic joints of the arm.
+    Each group has at least one link with a shape. The lower bound is the cost of the number of
+    bodies. The divisions are in the order of this bound plus the cost of collisions that ideal
+    bodies would miss: two ideal bodies overlap exactly if links of both overlap. `slides` are the
+    units on prismatic joints of the arm; such a unit is not in the group of a unit that is fixed to
+    the base.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

@@ -13,7 +13,7 @@ from typing_extensions import Self
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.config import parameter
-from app.control.transition import uncompensated_base_jacobian
+from app.control.tasks import uncompensated_base_jacobian
 from app.errors import UnreachableError
 from app.jobs.progress import OnProgress, part_of
 from app.robot.link_pairs import LinkPairs
@@ -46,7 +46,7 @@ class Ready(NamedTuple):
     beyond_buffer: float
     """[m] smallest distance of a pair beyond its buffer; negative inside it, inf without a pair."""
     nearest: str
-    """Name of that pair; empty without a pair."""
+    """Displayed name of that pair; empty without a pair."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
@@ -189,7 +189,7 @@ def find_place(
         model: The robot.
         pairs: The monitored pairs; at least one of them has l_m.
         name: The scenario, `guiding-front` or `guiding-lateral`.
-        fault: The fault of a line, or an empty string, such as `fault_of_run`.
+        fault: Returns the fault of a line, or an empty string; `fault_of_run` is an example.
         anyway: Whether to return the first tested line if all lines have a fault.
         on_progress: Called with the finished share of starts and postures.
     """
@@ -219,8 +219,9 @@ def chosen(
 ) -> Place | str:
     """The first line that comes nearer than `INNER` d_b and has no fault.
 
-    At most three lines are tested. If all of them have a fault, the result is the first of them
-    with `anyway`, otherwise the faults. If no line comes near enough, it is an empty string.
+    At most three lines are tested. If each of them has a fault, the result is a text with the
+    faults or, with `anyway`, the first of these lines. If no line comes near enough, the result is
+    an empty text.
     """
     tried: dict[Place, str] = {}
     for line in islice((each for each in lines if each.nearest < INNER * d_b), _MAX_RUNS):
@@ -239,7 +240,7 @@ def fault_of_run(
     place: Place,
     on_progress: OnProgress = lambda _: None,
 ) -> str:
-    """The measured fault of a run on a line, or an empty string.
+    """The measured fault of a run on the line `name` at a place, or an empty string.
 
     The base has to move by `GIVES_WAY` d_b, and the arm to stay `CLEARANCE` away from the base and
     `_LOWEST` from the floor. `on_progress` is called with the finished share of the run.
@@ -294,7 +295,7 @@ def line_from(
 
 
 class _Candidate(NamedTuple):
-    """A possible line; the arm can start there with some orientation of the end-effector."""
+    """A possible line; the arm reaches its start with some orientation of the end-effector."""
 
     start: Point
     inwards: Array
@@ -315,7 +316,7 @@ class _Candidate(NamedTuple):
         return _point(np.round(self.length * self.inwards, 3))
 
     def is_as(self, other: Self) -> bool:
-        """Whether the two lines have nearly the same end."""
+        """Whether this line and `other` have nearly the same end."""
         ends = (np.add(each.start, each.move) for each in (self, other))
         return float(np.linalg.norm(np.subtract(*ends))) < _OTHER
 
@@ -328,7 +329,10 @@ class _Candidate(NamedTuple):
 
 
 class _Guide:
-    """Moves the end-effector along lines, with the base at rest at the origin."""
+    """Moves the end-effector kinematically along candidate lines.
+
+    The base rests at the origin, and there is no avoidance.
+    """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         self.body = MobileBody(model)
@@ -339,11 +343,11 @@ class _Guide:
         self._postures, self._places, self._flaws = _sampled(self._search)
         self._obstacles: Counter[str] = Counter()
         self._nearest: Place | None = None
-        self._short = np.inf  # [m] smallest distance from a posture to a start
+        self._short = np.inf  # [m] smallest distance of a position in `_places` from a start
 
     @property
     def obstacles(self) -> str:
-        """Why no line leads near the base; of failed starts the most frequent reasons."""
+        """Why no line leads near the base: the best line, or the main reasons of failed starts."""
         if (near := self._nearest) is not None:
             line = f"the line from {point_text(near.start)} leads to {near.nearest:.3f} m"
             least = INNER * self._d_b
@@ -356,10 +360,10 @@ class _Guide:
     def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
         """Lines of a scenario; the most promising lines are first.
 
-        A quick first step moves the arm to each start from a known posture. A second, slow step
-        searches for the posture with which a run starts; it runs only when the caller requests the
-        next line. No two lines have nearly the same end. If no line brings the arm nearer than
-        `INNER` d_b, only the best line is yielded.
+        A quick first step moves the arm to each start from a known posture. Each time the caller
+        requests a line, a slow step searches for a posture with which a run starts. No two lines
+        have nearly the same end. If no line brings the arm nearer than `INNER` d_b, only the best
+        line is yielded.
         """
         mount, body = self._model.p_base(), self.body
         tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
@@ -521,7 +525,7 @@ def _heights(tops: list[float]) -> list[float]:
 
 
 def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
-    """[m] distance from a point (3,) along `inwards` to l_m; 0 if the ray misses l_m."""
+    """[m] distance from p (3,) [m] along `inwards` (3,) to l_m; 0 if the ray misses l_m."""
     size = body.upper - body.lower
     steps = np.arange(0.0, float(np.abs(inwards) @ size), _STEP)
     met = body.distance(p + steps[:, None] * inwards) <= _STEP

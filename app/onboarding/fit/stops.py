@@ -43,7 +43,7 @@ def with_stops(
     `watching_buffer`. `ready` (n_m,) is a posture that the limits have to include, or None.
 
     Raises:
-        RobotFileError: No limits that include the posture `ready` prevent the contact.
+        RobotFileError: Limits can prevent the contact, but none of them include `ready`.
     """
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     stops = {}
@@ -52,7 +52,7 @@ def with_stops(
         if not _meet(meetings, (u, v), lower, upper):
             continue
         postures = sample_joints(model, _POSTURES, np.random.default_rng(0)).clip(lower, upper)
-        stopping = []
+        stopping, possible = [], False
         for joint in range(b.joint - _ARM + 1):
             values = np.linspace(lower[joint], upper[joint], _VALUES)
             tried = np.repeat(postures[:, None], _VALUES, axis=1)
@@ -64,6 +64,7 @@ def with_stops(
                 low, high = values[first], values[after - 1]
                 span = min((upper - lower)[joint], 2 * np.pi)
                 enough = high - low >= LEAST * span
+                possible = possible or enough
                 if enough and (ready is None or low <= ready[joint] <= high):
                     share = round((high - low) / (upper - lower)[joint] / _ALIKE)
                     stopping.append((share, -abs(low + high), joint, low, high))
@@ -71,8 +72,9 @@ def with_stops(
             *_, joint, low, high = max(stopping)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
             name, detects = arm.joints[joint].name, detectable(meetings, (u, v))
-            stops[name] = f"{b.name} reaches {a.name}{detects}"
-        elif ready is not None:
+            reason = f"{b.name} reaches {a.name}{detects}"
+            stops[name] = f"{stops[name]}, and {reason}" if name in stops else reason
+        elif possible:
             raise RobotFileError(
                 f"--ready: {b.name} can meet {a.name} near this posture; choose another posture"
             )
@@ -88,7 +90,7 @@ def with_stops(
 def contact_margin(distances: Array) -> float:
     """[m] distance up to which two links with some distances (N,) count as in contact.
 
-    Adjacent links are always within `MARGIN`; for these it is half of their largest distance.
+    It is `MARGIN`, or half of the largest distance if that is less, as for adjacent links.
     """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 
@@ -96,8 +98,8 @@ def contact_margin(distances: Array) -> float:
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
     """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
-    The result is `d_b`, or less in steps of 0.01 m, within the bounds of `border.d_b`. The second
-    result is the reason of a smaller distance, or an empty text.
+    The result is `d_b`, or a smaller value in steps of 0.01 m. A collision that no valid value of
+    `border.d_b` detects is ignored. The second result is the reason of a smaller value, or empty.
     """
     least, why = d_b, ""
     for u, v in sorted(meetings.close & meetings.apart):
@@ -113,7 +115,7 @@ def _monitored_from(meetings: Meetings, pair: tuple[int, int]) -> float:
     """A d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
 
     The units are then outside of the buffer in the share `ALWAYS` of the free postures. A pair
-    needs less, but its bodies are larger than the links.
+    needs only 1 − `ALWAYS`; the larger share is a reserve for bodies larger than the links.
     """
     distances = meetings.random.distances
     gaps = distances[free_postures(distances), meetings.pairs.index(pair)]
@@ -128,6 +130,6 @@ def detectable(meetings: Meetings, pair: tuple[int, int]) -> str:
 
 
 def _meet(meetings: Meetings, pair: tuple[int, int], lower: Array, upper: Array) -> bool:
-    """Whether two units meet in a random posture within joint limits."""
+    """Whether two units touch in at least one sampled posture within joint limits."""
     q_m, gaps = meetings.random.q_m, meetings.random.distances[:, meetings.pairs.index(pair)]
     return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())

@@ -11,7 +11,9 @@ from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 Positions = Mapping[str, float]
 """[rad or m] positions of joints by their names."""
 
-_STEP = np.radians(10.0)  # [rad] step of the sampled angles
+_STEP = np.radians(10.0)  # [rad] step of the sampled angles in a range of up to 25 rad
+_MOST_TURN = 1e3  # [rad] range above which a joint counts as one without limits
+_MOST = 144  # [-] largest number of steps
 
 
 def filled(
@@ -19,10 +21,10 @@ def filled(
 ) -> dict[str, LinkGeometry]:
     """The links' geometry in nearly convex pieces, extended by the motion of some links.
 
-    For moving links outside of the arm's chain, the pieces cover all places that the link can
-    reach. Such links are the links beyond the chain's last link (fingers), the other parts of
-    telescopes, and the links on joints that mimic a joint of the arm. `chain` has the joints of the
-    arm. The shapes are in the frames of the links at rest.
+    These links are the links beyond the chain's last link (fingers), the other parts of telescopes,
+    and the links on joints that mimic a joint of the arm. Their pieces cover the motions of
+    `with_travel`. `chain` has the joints of the arm. The shapes are in the frames of the links at
+    rest.
     """
     pieces = {
         name: each._replace(shapes=tuple(p for shape in each.shapes for p in in_pieces(shape)))
@@ -70,12 +72,13 @@ def with_travel(
     without: Sequence[str] = (),
     leaders: Sequence[Joint] | None = None,
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which the shapes of each descendant of `carrier` cover its motion.
+    """Geometry in which the shapes of each descendant of `carrier` cover its sampled positions.
 
-    `leaders` move through their ranges: first one at a time with the others at rest, then all
-    together; default: all moving joints below `carrier`. Mimic joints follow. The shapes
-    are in the frames of the links at rest, see `held_at`. Links beyond the joints in `without` do
-    not change.
+    `leaders` move through their ranges: first one at a time with the others at rest, then all at
+    once, each at the same share of its range. Other combinations of positions are not covered. By
+    default, `leaders` are all moving joints below `carrier`. Mimic joints follow. The shapes are in
+    the frames of the links at rest, see `held_at`. Links beyond the joints in `without` do not
+    change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
@@ -98,8 +101,8 @@ def held_at(joint: Joint) -> float:
 
 
 def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Positions]:
-    """Positions of joints: each leader through its range with the others at rest, then all
-    together.
+    """Positions of joints: each leader moves through its range with the others at rest, then all
+    leaders move at once, each at the same share of its range.
     """
     ranges = {joint.name: _range(joint) for joint in leaders}
     rest = {joint.name: held_at(joint) for joint in [*joints, *leaders] if joint.moves}
@@ -117,15 +120,15 @@ def _range(joint: Joint) -> list[float]:
 
     Without a range, a prismatic joint stays at zero, and other joints make a whole turn.
     """
-    low, high = joint.lower, joint.upper
-    if low is None or high is None or low >= high:
-        low, high = (0.0, 0.0) if joint.kind == "prismatic" else (-np.pi, np.pi)
-    count = 2 if joint.kind == "prismatic" else int(np.ceil(min(high - low, 7.0) / _STEP)) + 1
-    return np.linspace(low, high, count).tolist()
+    low, high, slides = joint.lower, joint.upper, joint.kind == "prismatic"
+    if low is None or high is None or low >= high or (high - low > _MOST_TURN and not slides):
+        low, high = (0.0, 0.0) if slides else (-np.pi, np.pi)
+    count = 1 if slides else min(int(np.ceil((high - low) / _STEP)), _MOST)
+    return np.linspace(low, high, count + 1).tolist()
 
 
 def _placed(tree: Tree, links: Sequence[str], carrier: str, at: Positions) -> dict[str, pin.SE3]:
-    """T_carrier_link of the links below a carrier; `links` has parents before children."""
+    """T_carrier_link of `links` (parents first) below a carrier, at the joint positions `at`."""
     found = {carrier: pin.SE3.Identity()}
     for link in links:
         joint = tree.joint_of[link]

@@ -25,11 +25,11 @@ _MANY = 150  # [-] number of pairs of shapes from which bounding spheres save ti
 
 
 class Part(NamedTuple):
-    """One hull of a unit."""
+    """One hull of a unit; a `Unit` is a group of links that moves as one rigid body."""
 
     link: str
     corners: Array
-    """(N, 3) [m] corners of its hull, in the joint's frame."""
+    """(N, 3) [m] corners of the hull, in the joint's frame."""
     reach: Array
     """(K,) [m] largest coordinates of the hull along `directions(2)`."""
 
@@ -42,7 +42,8 @@ class Unit(NamedTuple):
     Then each joint of the arm has one or two units: the unit beside the arm, if any, and the unit
     of the arm."""
     frame: str
-    """Link whose frame is that of the joint; the floor point for the first two units."""
+    """Link whose frame is that of the joint; the floor point for the first two units. In
+    `units_of_links`, the `frame` of the body."""
     links: tuple[str, ...]
     joint: int
     """Number of the joint in pinocchio."""
@@ -56,7 +57,7 @@ class Unit(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The link with the largest part, which a user knows; without parts the first link."""
+        """Name in messages: the link with the largest part; without parts the first link."""
         sizes = {part.link: float(np.ptp(part.corners, axis=0).prod()) for part in self.parts}
         return max(sizes, key=sizes.__getitem__, default=self.links[0])
 
@@ -135,11 +136,11 @@ def moved(points: Array, T: pin.SE3) -> Array:
 
 
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
-    """Whether contacts of two units are allowed by design.
+    """Whether contacts of the units a and b are allowed by design.
 
-    Contacts are allowed if the units are on the same joint, if a single joint separates them and
-    both belong to the arm's chain (`beside` is False), or if only parallel prismatic joints
-    separate them, as in a telescope.
+    Contacts are allowed in three cases. The units are on the same joint. A single joint separates
+    the units, and both belong to the arm's chain (`beside` is False). Only parallel prismatic
+    joints separate the units, as in a telescope.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -209,7 +210,7 @@ def shape_distances(
 def meshes_meet(
     model: RobotModel, a: Unit, b: Unit, geometry: Mapping[str, LinkGeometry], q_m: Array
 ) -> Array:
-    """(N,) whether triangles of the meshes of two units touch in the postures q_m (N, n_m)."""
+    """(N,) whether the meshes of the units a and b touch in the postures q_m (N, n_m)."""
     data, request = model.pin.createData(), coal.CollisionRequest()
     first, second = (
         [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]

@@ -1,11 +1,12 @@
 """The shapes of a link with their convex hulls, and its inertia, in the frame of the link."""
 
+import codecs
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, iterparse
 
 import numpy as np
 import pinocchio as pin
@@ -15,26 +16,30 @@ from app.errors import RobotFileError
 from app.onboarding.fit.convex import convex_pieces
 from app.onboarding.read.source import MESHES
 from app.onboarding.read.tree import Arm, Tree
-from app.robot.assets import floats, refuse_placeholder
+from app.robot.assets import floats, refuse_placeholder, stated_stl
 from app.robot.shapes import hull_mesh
 from app.robot.urdf import numbers, origin, unit_of, urdf_mesh
 from app.strict import Array
 
 _LARGEST = 10.0  # [m] largest size of a shape
+_SMALLEST = 1e-3  # [m] smallest size of a mesh
 _DENSEST = 30_000.0  # [kg/m³] largest density of a link; gold has 19,300
+_LIGHTEST = 2.0  # [kg/m³] smallest density of all links of a base or an arm; real ones have 200
 _HEAVIEST = 100.0  # [kg] largest mass with any density: a shape may represent a part of its link
 MOST_FACES = 40_000
 """[-] largest number of triangles of a mesh; a larger mesh is simplified, but keeps its extent."""
 _CELL = 3e-4  # [m] edge of the cells in which vertices of a larger mesh are merged
 _MANY = 10_000  # [-] number of points above which a hull uses only the outermost ones
-_HEAVY = 4_000_000  # [bytes] size of a mesh file above which equal vertices are not merged
+_HEAVY = 4_000_000  # [bytes] larger mesh files are converted to STL without merging equal vertices
 _SPACING = 0.03  # [m] distance between points on the surface of a hull
 _MAX_POINTS = 1500  # [-] largest number of corners, and of other points, on a hull
 ARM_DENSITY = 1200.0
 """[kg/m³] density of an arm's links in their hulls; a Panda's links have 1,000 to 1,500."""
 BASE_DENSITY = 450.0
 """[kg/m³] density of a base's links in their hulls; a Husky has 400, an Omron LD-60 480."""
-_MAX_MOMENT = 1e4  # [-] multiple of m r² above which the unit is wrong; rough guesses have 1e3
+_GUESS = 1.0  # [kg m²] largest moment of inertia that is a rough guess, for any mass
+_GYRATION = 5.0, 10.0  # [m], [-] largest radius of gyration; the second is relative to the shapes
+_OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass from the shapes, likewise
 _ROUNDING = 1e-5  # [-] smallest excess of the sum of two moments over the third, relative to it
 _TINY = 1e-9  # [kg] or [kg m²] largest value that counts as zero
 _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
@@ -44,9 +49,10 @@ class LinkShape(NamedTuple):
     """One shape of a link."""
 
     mesh: trimesh.Trimesh
-    """The original shape, in the link's frame [m]."""
+    """Triangles of the shape, in the link's frame [m]. A mesh file with more than `MOST_FACES`
+    triangles is simplified."""
     hull: trimesh.Trimesh
-    """Its convex hull, in the link's frame [m]."""
+    """Convex hull of the shape, in the link's frame [m]."""
     surface: Array
     """(N, 3) [m] corners of the hull and points on its faces, in the link's frame."""
     kind: str
@@ -119,6 +125,12 @@ def _shape(element: Element, where: str) -> LinkShape:
             f'looks like {unit_of(size)}; set scale="{scale} {scale} {scale}" for a mesh, or write '
             "metres"
         )
+    if shape.tag == "mesh" and size < _SMALLEST:
+        stated = f" with scale={shape.get('scale')!r}" if shape.get("scale") else ""
+        raise RobotFileError(
+            f"{where}: its mesh is {1e3 * size:.2g} mm long{stated}; remove the scale of a mesh "
+            "that is in metres, or correct the unit in its file"
+        )
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
 
 
@@ -143,13 +155,13 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
     return shape._replace(mesh=mesh, hull=hull, surface=_surface(hull), radius=None)
 
 
-def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
-    """Read the triangles [m] of all parts of a mesh file; `where` names the link in an error.
+def _triangles(path: Path) -> trimesh.Trimesh:
+    """The triangles [m] of all parts of a mesh file.
 
     Raises:
         RobotFileError: The file cannot be read, or has no triangles.
     """
-    name = f"{where}: mesh {path}"
+    name = f"mesh {path}"
     end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
     try:
         with path.open("rb") as file:  # a file, not a path, so that no texture is read
@@ -157,8 +169,8 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
             if end != "3mf":  # which is an archive
                 refuse_placeholder(begin, name)
             if end == "dae":
-                _unit(begin, name)
-            file.seek(0)
+                _states_unit(path)
+            file.seek(len(_MARK) if begin.startswith(_MARK) else 0)
             scene = trimesh.load(
                 file, file_type=end, force="scene", skip_materials=True, process=False
             )
@@ -169,21 +181,51 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
     except ImportError as error:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers' errors have no common base class
-        why = " ".join(str(error).split()) + _damage(begin, size, end)
+        why = " ".join(str(error).split())
+        # For a damaged .gltf, trimesh looks for another .gltf.
+        missing = isinstance(error, FileNotFoundError) and not why.endswith(f".{end}")
+        why += _damage(begin, size, end, missing=missing)
         raise RobotFileError(f"{name}: it cannot be read as .{end}: {why}") from None
 
 
-def _damage(begin: bytes, size: int, end: str) -> str:
-    """The probable damage of an unreadable mesh file and the remedy; empty if none is recognised.
+_loaded = lru_cache(maxsize=64)(_triangles)
 
-    `begin` is the first part of the file, `size` the size of the file [bytes], `end` its format.
+
+def read_mesh(
+    path: Path, where: str, read: Callable[[Path], trimesh.Trimesh] = _triangles
+) -> trimesh.Trimesh:
+    """Read the triangles [m] of all parts of a mesh file; `where` names the link in an error.
+
+    Raises:
+        RobotFileError: The file cannot be read, or has no triangles.
     """
-    if b"\0" not in begin and re.search(rb"\d,\d", begin):
+    try:
+        return read(path)
+    except RobotFileError as error:
+        raise RobotFileError(f"{where}: {error}") from None
+
+
+def load_mesh(path: Path, where: str) -> trimesh.Trimesh:
+    """`read_mesh` with a cache by the path; `where` and the errors are those of `read_mesh`."""
+    return read_mesh(path, where, _loaded)
+
+
+def _damage(begin: bytes, size: int, end: str, *, missing: bool) -> str:
+    """The probable damage of an unreadable mesh file, with advice; empty if none is recognised.
+
+    `begin` is the first part of the file, `size` the size of the file [bytes], `end` its format;
+    `missing` means that its reader has not found another file.
+    """
+    if end == "gltf":  # a text with commas between numbers
+        if missing:
+            return " is missing beside it: add this file, or export the mesh as .glb"
+        return "; it is damaged: export it again"
+    if b"\0" not in begin and _COMMA.search(begin):
         return "; its numbers have decimal commas: export it with points"
-    count = int.from_bytes(begin[80:84], "little")
-    if end == "stl" and b"\0" in begin and size != (stated := 84 + 50 * count):
+    facets, stated = stated_stl(begin)
+    if end == "stl" and b"\0" in begin and size != stated:
         return (
-            f"; it states {count:,} triangles, which are {stated:,} bytes, but it has {size:,} "
+            f"; it states {facets:,} triangles, which are {stated:,} bytes, but it has {size:,} "
             "bytes: copy or export it again"
         )
     return ""
@@ -212,33 +254,52 @@ def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
     return trimesh.util.concatenate(meshes).apply_scale(scale)
 
 
-_BEGIN = 1 << 16  # [bytes] beginning of a file, with the unit of a COLLADA file
-_UNIT = re.compile(rb"""<unit\s[^<>]*?meter\s*=\s*["']([^"']*)""")
-_UP = re.compile(rb"<up_axis>\s*[XY]_UP")
+_BEGIN = 1 << 16  # [bytes] beginning of a file, searched for damage
+_MARK = codecs.BOM_UTF8  # which many readers take for a part of the first word
+_COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
 
-def _unit(asset: bytes, where: str) -> float:
-    """[m] the unit of length that the beginning of a COLLADA file states, by default 1."""
-    found = _UNIT.search(asset)
-    stated = floats(found[1].decode("latin-1"), 1) if found else (1.0,)
+def _states_unit(path: Path) -> bool:
+    """Whether a COLLADA file states another unit than the metre, or another upward axis than z.
+
+    The result is also True if the XML is not well-formed or cannot be decoded.
+
+    Raises:
+        RobotFileError: The unit is not a number above zero.
+    """
+    depth, asset = 0, Element("asset")
+    try:
+        with path.open("rb") as file:
+            for event, element in iterparse(file, ("start", "end")):
+                depth += 1 if event == "start" else -1
+                if event == "end" and depth == 1 and element.tag.endswith("asset"):
+                    asset = element
+                    break
+    except (SyntaxError, ValueError, LookupError):  # XML that is not well-formed; an encoding
+        return True
+    unit, up = asset.find("{*}unit"), asset.findtext("{*}up_axis", "").strip()
+    stated = floats("1" if unit is None else unit.get("meter", "1"), 1)
     if not stated or stated[0] <= 0.0:
-        raise RobotFileError(f"{where}: the meter of its <unit> should be a number above zero")
-    return stated[0]
+        raise RobotFileError(f"mesh {path}: the meter of its <unit> should be a number above zero")
+    return stated[0] != 1.0 or up in ("X_UP", "Y_UP")
 
 
 def is_foreign(path: Path) -> bool:
     """Whether `new-robot` has to convert a mesh file to STL.
 
-    Other libraries cannot read it, ignore its unit or its upward axis, or need very long.
+    The result is True if other libraries cannot read the file, ignore its unit or upward axis, or
+    need very long.
     """
+    end = path.suffix.lower()
     with path.open("rb") as file:
-        begin = file.read(_BEGIN) if path.suffix.lower() == ".dae" else b""
-    own = _unit(begin, str(path)) != 1.0 or _UP.search(begin) is not None
-    return own or path.suffix.lower() not in MESHES or path.stat().st_size > _HEAVY
+        marked = file.read(len(_MARK)) == _MARK
+    if marked or end not in MESHES or path.stat().st_size > _HEAVY:
+        return True
+    return end == ".dae" and _states_unit(path)
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """A mesh of at most about `MOST_FACES` triangles, with a hull that is at most `cell` smaller.
+    """A mesh of at most about `MOST_FACES` triangles, whose hull is nearly that of the given mesh.
 
     `cell` is the edge of the cubic cells in which vertices are merged, in the unit of the mesh. A
     mesh with few triangles does not change. Extreme merged vertices are included (`_outermost`).
@@ -270,12 +331,8 @@ def _outermost(points: Array, fineness: int) -> Array:
     return points[np.unique([int((points @ d).argmax()) for d in D])]
 
 
-load_mesh = lru_cache(maxsize=64)(read_mesh)
-"""`read_mesh`, cached by file."""
-
-
 def _surface(hull: trimesh.Trimesh) -> Array:
-    """(N, 3) corners of a hull, then reproducible random points on its faces."""
+    """(N, 3) [m] corners of a hull, then reproducible random points on its faces."""
     count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
     spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
     corners = np.asarray(hull.vertices)
@@ -305,15 +362,13 @@ def read_inertias(
             another unit.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
-    for link, each in stated.items():
-        volume = geometry[link].volume
-        if each and volume > _FLAT and each.mass > max(_HEAVIEST, _DENSEST * volume):
-            raise RobotFileError(
-                f"link {link!r}: a mass of {each.mass:g} kg in {1e3 * volume:.3g} l looks like "
-                "grams; masses of a URDF are in kilograms, moments of inertia in kg m²"
-            )
-    _check_moments(stated, geometry)
     moving = [link for segment in arm.segments[1:] for link in segment]
+    massive = {k: each for k, each in stated.items() if each and each.mass > _TINY}
+    solid = {link: each for link, each in massive.items() if geometry[link].volume > _FLAT}
+    for link, each in solid.items():
+        _check_inertia(f"link {link!r}", each, geometry[link])
+    for links in (arm.base_links, moving):
+        _check_density({link: solid[link].mass for link in links if link in solid}, geometry)
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(
             "no link of the arm has a mass: torques cannot be computed; add <inertial>, or set "
@@ -331,20 +386,35 @@ def read_inertias(
     return found
 
 
-def _check_moments(
-    stated: Mapping[str, pin.Inertia | None], geometry: Mapping[str, LinkGeometry]
-) -> None:
-    """Refuse moments of inertia that are in another unit for most links."""
-    ratios = [
-        np.abs(each.inertia).max()
-        / (each.mass * np.linalg.norm(geometry[link].corners - each.lever, axis=1).max() ** 2)
-        for link, each in stated.items()
-        if each and each.mass > _TINY and geometry[link].volume > _FLAT
-    ]
-    if (most := float(np.median(ratios)) if ratios else 0.0) > _MAX_MOMENT:
+def _check_inertia(where: str, stated: pin.Inertia, shapes: LinkGeometry) -> None:
+    """Refuse an inertia that is impossible for its link's shapes; `where` names the link."""
+    low, high = shapes.corners.min(axis=0), shapes.corners.max(axis=0)
+    size, most = float(np.linalg.norm(high - low)), float(np.abs(stated.inertia).max())
+    away = float(np.linalg.norm(stated.lever - stated.lever.clip(low, high)))
+    if stated.mass > max(_HEAVIEST, _DENSEST * shapes.volume):
+        why = f"a mass of {stated.mass:g} kg in {1e3 * shapes.volume:.3g} l looks like grams"
+    elif away > max(_OUTSIDE[0], _OUTSIDE[1] * size):
+        why = f"a centre of mass {away:.3g} m away from its shapes, which are {size:.2g} m long, "
+        why += "looks like centimetres or millimetres"
+    elif most > _GUESS and most > stated.mass * max(_GYRATION[0], _GYRATION[1] * size) ** 2:
+        why = f"a moment of inertia of {most:.3g} kg m² of {stated.mass:g} kg in a shape of "
+        why += f"{size:.2g} m looks like kg mm²"
+    else:
+        return
+    raise RobotFileError(
+        f"{where}: {why}; masses of a URDF are in kilograms, lengths in metres, moments of inertia "
+        "in kg m²"
+    )
+
+
+def _check_density(masses: Mapping[str, float], geometry: Mapping[str, LinkGeometry]) -> None:
+    """Refuse masses of all links of a base or an arm that are too small for their shapes."""
+    mass, volume = sum(masses.values()), sum(geometry[link].volume for link in masses)
+    if mass < _LIGHTEST * volume:
         raise RobotFileError(
-            f"the links' moments of inertia are {most:.1g} times m r² (median; r: the farthest "
-            "point of the link), which looks like kg mm²; a URDF's are in kg m²"
+            f"links {', '.join(masses)}: {mass:.3g} kg in {1e3 * volume:.3g} l in total looks like "
+            "tonnes; masses of a URDF are in kilograms; without an <inertial> of a link, its mass "
+            "is assumed from its volume"
         )
 
 

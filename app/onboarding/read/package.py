@@ -29,8 +29,9 @@ FOLDER = "package"  # name of the folder in a robot's own folder into which a zi
 LARGEST_ARCHIVE = 100_000_000  # [bytes] largest zip
 LARGEST_CONTENT = 500_000_000  # [bytes] largest expanded size of all files
 MOST_FILES = 2000  # [-] largest number of files
-KEPT = (".urdf", ".xml", *FORMATS[:-1])
-"""Endings of the files that are unpacked; other files, such as programs, are not."""
+KEPT = (".urdf", ".xml", *FORMATS[:-1], ".bin")
+"""Endings of the unpacked files, besides licences; other files, such as programs, are left out. A
+`.bin` file has the numbers of a `.gltf`."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest list; an entry has 46 bytes and a name
 _LONGEST_NAME = 200  # [characters]
@@ -48,7 +49,7 @@ _UNREADABLE = (
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write the URDFs, meshes and licences of a zip into a folder; returns the names of all files.
+    """Write URDFs, meshes and licences of a zip to a folder; return the zip's list of file names.
 
     Raises:
         RobotFileError: The zip cannot be read, is too large, or contains a path out of the zip, a
@@ -71,7 +72,7 @@ def unpack(archive: Path, folder: Path) -> list[str]:
 
 
 def _check_size(archive: Path) -> None:
-    """Check the size of a zip and of its directory, before the directory is read."""
+    """Check the size of a zip and of its list of files, before the list is read."""
     size = archive.stat().st_size
     if size > LARGEST_ARCHIVE:
         raise RobotFileError(
@@ -98,7 +99,7 @@ def _check_size(archive: Path) -> None:
 
 
 def _checked(infos: list[zipfile.ZipInfo], where: str) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    """The files of a zip by their paths, without folders."""
+    """The files of a zip by their paths, without folders; `where` begins the error's message."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         raise RobotFileError(
@@ -162,7 +163,7 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
 
 
 def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
-    """The URDF `file` among the files of a zip; with None, the only URDF."""
+    """The URDF `file` among the files `names` of the zip `where`; with None, the only URDF."""
     found = _urdfs(names)
     if file is not None and file not in found:
         there = ", ".join(found) or "(none)"
@@ -203,7 +204,7 @@ def _tie_meshes(path: Path, root: Path) -> None:
 
 
 def _inside(reference: str, folder: Path, root: Path) -> Path:
-    """The mesh below `root` to which the address in a URDF in a folder refers."""
+    """The mesh below `root` to which an address refers; `folder` is the folder of the URDF."""
     names = spellings(reference)
     names += [_as_stored(each) for name in names for each in _encoded(name)]
 
@@ -280,7 +281,7 @@ def look_into(archive: Path) -> dict[str, Contents]:
     """
     with temporary_folder() as folder:
         names = unpack(archive, folder)
-        found = _urdfs(names) or [_chosen_urdf(names, archive.name, None)]  # which raises an error
+        found = _urdfs(names) or [_chosen_urdf(names, archive.name, None)]  # this raises an error
         contents, problem = {}, ""
         for name in found[:_MAX_URDFS]:
             try:

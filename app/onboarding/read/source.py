@@ -35,8 +35,10 @@ Packages = Callable[[str], Iterable[Path]]
 """The possible folders of a ROS package, by its name; the first ones have precedence."""
 Folders = Mapping[str, Path]
 """Folders of ROS packages by name; they have precedence over all other folders."""
+Names = frozenset[str]
+"""Names of the arguments of a xacro."""
 _IN_PACKAGE = ("package", "model")  # schemes of addresses in a package
-_ABOVE = 2  # [-] folders above the URDF's folder to which a path can be relative
+_ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can be relative
 
 
 def locate(source: str) -> Path:
@@ -51,22 +53,24 @@ def locate(source: str) -> Path:
     path = resolve_package_uri(source) if scheme == "package" else path
     if not isfile(path):
         raise RobotFileError(
-            f"{source}: no such file; name a URDF, a xacro, a zip or package://PACKAGE/…"
+            f"{source}: {'it is a folder' if path.is_dir() else 'no such file'}; name a URDF, a "
+            "xacro, a zip or package://PACKAGE/…"
         )
     return followed(path)
 
 
 def read_robot(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
-) -> tuple[Element, list[str]]:
+) -> tuple[Element, list[str], Names]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    The arguments are those of `read_source`. The second result has a sentence on each lost shape.
+    The arguments are those of `read_source`. The second result has a sentence on each shape that
+    is removed, the third the names of the arguments that a xacro declares or uses.
 
     Raises:
-        RobotFileError: As for `read_source`, or a required mesh does not exist.
+        RobotFileError: As for `read_source`, or as for `mesh_address` of a required mesh.
     """
-    robot = read_source(path, packages, arguments)
+    robot, known = _read(path, packages, arguments)
     said = []
     for link in robot.findall("link"):
         for tag in ("visual", "collision"):
@@ -74,14 +78,15 @@ def read_robot(
                 if why := _needless(element, link, path.parent, packages):
                     link.remove(element)
                     said.append(f"a {tag} of {link.get('name')} is left out: {why}")
-    return robot, said
+    return robot, said, known
 
 
 def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
-    """Why a visual or collision element is removed; otherwise an empty string.
+    """Why a visual or collision element is removed; empty if it is kept.
 
     A shape of size 0 is removed. A visual mesh that is missing or unreadable is removed if the link
-    also has a collision element. A mesh that is not removed gets the result of `mesh_address`.
+    has a collision element; any other such mesh is an error. The address of any other mesh becomes
+    the result of `mesh_address`.
     """
     if (shape := element.find("geometry/*")) is None:
         return ""
@@ -111,13 +116,20 @@ def read_source(
     """Read the `<robot>` of a URDF or xacro.
 
     The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
-    elements lose the namespace of `<robot>`. `arguments` are those of a xacro; None refuses one.
+    elements lose the namespace of `<robot>`. With `arguments` None, a xacro is refused.
 
     Raises:
         RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
             macros cannot be expanded.
     """
-    text = xml_text(path)
+    return _read(path, packages, arguments)[0]
+
+
+def _read(
+    path: Path, packages: Folders | None, arguments: Mapping[str, str] | None
+) -> tuple[Element, Names]:
+    """The result of `read_source`, and the names of a xacro's arguments."""
+    text, known = xml_text(path), frozenset[str]()
     robot = _plain_xml(text)
     if left := _unexpanded(text, robot):
         if arguments is None:
@@ -125,7 +137,7 @@ def read_source(
                 f"{path.name}: {left} is unexpanded xacro, which can contain Python and is not "
                 "executed here; expand it: xacro FILE -o robot.urdf"
             )
-        text = _expanded(path, text, packages or {}, arguments)
+        text, known = _expanded(path, text, packages or {}, arguments)
         refuse_entities(text, path)
         robot = _plain_xml(text)
         if left := _unexpanded(text, robot):
@@ -133,7 +145,7 @@ def read_source(
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     _refuse_unprefixed(path, robot, "include", "macro")
-    return robot
+    return robot, known
 
 
 def _plain_xml(text: str) -> Element:
@@ -148,7 +160,7 @@ def _plain_xml(text: str) -> Element:
 
 
 def _unexpanded(text: str, robot: Element) -> str:
-    """The first element or expression of xacro in a robot with a text, or an empty string."""
+    """The first xacro element or expression in a robot, or an empty string; `text` is its text."""
     code = re.sub("<!--.*?-->", "", text, flags=re.DOTALL)
     if found := re.search(r"<xacro:[^\s/>]+", code):  # any namespace is possible, as in xacro
         return f"{found[0]}>"
@@ -198,8 +210,8 @@ def mesh_address(reference: str, folder: Path, packages: Folders | None = None) 
 def spellings(reference: str) -> list[str]:
     """Possible spellings of an address in the file system, without repetition.
 
-    These are the unchanged address, the address without URL escapes (`%20`), and the address with
-    slashes instead of backslashes; and each of them in the Unicode normal forms NFD and NFC.
+    These are the unchanged address, the address without URL escapes (`%20`), with slashes instead
+    of backslashes, and with both changes; and each of them in the Unicode normal forms NFD and NFC.
     """
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
@@ -224,7 +236,7 @@ def _split_address(reference: str) -> tuple[str, str, str]:
 
 
 def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Path]:
-    """Possible files of a mesh: in its package, or relative to the URDF's folder or one above it.
+    """Possible files of a mesh: in its package, or relative to the URDF's folder or the two above.
 
     Only paths, and addresses with the scheme `package`, `model` or `file`, have possible files.
     """
@@ -285,8 +297,10 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
 
 
 def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[Path]:
-    """The folder of a package in `named`; otherwise folders beside and above the URDF, in ROS's
-    search paths, and of installed packages, in this order.
+    """The possible folders of a package, in the order of search.
+
+    If `named` has the package, its folder there is the only one. If not, the folders are beside and
+    above the URDF, then in ROS's search paths, then those of installed packages.
     """
     if package in named:
         yield named[package]
@@ -308,7 +322,7 @@ def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[
 
 
 def _stated_name(folder: Path) -> str:
-    """The name in a folder's `package.xml`, or empty; that of a download's folder can differ."""
+    """The name in a folder's `package.xml`, or empty; a downloaded folder can have another name."""
     try:
         with (folder / "package.xml").open("rb") as file:
             found = re.search(rb"<name>\s*([\w.-]+)", file.read(1 << 16))
@@ -317,8 +331,10 @@ def _stated_name(folder: Path) -> str:
     return found[1].decode() if found else ""
 
 
-def _expanded(path: Path, text: str, packages: Folders, arguments: Mapping[str, str]) -> str:
-    """The text of the URDF of a xacro file, whose own text is `text`."""
+def _expanded(
+    path: Path, text: str, packages: Folders, arguments: Mapping[str, str]
+) -> tuple[str, Names]:
+    """The result of `_urdf_of` for a xacro file, whose own text is `text`."""
     if find_spec("xacrodoc") is None:
         raise RobotFileError(
             f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
@@ -342,21 +358,43 @@ def _expanded(path: Path, text: str, packages: Folders, arguments: Mapping[str, 
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 
-def _urdf_of(path: Path, packages: Folders, arguments: Mapping[str, str]) -> str:
-    """Expand a xacro with the library, which finds packages as `mesh_address` does.
+class _Arguments(dict[str, str]):
+    """Arguments of a xacro, with the names that the xacro declares or uses."""
 
-    Macros can produce unlimited text or never end, so this runs within a budget.
+    def __init__(self, values: Mapping[str, str]) -> None:
+        super().__init__(values)
+        self.known: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:  # which xacro calls for each <xacro:arg>
+        self.known.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.known.add(name)
+        return super().__getitem__(name)
+
+
+def _urdf_of(path: Path, packages: Folders, arguments: Mapping[str, str]) -> tuple[str, Names]:
+    """The URDF of a xacro, and the names of the arguments that the xacro declares or uses.
+
+    The library finds packages as `mesh_address` does. Macros can produce unlimited text or never
+    end, so this runs within a budget.
     """
     import xacro
+    from xacro import substitution_args
     from xacrodoc import XacroDoc
     from xacrodoc import packages as library
 
     xacro.init_stacks(str(path))  # relative files of the xacro are in its folder
+    # $(dirname) is the folder of the present file, as in ROS; the library knows no file.
+    xacro.substitution_args_context["filename"] = str(path)
+    substitution_args._eval_dirname = lambda _: str(Path(xacro.filestack[-1]).absolute().parent)
     search = partial(_package_folders, folder=path.parent, named=packages)
     otherwise = library.get_path
     library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
+    subargs = _Arguments(arguments)
     try:
-        document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
-        return document.to_urdf_string()
+        document = XacroDoc.from_file(str(path), subargs=subargs, resolve_packages=False)
+        return document.to_urdf_string(), frozenset(subargs.known)
     finally:
         library.get_path = otherwise

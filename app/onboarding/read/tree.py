@@ -24,7 +24,10 @@ PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 
 
 class Joint(NamedTuple):
-    """One joint of a URDF, with positions in rad, or m if prismatic; None means no stated limit."""
+    """One joint of a URDF; its units are rad, rad/s and N m, or m, m/s and N if prismatic.
+
+    A limit is None if it is not stated. If only one of `lower` and `upper` is, the other is 0.
+    """
 
     name: str
     kind: str
@@ -41,10 +44,12 @@ class Joint(NamedTuple):
     velocity: float | None = None
     mimic: tuple[str, float, float] | None = None
     """Name of the joint that this joint follows, multiplier and offset; None without one."""
+    unstated: str = ""
+    """Which of `lower` and `upper` is 0 because only the other is stated; empty if neither."""
 
     @property
     def moves(self) -> bool:
-        """Whether the joint is movable and follows no other joint."""
+        """Whether the joint is revolute, continuous or prismatic, and follows no other joint."""
         return self.kind in MOVING and self.mimic is None
 
     def motion(self, q: float) -> pin.SE3:
@@ -117,8 +122,8 @@ class Tree:
     ) -> tuple[str, ...]:
         """A link and its descendants, in the order from the link outwards.
 
-        Links beyond the joints in `without` are left out; without `moving` also links beyond
-        revolute, continuous and prismatic joints.
+        Links beyond the joints in `without` are left out. If `moving` is False, links beyond
+        revolute, continuous and prismatic joints are left out too.
         """
         found = [link]
         for name in found:
@@ -146,6 +151,8 @@ def _some(names: Iterable[str]) -> str:
 
 def make_tree(robot: Element) -> Tree:
     """Read the links and joints of a URDF, and check that they form a tree.
+
+    Replaces the materials of the visuals in `robot`, see `_set_own_colour`.
 
     Raises:
         RobotFileError: A name is empty or not unique, a joint refers to a missing link, the links
@@ -175,10 +182,10 @@ def make_tree(robot: Element) -> Tree:
 
 
 def _set_own_colour(visual: Element, rgba: Sequence[float] | None) -> None:
-    """Replace the materials of a visual by one that is named after its colour and has no texture.
+    """Replace the materials of a visual by one of the colour `rgba`; without a colour, remove them.
 
-    Thus materials of two robots with the same name keep their colours, and libraries that consider
-    only the first material of a name read the right colour.
+    The new material has no texture, and its name is its colour. Thus materials of two robots with
+    one name keep their colours, also in libraries that read only the first material of a name.
     """
     for material in visual.findall("material"):
         visual.remove(material)
@@ -238,12 +245,15 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         mimic = str(found.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
+    lacking = [key for key in keys if limits[key] is None]
+    unstated = lacking[0] if len(lacking) == 1 else ""
+    limits |= dict.fromkeys(filter(None, [unstated]), 0.0)
     axis = axis / max(length, 1e-12)
-    return Joint(name, kind, parent, child, T, axis, mimic=mimic, **limits)
+    return Joint(name, kind, parent, child, T, axis, mimic=mimic, unstated=unstated, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:
-    """A number of the `<limit>` of a joint, or None if the URDF does not state it."""
+    """The attribute `key` of the `<limit>` of the joint `where`, or None if it is not stated."""
     limit = element.find("limit")
     if limit is None or (word := limit.get(key)) is None:
         return None
@@ -270,7 +280,7 @@ class Arm(NamedTuple):
     base_links: tuple[str, ...]
     """`base` and all of its descendants that do not belong to the arm, including wheels."""
     rigid_links: tuple[str, ...]
-    """Links of `base_links` that do not move relative to `base`."""
+    """Links of `base_links` that do not move relative to `base`, or hardly, as on a suspension."""
     segments: tuple[tuple[str, ...], ...]
     """(n_m + 1) groups of links: the arm's links before its first joint, then the links that each
     joint moves and the next joint does not. Links on other joints, such as fingers, are included.
@@ -292,8 +302,8 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     base, the mount is the child link of this joint.
 
     Raises:
-        RobotFileError: A link does not exist, or the joints between the two links do not form an
-            arm; the message names the option.
+        RobotFileError: A link does not exist, the joints between the two links do not form an arm,
+            or as for `_nothing_above`; the message names the option.
     """
     tree.link(base, "--base")
     tree.link(tip, "--tip")

@@ -15,14 +15,14 @@ from app.onboarding.request import Request
 from app.strict import Array
 
 _LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
-_ROUND = 0.08  # [-] largest difference of the two widths of a wheel
-_ALIKE = 0.03  # [-] largest difference of the wheels' radii
+_ROUND = 0.08  # [-] largest relative difference of the widths of a wheel in different directions
+_ALIKE = 0.03  # [-] largest relative difference of the wheels' radii
 _SAME_PLACE = 0.01  # [m] largest asymmetry of mirrored wheels
 _UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may be tilted by 10 degrees
 _STEERING_RATE = 1.5  # [rad/s] assumed steering rate
 _IN_LINE = 0.02  # [m] largest offset of the steered wheels along x
 _ON_FLOOR = 0.02  # [m] largest height above the base's lowest point
-_TRAVEL = 0.5  # [-] travel of a rigid suspension relative to the wheel's radius
+_TRAVEL = 0.5  # [-] largest travel of a rigid suspension, relative to the wheel's radius
 
 
 class Steering(NamedTuple):
@@ -50,11 +50,11 @@ class Wheels(NamedTuple):
     right: tuple[str, ...]
     """Joints of the right wheels."""
     r: float
-    """[m] radius."""
+    """[m] radius; 0 for a holonomic base."""
     b: float
-    """[m] half track: half of the distance between left and right wheels."""
+    """[m] half track: half of the distance between the wheels; 0 for a holonomic base."""
     T_base_floor: pin.SE3
-    """Frame on the floor below the middle between the wheels, x forward, in the base's link."""
+    """Pose of the frame `app.onboarding.ROOT` in the frame of the base's link; x points forward."""
     joint_velocity: float | None
     """[rad/s] speed limit of the wheels, or None if the URDF states none."""
     how: str
@@ -66,7 +66,7 @@ class Wheels(NamedTuple):
 class _Wheel(NamedTuple):
     joint: Joint
     centre: Array  # (3,) [m] in the base's link
-    axis: Array  # (3,) there
+    axis: Array  # (3,) unit vector in the base's link
     r: float
     how: str
 
@@ -98,8 +98,7 @@ def _suspends(tree: Tree, arm: Arm, joint: Joint, wheels: Sequence[_Wheel]) -> b
     horizontal axis between its wheels, so a level floor keeps it at zero.
     """
     if joint.kind == "prismatic":
-        travel = (joint.upper or 0.0) - (joint.lower or 0.0)
-        return travel < _TRAVEL * min(wheel.r for wheel in wheels)
+        return _range(joint) < _TRAVEL * min(wheel.r for wheel in wheels)
     T = tree.pose(joint.child, arm.base)
     axis = T.rotation @ joint.axis
     rises = [float(np.cross(axis, wheel.centre - T.translation)[2]) for wheel in wheels]
@@ -111,8 +110,8 @@ def find_drive(
 ) -> Wheels:
     """Find the driven wheels of a base, and the steering of a car-like one.
 
-    Without wheels in the URDF, the floor is at the lowest point of the base's shapes, and the base
-    faces the x axis of its link.
+    For a holonomic base, or with --wheel-radius, the URDF's wheels are not used: the floor is at
+    the lowest point of the base's shapes, and the base faces the x axis of its link.
 
     Raises:
         RobotFileError: The URDF lacks wheels or steering; the message names an option that helps.
@@ -130,7 +129,8 @@ def find_drive(
     wheels = _find_wheels(tree, arm, geometry, request.wheels)
     if request.kind != "car-like":
         return wheels
-    return wheels._replace(steering=_find_steering(request, tree, arm, wheels.T_base_floor))
+    steering = _find_steering(request, tree, arm, geometry, wheels.T_base_floor)
+    return wheels._replace(steering=steering)
 
 
 def _lowest(
@@ -183,7 +183,10 @@ def _find_wheels(
             )
     else:
         turn = ", ".join(found)
-        why = f"{turn}: no two are on one axle" if found else "no joint turns without limits"
+        turning = [each for each in tree.joints.values() if turns_round(each)]
+        hung = [_hung(tree, each) for each in turning if each.child in arm.base_links]
+        why = f"{turn}: no two are on one axle" if found else "; ".join(filter(None, hung))
+        why = why or "no joint turns without limits"
         why = "; ".join([*reasons.values(), why] if found else [*reasons.values()] or [why])
         helps = "set --wheels LEFT RIGHT, their joints; " if found or reasons else ""
         left, right = _driven(_mirrored(list(found.values())), f"{arm.base!r} ({why}); {helps}")
@@ -195,7 +198,7 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
     if not pairs:
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {where}"
-            "set --wheel-radius and --half-track if the URDF has no wheels that turn; or --kind "
+            "set --wheel-radius and --half-track if the URDF has no such wheels; or --kind "
             "holonomic if the base drives sideways too"
         )
     lowest = min(left.centre[2] - left.r for left, _ in pairs)
@@ -234,7 +237,7 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
 def _named(
     tree: Tree, arm: Arm, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
 ) -> _Wheel:
-    """The wheel of a named joint or link; an error states why it is not a wheel."""
+    """The wheel of `found` on a named joint or link; an error states why it is no wheel."""
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is not None and joint.name in found:
         return found[joint.name]
@@ -245,19 +248,36 @@ def _named(
     elif not turns_round(joint):
         why = f"{joint.name} is not a wheel: it is {joint.kind}"
     else:
-        why = reasons.get(joint.name, f"{joint.name} is a caster's wheel: its fork turns too")
+        why = reasons.get(joint.name) or _hung(tree, joint) or f"{joint.name} does not roll"
     turning = ", ".join(j.name for j in tree.joints.values() if turns_round(j))
     raise RobotFileError(f"--wheels: {why}; joints without limits: {turning or '(none)'}")
 
 
+def _hung(tree: Tree, joint: Joint) -> str:
+    """The reason why a joint under a moving joint is no wheel; empty if no joint above it moves."""
+    above = tree.joint_of.get(joint.parent)
+    while above is not None and above.kind == "fixed":
+        above = tree.joint_of.get(above.parent)
+    if above is None:
+        return ""
+    if above.kind != "prismatic":
+        return f"{joint.name} hangs on {above.name}, which turns as the fork of a caster does"
+    way = _range(above)
+    return f"{joint.name} hangs on {above.name}, which moves by {way:g} m: too far for a spring"
+
+
 def turns_round(joint: Joint) -> bool:
     """Whether the range of a joint has no limits, or is more than two turns."""
-    span = (joint.upper or 0.0) - (joint.lower or 0.0)
-    return joint.kind == "continuous" or (joint.kind == "revolute" and span > 4 * np.pi)
+    return joint.kind == "continuous" or (joint.kind == "revolute" and _range(joint) > 4 * np.pi)
+
+
+def _range(joint: Joint) -> float:
+    """[rad or m] distance between the position limits of a joint; 0 without limits."""
+    return (joint.upper or 0.0) - (joint.lower or 0.0)
 
 
 def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
-    """Whether a joint rotates about a horizontal axis, without limits or by two turns or more."""
+    """Whether a joint `turns_round` about a horizontal axis."""
     level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
     return turns_round(joint) and bool(level)
 
@@ -268,33 +288,38 @@ def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Jo
     if np.linalg.norm(axis[:2]) < _LEVEL:
         raise RobotFileError(f"{joint.name} is not a wheel: its axis is not horizontal")
     links = tree.below(joint.child, moving=False)
-    touched = [s for link in links for s in geometry[link].shapes]
+    places = {link: tree.pose(link, joint.child) for link in links}
+    touched = [(s, T) for link, T in places.items() for s in geometry[link].shapes]
     if not touched:
         raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
     try:
         r, how = _radius(touched, joint)
     except RobotFileError:  # a wheel may collide as a box: then its visual shape counts
-        looks = [link_geometry(tree.links[link], ("visual", "collision")) for link in links]
-        r, how = _radius([s for each in looks for s in each.shapes], joint)
+        looks = {link: link_geometry(tree.links[link], ("visual", "collision")) for link in links}
+        r, how = _radius([(s, places[k]) for k, each in looks.items() for s in each.shapes], joint)
     return _Wheel(joint, T.translation.copy(), axis, r, how)
 
 
-def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
-    """[m] radius of shapes about a joint's axis, and the name of the shape that has it."""
-    stated = [s.radius for s in shapes if s.radius is not None]
-    if stated:
-        kind = next(s.kind for s in shapes if s.radius is not None)
-        return max(stated), f"{kind} of {joint.child}"
-    points = np.vstack([np.asarray(s.hull.vertices) for s in shapes])
-    flat = points @ null_space(joint.axis[None])
+def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[float, str]:
+    """[m] radius of all shapes together about a joint's axis, and the name of the largest shape.
+
+    Each shape has the pose of its link in the frame of the joint's child.
+    """
+    across = null_space(joint.axis[None])
+    outlines = [(s.hull.vertices @ T.rotation.T + T.translation) @ across for s, T in shapes]
+    radii = [float(np.linalg.norm(each, axis=1).max()) for each in outlines]
+    r, flat, largest = max(radii), np.vstack(outlines), shapes[int(np.argmax(radii))][0]
     widths = [float(np.ptp(flat @ [np.cos(a), np.sin(a)])) for a in np.linspace(0, np.pi, 12)]
-    r = float(np.linalg.norm(flat, axis=1).max())
     if max(widths) > (1 + _ROUND) * min(widths) or abs(2 * r / max(widths) - 1) > _ROUND:
+        round_off_axis = max(widths) <= (1 + _ROUND) * min(widths)
+        why = "its shapes are not centred on its axis" if round_off_axis else "it is not round"
         raise RobotFileError(
-            f"{joint.name} is not a wheel: {joint.child} is not round about its axis "
+            f"{joint.name} is not a wheel: {joint.child} is not round about its axis: {why} "
             f"({min(widths):.3f} to {max(widths):.3f} m wide)"
         )
-    return r, f"mesh of {joint.child}"
+    if largest.radius is not None and abs(largest.radius / r - 1) < _ROUND:
+        r = largest.radius
+    return r, f"{largest.kind} of {joint.child}"
 
 
 def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
@@ -314,20 +339,30 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
     return pairs
 
 
-def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3) -> Steering:
-    """The upright joints on the base that carry wheels; options override the results."""
-    found: list[Joint] = []
-    rolling: list[str] = []
-    places: list[float] = []
+def _find_steering(
+    request: Request,
+    tree: Tree,
+    arm: Arm,
+    geometry: Mapping[str, LinkGeometry],
+    T_base_floor: pin.SE3,
+) -> Steering:
+    """The upright joints of the base that carry turning links; options override these.
+
+    If some of these links are wheels on the floor, only their joints count.
+    """
+    upright: list[tuple[Joint, list[Joint], float]] = []
+    floor = float(T_base_floor.translation[2])
     for joint in tree.joints.values():
         if joint.parent not in arm.rigid_links or joint.name in arm.names or not joint.moves:
             continue
         T = T_base_floor.inverse() * tree.pose(joint.child, arm.base)
         on_it = [j for j in tree.children(joint.child) if j.kind in ("continuous", "revolute")]
         if abs((T.rotation @ joint.axis)[2]) > _UPRIGHT and on_it:
-            found.append(joint)
-            rolling += [j.name for j in on_it]
-            places.append(float(T.translation[0]))
+            upright.append((joint, on_it, float(T.translation[0])))
+    stand = [e for e in upright if any(_stands(tree, arm, geometry, j, floor) for j in e[1])]
+    found = [joint for joint, *_ in stand or upright]
+    rolling = [j.name for _, on_it, _ in stand or upright for j in on_it]
+    places = [x for *_, x in stand or upright]
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
         raise RobotFileError(
             f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, but two on one axle "
@@ -351,6 +386,17 @@ def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3
     )
     joints = tuple(joint.name for joint in found)
     return Steering(wheelbase, limit, rate, tuple(rolling), joints, sources)
+
+
+def _stands(
+    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Joint, floor: float
+) -> bool:
+    """Whether a joint carries a wheel that touches the floor, at the height `floor` [m]."""
+    try:
+        wheel = _wheel(tree, arm, geometry, joint)
+    except RobotFileError:
+        return False
+    return abs(float(wheel.centre[2]) - wheel.r - floor) < _ON_FLOOR
 
 
 def _tightest(joints: Sequence[Joint]) -> float:

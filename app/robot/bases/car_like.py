@@ -73,8 +73,8 @@ class CarLikeBase(BaseKind):
 
     ν = (v, ω) is the motion of the rear axle's middle, q̇_b = (w_x, w_y) [m/s] that of the front
     axle's middle. The measure in (10) is sign(x) (2 κ_max x)²: the velocities of a point on the two
-    tightest arcs, at unit speed, span the area 2 κ_max |x|. It is 0 on the rear axle's line, where
-    all arcs move a point in the same direction, positive ahead of this line, and negative behind.
+    tightest arcs, at unit speed, span the area 2 κ_max |x|. The measure is 0 on the rear axle line,
+    where all arcs move a point in the same direction, positive ahead of the line, negative behind.
 
     The drive follows a command with its speed v and its steering angle δ: δ approaches the angle of
     the command's arc, v the speed nearest to the command along the arc of the present δ.
@@ -120,7 +120,9 @@ class CarLikeBase(BaseKind):
 
     @property
     def yaw_limit_nm(self) -> float:
-        """[N m] the torque of the traction force at the front axle."""
+        """[N m] the largest torque about the middle of the rear axle: the traction limit times the
+        wheelbase.
+        """
         return self.traction_limit_n * self.wheelbase_m
 
     @property

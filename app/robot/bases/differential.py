@@ -100,7 +100,7 @@ class DifferentialBase(TurningBase):
 
     @property
     def measure(self) -> Measure:
-        """Sign(x) det(J_c J_cᵀ) [m⁴/rad⁴] of (7)."""
+        """Coefficients of sign(x) det(J_c J_cᵀ) [m⁴/rad⁴], (7)."""
         r, b = self.wheel_radius_m, self.half_track_m
         return Measure(0.0, 4 * b**2 * (r / (2 * b)) ** 4)
 
@@ -108,4 +108,4 @@ class DifferentialBase(TurningBase):
         self, angles: list[float], qd_b: list[float], drive: Array, dt: float
     ) -> list[float]:
         del drive
-        return [angle + rate * dt for angle, rate in zip(angles, qd_b, strict=True)]
+        return [angles[0] + qd_b[0] * dt, angles[1] + qd_b[1] * dt]

@@ -96,13 +96,13 @@ class Wheels(NamedTuple):
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
-"""Function that computes the velocity (n_b,) and the drive one period later. Its arguments, which
+"""Function that computes the velocity (n_b,) and the drive one step later. Its arguments, which
 it does not change, are the present velocity, the drive as in `BaseKind.drive_at_rest` and the
 velocity command (n_b,)."""
 
 
 class BaseKind(Sourced, ABC):
-    """A base: its numbers, its limits and its drive; a kind derives from it.
+    """A base: its numbers, its limits and its drive; a kind derives from this class.
 
     A kind defines `axes`, its fields and the abstract methods; the other methods suit a base whose
     axes follow their commands independently of each other.
@@ -171,10 +171,13 @@ class BaseKind(Sourced, ABC):
     @property
     @abstractmethod
     def measure(self) -> Measure:
-        """Quality of the motion of a point, in place of the determinant of (7)."""
+        """Coefficients of the signed measure of how well the base can move a point.
+
+        It replaces sign(x) det(J_c J_cᵀ) in (10).
+        """
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The value of `measure` at points, and its gradient; it never decreases with x.
+        """The signed measure at points, and its gradient; the measure never decreases with x.
 
         It replaces sign(x) det(J_c J_cᵀ) in (10).
 
@@ -202,6 +205,10 @@ class BaseKind(Sourced, ABC):
         """
         return self.T.T / (self.mass_kg, self.mass_kg, self.inertia_kgm2)
 
+    def by_axis(self, linear: float, angular: float) -> Array:
+        """(n_b,) for each axis the number `linear` or `angular`, by the kind of the axis."""
+        return np.array([angular if axis.angular else linear for axis in self.axes])
+
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
         """Alternative motions away from the arm; each consists of independent channels."""
         limits = zip(self.T.T.tolist(), self.max_acceleration, self.max_velocity, strict=True)
@@ -222,7 +229,7 @@ class BaseKind(Sourced, ABC):
         return np.zeros(0)
 
     def follower(self, dt: float) -> Follower:
-        """The function that computes the drive's response in a period dt [s], within the limits."""
+        """The drive's response in a step dt [s], within `max_velocity` and `max_acceleration`."""
         # Exact for a constant command during the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
         limits = list(zip(self.max_velocity, (a * dt for a in self.max_acceleration), strict=True))
@@ -256,7 +263,7 @@ class BaseKind(Sourced, ABC):
 
 
 class TurningBase(BaseKind):
-    """A base that turns independently of its translation; a kind derives from it."""
+    """A base that turns independently of its translation; a kind derives from this class."""
 
     max_angular_velocity_radps: Positive
     """[rad/s]"""

@@ -25,7 +25,7 @@ SAMES = ("path", "force")
 """The common input of compared robots: the path of the pulls, or their force."""
 MAX_GHOSTS = 2  # largest number of compared robots in addition to the main robot
 MAX_WAITING = 64
-"""Largest number of waiting commands with which another person's pull can wait too."""
+"""Number of waiting commands from which on the pull of a further person is refused."""
 
 
 class Command:
@@ -42,7 +42,7 @@ class Beginning(Command):
 
 @dataclass(frozen=True)
 class Pull(Command):
-    """A person holds the robot and pulls it to `target`.
+    """A person holds a point of the robot and pulls this point towards `target`.
 
     A pull of the end-effector ends the motion of a scenario; a pull elsewhere disturbs this motion.
     """
@@ -81,7 +81,7 @@ class Configure(Adjustment):
 
 @dataclass(frozen=True)
 class Choose(Adjustment):
-    """Use this controller from now on."""
+    """Use this controller for the main robot from now on."""
 
     controller: str
     """Name of the controller."""
@@ -121,7 +121,7 @@ class StepOnce(Command):
     """Pause, and advance the simulation by some time."""
 
     seconds: float = 0.02
-    """[s] simulated time after which the next snapshot is published, within `STEPS`."""
+    """[s] simulated time from the newest snapshot to the next one, within `STEPS`."""
 
     def __post_init__(self) -> None:
         check_range("a step", self.seconds, *STEPS, "s")
@@ -178,7 +178,7 @@ class Mailbox:
     `MAX_WAITING` commands wait, pulls of further people are refused, but no other commands.
     An `Adjustment` takes the place of the replaced command in the queue, so that a run whose start
     waits behind it uses the newest value. Other commands, such as a pull, go to the end of the
-    queue. A `Restart` is dropped if a command that starts a run already waits.
+    queue. A `Restart` is dropped if a `Beginning` already waits.
     """
 
     def __init__(self) -> None:
@@ -196,7 +196,7 @@ class Mailbox:
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
-            LoopError: Too many people pull.
+            LoopError: `MAX_WAITING` commands wait, and it is the pull of a further person.
         """
         pulls, key = isinstance(command, Pull), _key(command)
         if pulls and command.link is not None:
@@ -205,7 +205,7 @@ class Mailbox:
             if pulls and len(self._waiting) >= MAX_WAITING and key not in self._waiting:
                 raise LoopError(f"{MAX_WAITING} commands already wait; send fewer at once")
             if isinstance(command, Restart) and key in self._waiting:
-                return  # the waiting command starts a run anyway
+                return  # the waiting `Beginning` starts a run anyway
             if not isinstance(command, Adjustment):
                 self._waiting.pop(key, None)
             self._waiting[key] = command

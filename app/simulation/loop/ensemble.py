@@ -25,7 +25,7 @@ MAX_PULLS = 8  # largest number of people who hold the robot at the same time
 
 
 class Ensemble:
-    """All robots of the live loop, which start at a scenario's start or at the free start."""
+    """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
         """Start at the free start.
@@ -45,7 +45,7 @@ class Ensemble:
         self.ghosts: list[Runner] = []
         """Compared robots: each has the main robot's input and its own controller."""
         self.comparison = Compare()
-        """The last requested comparison."""
+        """The last `Compare` that started or ended a comparison."""
         self._holds: dict[int, Hold] = {}
         self._case: RunCase | None = None  # of the scenario of the last start
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
@@ -56,8 +56,8 @@ class Ensemble:
     def main(self) -> Session:
         """The session of the main robot.
 
-        It is the free session, except in a scenario in which the end-effector holds an object;
-        such a scenario has a separate session.
+        A scenario in which the end-effector holds an object has a separate session. At all other
+        times it is the free session.
         """
         return self._led.session
 
@@ -97,7 +97,7 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Start the present scenario again; without one, repeat the start of the last `reset`.
+        """Start the last scenario again; if the last start had none, repeat the last `reset`.
 
         Raises:
             DbbError: The scenario cannot start with the present configuration.
@@ -122,19 +122,20 @@ class Ensemble:
             ConfigError: The control period is too long for a gain; then nothing has changed.
         """
         adapted = self.scenario.adapted(config) if self.scenario else config
-        for runner in (self._led, *self.ghosts):  # equal periods: the first refuses
+        for runner in (self._led, *self.ghosts):  # of equal periods, so only the first can refuse
             runner.session.configure(adapted)
         self._config = config
 
     def choose(self, controller: str) -> None:
-        """Use the controller with this name from the next step on."""
+        """Let the main robot use the controller with this name from the next step on."""
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
 
-        While a scenario moves the robot, or if the end-effector holds a door, the comparison starts
-        at the scenario's start; otherwise at the present posture, at rest.
+        While a scenario moves the robot, and after it if the end-effector still holds the door, the
+        comparison starts at the scenario's start. At all other times it starts at the present
+        posture, at rest.
 
         Raises:
             DbbError: The robots cannot start there; then nothing has changed.
@@ -181,7 +182,7 @@ class Ensemble:
 
     def scores(self) -> tuple[Score, ...]:
         """Scores of the main robot and the ghosts since the start of the comparison; () without
-        ghosts. Steps after the end of a scenario do not count.
+        ghosts. Steps after the end of a scenario's motion do not count.
         """
         if not self.ghosts:
             return ()
@@ -226,8 +227,7 @@ class Ensemble:
         new = [begin(setting, free.model, name, free.kind, free.seed) for name in names[len(old) :]]
         for session, name in zip(old, names, strict=False):
             session.controller.use(name)
-            session.configure(setting.config)
-            session.reset(setting.q_m, setting.base_pose)
+            session.restart(setting.config, setting.q_m, setting.base_pose)
         led, *ghosts = [Runner(each, scenario and scenario.driver(each)) for each in (*old, *new)]
         if led.session is not self.main and self.main is not free:
             self.main.close()
@@ -252,10 +252,10 @@ class Ensemble:
 
 
 class Runner:
-    """One robot of the ensemble: session, driver and score."""
+    """One robot of the ensemble: its session, its driver and its results (`Score`)."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
-        """Start at the beginning of a session; `driver` computes the input; None means no input."""
+        """Use a session at its start; `driver` computes a scenario's input; None: no scenario."""
         self.session, self._driver, self.scored = session, driver, False
         """`scored` states whether the robot takes part in a comparison."""
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
@@ -265,7 +265,7 @@ class Runner:
         self._angular = np.array([axis.angular for axis in session.model.description.base.axes])
 
     def let_go(self) -> None:
-        """End the scenario's motion; later steps do not change its score."""
+        """End the scenario's motion, if any; the steps after it do not count in the score."""
         self._complete = self._complete or self._driver is not None
         self._driver = None
 
@@ -274,8 +274,8 @@ class Runner:
 
         Args:
             holds: People who hold the robot.
-            forces: The people's forces on the main robot, which then also act on this robot; None
-                means the forces of the people's springs on this robot.
+            forces: The people's forces on the main robot, to exert the same forces on this robot.
+                With None, the people's springs determine the forces on this robot.
         """
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
@@ -298,11 +298,11 @@ class Runner:
         )
 
     def score(self) -> Score:
-        """The score so far."""
+        """The score of the steps that have counted until now; see `scored` and `let_go`."""
         return self._score._replace(controller=self.session.controller.name)
 
     def _count(self, step: Step) -> None:
-        """Add a step to the score."""
+        """Add the results of a step to the score."""
         score, w = self._score, step.control
         now = step.truth.base_pose[:2], w.a_base_cmd.copy(), w.u_cmd.copy()
         before, self._before = self._before or now, now

@@ -19,7 +19,7 @@ from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapshot
-from app.simulation.trace.trace import SNAPSHOTS_STORED, History
+from app.simulation.trace.trace import SNAPSHOTS_STORED, History, Stored
 from app.strict import Array
 
 _IDLE = 0.25  # [s] time between two heartbeats during a pause
@@ -34,7 +34,7 @@ class LoopHandle:
     """Names of the arm's frames that people can pull, known after the start."""
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
-        """Start without commands and snapshots; `stored` is the number of stored snapshots."""
+        """Start without commands and snapshots; at most the newest `stored` snapshots are kept."""
         self._mailbox, self._history = commands.Mailbox(), History(stored)
         self._ready = threading.Event()
         self._begun = False
@@ -75,7 +75,7 @@ class LoopHandle:
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
-            LoopError: It is a pull, and too many people pull.
+            LoopError: 64 commands wait, and this command is the pull of a further person.
         """
         self._mailbox.put(command, self.links)
 
@@ -86,8 +86,12 @@ class LoopHandle:
     def history(self, after: float) -> list[Snapshot]:
         """Snapshots of the present run with t > `after` [s], oldest first.
 
-        At most the newest 3000 snapshots of the run are stored, those of 60 simulated seconds.
+        By default at most the newest 3000 snapshots are stored, those of 60 simulated seconds.
         """
+        return [stored.snapshot for stored in self.stored(after)]
+
+    def stored(self, after: float = -1.0) -> list[Stored]:
+        """The same snapshots in the form in which they are stored: the older ones are packed."""
         return self._history.after(after)
 
 
@@ -169,7 +173,7 @@ class SimulationLoop(LoopHandle):
         self._history.add(make_snapshot(ensemble.main, step, self._pacer, **fields))
 
     def _loop_fields(self, ensemble: Ensemble) -> dict[str, Any]:
-        """The fields of a snapshot that the session does not know."""
+        """The fields of a snapshot that belong to the loop, not to the session."""
         return {
             "run": self._runs,
             "paused": self._paused,
@@ -217,7 +221,7 @@ class SimulationLoop(LoopHandle):
             self._start_again(command, ensemble)
 
     def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
-        """Pause, and publish the step that is `seconds` after the newest snapshot."""
+        """Pause, and publish the first new step `seconds` or more after the newest snapshot."""
         self._paused = True
         due = self._history.latest.t + seconds
         step = ensemble.step()
@@ -247,7 +251,7 @@ class SimulationLoop(LoopHandle):
         self._history.add(replace(self._history.latest, busy=operation))
 
     def _refresh(self, ensemble: Ensemble) -> None:
-        """Publish the newest snapshot with changed settings, also during a pause."""
+        """Publish the newest snapshot again, with the present settings, also during a pause."""
         main, latest = ensemble.main, self._history.latest
         compared = bool(ensemble.ghosts)
         self._history.add(

@@ -29,7 +29,7 @@ class Pacer:
         self.speed = speed
         """[-] desired ratio of simulated to real time; `restart` must follow a change."""
         self.overruns = 0
-        """Number of steps that took longer than their period, or started after its end."""
+        """Number of steps that took longer than the period, or started after their period's end."""
         self._marks: deque[tuple[float, int]] = deque()
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self._steps = 0
@@ -51,7 +51,7 @@ class Pacer:
         self._works.append(duration)
 
     def wait(self) -> None:
-        """Sleep until the end of the step's period."""
+        """End a step: sleep until the end of its period, or continue at once if it has passed."""
         now = perf_counter()
         self._steps += 1
         self._marks.append((now, self._steps))
@@ -86,8 +86,8 @@ def gc_frozen() -> Iterator[None]:
     """Exclude existing objects from garbage collection during the `with`.
 
     A run creates few objects, but a robot's border has many, and the collector takes milliseconds
-    to scan the border. A nested call has no effect. At the end the collector scans all objects
-    again; otherwise solvers in reference cycles would be reported as leaks.
+    to scan the border. A nested call has no effect. Afterwards the collector includes all objects
+    again. Without this, solvers in reference cycles would be reported as leaks.
     """
     outermost = gc.get_freeze_count() == 0
     if outermost:

@@ -5,6 +5,7 @@ suspended would delay the simulation. Two pipes carry the commands and the snaps
 """
 
 import gc
+import math
 import sys
 import threading
 import traceback
@@ -26,7 +27,8 @@ from app.system import raise_priority, return_freed_memory_early
 
 _PATIENCE = 5.0  # [s] timeout for the end of a thread or of the process
 _SEND_EVERY = 0.002  # [s] time between two transmissions of commands
-_POST_EVERY = 0.01  # [s] time between two checks for a snapshot; the loop makes one every 0.02 s
+_POST_EVERY = 0.01  # [s] time between two checks for a snapshot; at speed 1 one comes every 0.02 s
+_UNSENT = 100  # [-] largest number of unsent snapshots; the parent stores those that are sent
 _BEAT_EVERY = 0.25  # [s] time between two heartbeats without a snapshot
 _HUNG = 0.5  # [s] time without a heartbeat after which the loop's thread counts as hung
 _SWITCH = 2e-4  # [s] time after which the posting thread yields to the loop's thread
@@ -40,7 +42,7 @@ def loop_child() -> Child:
     early, and pass it to a `ProcessLoop` later. The process first receives a function that makes
     the session, together with the arm's start posture; then it receives commands. It sends the
     outcome of the start (the names of the frames at which people can hold the arm), then snapshots,
-    and None as a heartbeat while there are none, and finally the outcome of the end.
+    and None as a heartbeat while there are none. After a failure it sends an outcome with an error.
     """
     return Child(_run_loop)
 
@@ -100,7 +102,7 @@ class ProcessLoop(LoopHandle):
                 self._stopping.wait(_SEND_EVERY)
         except OSError:
             pass  # the child has ended; `_receive` reports it
-        except Exception as error:  # the session cannot be pickled
+        except Exception as error:  # for example, `make_session` cannot be pickled
             self.error = error
         finally:
             child.sender.close()
@@ -127,14 +129,14 @@ class ProcessLoop(LoopHandle):
                     return
             elif received is not None:
                 if self._ready.is_set() and received.config == self.latest().config:
-                    # All snapshots share one configuration in memory.
+                    # Snapshots with equal parameters share one configuration in memory.
                     received = replace(received, config=self.latest().config)
                 self._history.add(received)
                 self._ready.set()
 
 
 def _run_loop(commands: Connection, snapshots: Connection) -> None:
-    """Main function of the child: run a loop until the parent closes its end of `commands`."""
+    """Main function of the child: run a loop until it fails or the parent closes `commands`."""
     return_freed_memory_early()
     sys.setswitchinterval(_SWITCH)
     raise_priority(_NICENESS)
@@ -142,7 +144,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
         make_session, q_start = commands.recv()
     except (EOFError, OSError):
         return  # the parent has ended, or needs no simulation
-    loop = SimulationLoop(make_session, q_start, stored=1)  # the parent stores older snapshots
+    loop = SimulationLoop(make_session, q_start, stored=_UNSENT)
     try:
         with suppress(LoopError):  # `_post` sends this error
             loop.start()
@@ -155,7 +157,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
-    """Forward commands and snapshots.
+    """Forward commands and snapshots until the loop fails; then send the loop's exception.
 
     Raises:
         EOFError: The parent has closed its end.
@@ -165,8 +167,10 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
     while loop.error is None:
         latest = loop.latest()
         if latest is not posted:
-            snapshots.send(latest)
-            posted, beat = latest, monotonic()
+            last = posted.t if posted is not None and latest.follows(posted) else -math.inf
+            for posted in loop.history(last) or [latest]:
+                snapshots.send(posted)
+            beat = monotonic()
         elif monotonic() - beat > _BEAT_EVERY and loop.silence < _HUNG:
             snapshots.send(None)
             beat = monotonic()

@@ -46,8 +46,8 @@ def make_physics(
 
     Raises:
         UnknownNameError: The plant does not exist.
-        ConfigError: The plant has no doors, does not suit the kind of base, or needs a library
-            that is not installed.
+        ConfigError: The plant does not suit the door or the kind of base, or needs pybullet, which
+            is not installed.
         AssetError: A mesh is missing, or pybullet cannot load the robot.
         RobotFileError: As for `collision_shapes`, with MuJoCo.
     """

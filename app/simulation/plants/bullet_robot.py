@@ -194,7 +194,7 @@ class BulletDoor(HeldDoor):
 
 
 def _plant_urdf(description: RobotDescription) -> str:
-    """The robot's URDF on planar joints, with fixed wheels and without visuals."""
+    """The robot's URDF on planar joints, without visuals; only these and the arm's joints move."""
     tree = ElementTree.fromstring(planar_urdf(description))
     for link in tree.iterfind("link"):
         for visual in link.findall("visual"):  # pybullet would load its mesh

@@ -15,7 +15,7 @@ import numpy as np
 
 from app.errors import AssetError, ConfigError
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs
-from app.simulation.plants.interface import Contacts
+from app.simulation.plants.interface import NO_CONTACTS, Contacts
 from app.strict import Array
 from app.system import decimal_points, flush_c_output
 
@@ -95,7 +95,7 @@ class BulletWorld:
             dt: [s] duration of one step.
 
         Raises:
-            AssetError: pybullet cannot load the URDF.
+            AssetError: pybullet cannot load the URDF; a ConfigError if pybullet is not installed.
         """
         self.client, self._open = Client(), True
         # pybullet caches a file by its descriptor, which the system can give to a later file.
@@ -168,20 +168,22 @@ class BulletWorld:
 
     def contacts(self) -> Contacts:
         """Contacts in the last step."""
-        found = self.client.getContactPoints(self.robot)
+        if not (found := self.client.getContactPoints(self.robot)):
+            return NO_CONTACTS
         groups = (self._contact_of.get(c[1:5]) for c in found if touches(c))
         return Contacts.of(filter(None, groups))
 
     def depths(self) -> dict[str, float]:
-        """[m] depth of the deepest contact of each kind, by the fields of `Contacts`."""
+        """[m] depth of the deepest contact of each present kind, by the fields of `Contacts`."""
         deepest: dict[str, float] = {}
         for c in self.client.getContactPoints(self.robot):
-            if group := self._contact_of.get(c[1:5]):
+            group = self._contact_of.get(c[1:5])
+            if group and c[8] <= 0.0:
                 deepest[group] = max(deepest.get(group, 0.0), -c[8])
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] distance along each ray to the first hit, as in `PlanarWorld.seen`."""
+        """(n,) [m] distance from `begins` to the first hit before `ends`, as in `PlanarWorld`."""
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares
@@ -189,7 +191,7 @@ class BulletWorld:
     def rewind(self) -> None:
         """Save the state at the first call; restore it, with contacts and solver, at later calls.
 
-        Otherwise old contacts in the engine's memory would make equal runs differ in the last bits.
+        Without this, old contacts in the engine's memory would change equal runs in the last bits.
         """
         if self._at_load is None:
             self._at_load = self.client.saveState()

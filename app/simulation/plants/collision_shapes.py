@@ -46,7 +46,7 @@ class CollisionShape(NamedTuple):
 
     @property
     def lowest(self) -> float:
-        """[m] lowest z, in the joint's frame, of the box around the shape along its own axes."""
+        """[m] lowest z, in the joint's frame, of the bounding box along the shape's own axes."""
         geometry, T = self.geometry, self.T
         if isinstance(geometry, np.ndarray):
             low, high = geometry.min(axis=0), geometry.max(axis=0)
@@ -83,7 +83,8 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
     """Pairs of links between which contacts are computed.
 
-    These are the links of the bodies in `body_contact_pairs`, except nested links.
+    For each pair of bodies in `body_contact_pairs`, each link of one body forms a pair with each
+    link of the other body. Pairs in `description.nested` are left out. The floor is one link.
     """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
@@ -172,7 +173,7 @@ def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
 def _shape(
     part: str, placed: pin.GeometryObject, geometry: coal.CollisionGeometry
 ) -> CollisionShape:
-    """A shape at the pose of an object; a mesh becomes points, which processes exchange fast."""
+    """A shape of the link or body `part` at the pose of `placed`; a mesh becomes its points."""
     if isinstance(geometry, coal.BVHModelBase):
         geometry = np.array(geometry.vertices())
     elif isinstance(geometry, coal.ConvexBase):

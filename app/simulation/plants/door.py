@@ -30,8 +30,8 @@ _SINKING = 1e-5  # [m] depth of the resting cabinet in the floor
 class Door:
     """A vertical board on a hinge.
 
-    The door's frame turns with the door. Its origin is on the floor under the hinge's axis, z is
-    up, x points into the closed refrigerator, and y to the left of a person in front of the door.
+    The door's frame turns with the door. The frame's origin is on the floor under the hinge's axis.
+    z is up. If the door is closed, x points into the refrigerator; y is to the left, seen along x.
     """
 
     hinge: Literal["left", "right"]
@@ -83,7 +83,7 @@ class Door:
     def joint_range(self) -> tuple[float, float]:
         """[rad] limits of the hinge's joint, whose position is -side times the opening angle.
 
-        The closed door stops at the cabinet, the open one at its outer wall.
+        The closed door stops at the cabinet; the largest opening angle is 180 degrees.
         """
         stops = self.side * _GAP / self.width, -self.side * math.pi
         return min(stops), max(stops)
@@ -129,7 +129,7 @@ class Door:
 
 
 class DoorReading(NamedTuple):
-    """State of an opening door."""
+    """Readings while the end-effector opens a door."""
 
     angle: float
     """[rad] opening angle of the door."""
@@ -191,8 +191,8 @@ def with_door(
     """The robot that holds a door: the door is the arm's last body, and ⟨l_m, door⟩ is in L_m.
 
     The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
-    grasp is rigid. The door has the reachability coefficients of the end-effector's body, and no
-    sampled border; its acting point is found on the exact offset surface of l_m.
+    grasp is rigid. The door has the reachability coefficients of the last body that has any, and no
+    sampled border; the acting point is found on the exact offset surface of l_m.
 
     Args:
         model: The robot without the door.

@@ -16,8 +16,8 @@ SAME_DEPTH = 0.005
 """[m] largest tolerated depth of a contact that exists in only one engine: pybullet rounds its
 hulls, and computes the depth of two hulls approximately."""
 SAME_PICTURE = 0.002  # [-] share of differing rays below which pictures count as equal
-_SAME_PLACE = 0.01  # [m] tolerance of a ray's hit: pybullet adds 1 mm to hulls, more at a slant
-_EDGE = 0.003  # [m] tolerance at edges
+_SAME_PLACE = 0.01  # [m] tolerance of a ray's hit: pybullet adds 1 mm to hulls, more at an angle
+_EDGE = 0.003  # [m] distance of parallel rays in each direction: the tolerance at edges
 _BESIDE = tuple(product((0, 1, -1), repeat=2))  # offsets of parallel rays, the ray itself first
 _HALF, _PIXELS = 1.0, 48  # [m] half side of a picture; number of rays along a side
 _MIDDLE, _FAR = 0.6, 3.0  # [m] height of the target, and distance of the viewpoint
@@ -32,7 +32,8 @@ class Difference(NamedTuple):
     depth: float
     """[m] depth of the deepest contact that exists in only one engine."""
     contacts: int
-    """Number of contacts in both engines; those of the same kind in a posture count once."""
+    """Number of contacts that both engines report; each kind of contact (a field of `Contacts`)
+    counts at most once in each posture."""
     postures: int
     """Number of compared postures."""
 
@@ -51,6 +52,7 @@ def compare_engines(
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
         ConfigError: pybullet is not installed.
+        RobotFileError: As for `collision_shapes`.
     """
     plants = planar_plant("pybullet", model), planar_plant("mujoco", model)
     worlds = plants[0].world, plants[1].world

@@ -11,12 +11,12 @@ from app.strict import Array
 
 
 class Contacts(NamedTuple):
-    """Contacts in the last step."""
+    """Contacts in the last step: of `body_contact_pairs`, and of a door that the robot holds."""
 
     arm_base: bool = False
     """Whether arm and base touch."""
     arm_arm: bool = False
-    """Whether two parts of the arm that are not neighbours touch."""
+    """Whether two parts of the arm touch that are not neighbours."""
     arm_floor: bool = False
     """Whether arm and floor touch."""
     door_base: bool = False
@@ -122,7 +122,7 @@ class PlanarWorld(ABC):
 
     @abstractmethod
     def reset(self, q: Array) -> None:
-        """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps a `door`."""
+        """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps any `door`."""
 
     @abstractmethod
     def read(self) -> tuple[Array, list[float], Array, Array]:
@@ -144,13 +144,13 @@ class PlanarWorld(ABC):
 
     @abstractmethod
     def depths(self) -> dict[str, float]:
-        """[m] depth of the deepest contact of each kind, by the fields of `Contacts`."""
+        """[m] depth of the deepest contact of each present kind, by the fields of `Contacts`."""
 
     @abstractmethod
     def seen(self, begins: Array, ends: Array) -> Array:
         """(n,) [m] distance from the start of each ray to the first hit of any body or the floor.
 
-        The rays go from `begins` (n, 3) to `ends` (n, 3) [m]; without a hit it is infinite.
+        The rays go from `begins` (n, 3) to `ends` (n, 3) [m]; infinite for a ray without a hit.
         """
 
     @abstractmethod

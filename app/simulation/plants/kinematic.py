@@ -16,14 +16,13 @@ import pinocchio as pin
 
 from app.compiled import compiled, direct
 from app.control.drive import Drive
-from app.robot.link_pairs import distance_view
+from app.control.qp import fill
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import Measurement, RobotState, distance_view
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
 from app.simulation.plants.interface import NO_CONTACTS, Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist
 from app.strict import Array
-from app.structs import fill
 
 
 class Kinematic(Physics):
@@ -117,7 +116,7 @@ def _move_arm(
     """
     n = len(q)
     A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled
-    if not math.isfinite(b.sum() + A.sum()):  # a solver raises an error for these
+    if not math.isfinite(b.sum() + A.sum()):  # `solve` would raise an error
         fill(q, np.nan)
         fill(qd, np.nan)
         return
@@ -163,4 +162,7 @@ class _Overlaps:
     def at(self, q: Array) -> Contacts:
         """Overlaps at pinocchio's configuration `q`."""
         pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
-        return Contacts.of(compress(self._group_of, self._distances <= 0.0))
+        overlaps = self._distances <= 0.0
+        if not np.count_nonzero(overlaps):
+            return NO_CONTACTS
+        return Contacts.of(compress(self._group_of, overlaps))

@@ -26,7 +26,7 @@ IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of contacts and joint limits, in Mu
 _FLAT = 1e-6  # [-] largest ratio of thickness to length of a flat mesh
 _SHEET = 0.0002  # [m] thickness that a flat mesh gets
 _STIFFEST = 0.9999  # [-] MuJoCo's largest impedance
-_FRICTION = 0.25  # [-] friction of two links
+_FRICTION = 0.25  # [-] default coefficient of friction of contacts
 _ROUND = 100.0  # [-] ratio of the firmness of friction to that of contacts
 _GEOM = mujoco.mjtGeom
 _JOINT = mujoco.mjtJoint
@@ -156,7 +156,7 @@ class RobotSpec:
     def friction(self, limit: float) -> dict[str, Any]:
         """Options of a joint with dry friction up to `limit` [N or N m].
 
-        If a force up to `limit` can stop the joint within one step, the joint stops; otherwise the
+        If a force up to `limit` can stop the joint within one step, the joint stops. If not, the
         force is `limit`.
         """
         return {

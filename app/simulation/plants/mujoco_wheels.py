@@ -53,7 +53,7 @@ class Wheels:
     """The driven wheels in the frame of the root, which is on the floor."""
 
     def __init__(self, model: RobotModel) -> None:
-        """Read the wheels from the URDF; if it has none, assume two wheels at the half track."""
+        """Read the wheels from the URDF; without named wheels, assume two at the half track."""
         base = differential(model.description)
         self.radius = r = base.wheel_radius_m
         full = pin.buildModelFromXML(bare_urdf(model.description))
@@ -79,11 +79,11 @@ class Wheels:
         self.inertias = [I if I.mass > 0.0 else small for I in own] or [small] * len(places)
         """Inertia of each wheel, in a frame at its centre."""
         self.root = model.pin.inertias[1]
-        """The root's inertia without the wheels, which that of the robot model includes."""
+        """The root's inertia in the robot model, minus the inertia of the wheels."""
         for centre, inertia in zip(self.centres, self.inertias, strict=True):
             self.root = self.root - pin.SE3(np.eye(3), centre).act(inertia)
         self.spans = bool(np.ptp(self.centres[:, 0]) > r)
-        """Whether the base can stand on its wheels; otherwise it needs casters."""
+        """Whether the base can stand on its wheels; if False, it needs casters."""
 
 
 class MujocoWheels(Physics):
@@ -131,6 +131,7 @@ class MujocoWheels(Physics):
         world.rewind()
         world.q[:7] = x, y, z, *pin.Quaternion(level).coeffs()[[3, 0, 1, 2]]
         world.q[world.arm_q] = q_m
+        self._phi = phi
         if self.door is not None:
             self.door.take_hold(world)
 
@@ -139,7 +140,9 @@ class MujocoWheels(Physics):
         world = self.world
         q, v = world.q.copy(), world.v.copy()
         R = self._turn()
-        phi, turning = _heading(R), float(R[2] @ v[3:6])
+        turned = math.remainder(_heading(R) - self._phi, math.tau)  # the heading does not wrap
+        self._phi = phi = self._phi + turned
+        turning = float(R[2] @ v[3:6])
         forward = math.cos(phi) * v[0] + math.sin(phi) * v[1]
         return Measurement(
             np.array([q[0], q[1], phi]),
@@ -219,7 +222,7 @@ def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> Non
 
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
-    """Add casters if needed, and let the base's hull touch the floor if the base tips."""
+    """Add casters if needed; other shapes of the base touch the floor only if the base tips."""
     casters: list[tuple[float, Array]] = []
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:

@@ -15,6 +15,7 @@ from numba import types
 from numba.core.typing.templates import Signature
 
 from app.compiled import compiled, direct
+from app.control.qp import fill, put
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
 from app.simulation.plants.interface import (
@@ -27,7 +28,7 @@ from app.simulation.plants.interface import (
 )
 from app.simulation.plants.mujoco_spec import RobotSpec
 from app.strict import Array
-from app.structs import fill, struct_type
+from app.structs import struct_type
 
 # Otherwise MuJoCo writes a file into the working directory.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
@@ -44,13 +45,14 @@ _FIELDS = {
     "axes": types.Array(types.f8, 3, "C"),  # (n, 3, 3) orientations of the bodies
     "motors": types.Array(types.i8, 1, "C"),  # (k,) indices of the motors' velocities
     "speeds": types.Array(types.f8, 1, "C"),  # (k,) [m/s or rad/s] of the motors
+    "torques": types.Array(types.f8, 1, "C"),  # (n_m,) [N m or N] of the arm
     "guess": types.Array(types.f8, 1, "C"),  # (n_v,) accelerations with which the solver starts
     "per_step": types.f8,  # [1/s] reciprocal of the step's duration
     "tip": types.i8,  # number of the body that carries the end-effector
     "tool": types.Array(types.f8, 1, "C"),  # (3,) [m] the end-effector in this body's frame
 }
 _WORLD = struct_type("World", _FIELDS)
-"""Views of MuJoCo's memory; forces, origins, centres and axes are in the world."""
+"""Forces, origins, centres, axes (in the world) and guess are views of MuJoCo's memory."""
 _Views: Any = NamedTuple("_Views", [(name, Any) for name in _FIELDS])  # type: ignore[misc]
 
 
@@ -73,7 +75,7 @@ class MujocoWorld(PlanarWorld):
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         data, tool = self.data, source.pin.frames[source.ee_frame]
-        self._speeds, self._torques = np.zeros(len(robot.motors)), data.qfrc_applied[self.arm_v]
+        self._speeds = np.zeros(len(robot.motors))
         self._bodies = _WORLD.made_of(
             _Views(
                 data.xfrc_applied,
@@ -82,6 +84,7 @@ class MujocoWorld(PlanarWorld):
                 data.xmat.reshape(-1, 3, 3),
                 np.array([model.joint(name).dofadr[0] for name in robot.motors], dtype=np.int64),
                 self._speeds,
+                data.qfrc_applied[self.arm_v],
                 data.qacc_warmstart,
                 1.0 / model.opt.timestep,
                 self._body_of[source.pin.names[tool.parentJoint]],
@@ -117,7 +120,7 @@ class MujocoWorld(PlanarWorld):
         return rows
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The mass matrix and bias forces, as in `PlanarWorld`, for a robot without a door."""
+        """As in `PlanarWorld`, for a robot without a door; also moves the robot to q and v."""
         self.rewind()
         self.q[:], self.v[:] = q, v
         mujoco.mj_forward(self.model, self.data)
@@ -130,8 +133,9 @@ class MujocoWorld(PlanarWorld):
         data = self.data
         mujoco.mj_step1(self.model, data)
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
-        self._speeds[:], self._torques[:] = speeds, u_a
-        _drive_once(self._bodies, data.efc_aref, row, np.asarray(hand_force, dtype=float))
+        self._speeds[:] = speeds
+        forces = np.asarray(u_a, dtype=float), np.asarray(hand_force, dtype=float)
+        _drive_once(self._bodies, data.efc_aref, row, *forces)
         for push in pushes:
             _press_once(self._bodies, self._body_of[push.joint], push.p, push.force)
         mujoco.mj_step2(self.model, data)
@@ -181,23 +185,26 @@ def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
     felt[5] += arm[0] * force[1] - arm[1] * force[0]
 
 
-@compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR), None))
-def _drive(bodies: Any, aref: Array, row: int, force: Array) -> None:
-    """Set the references of the motors, and the person's force as the only force on the bodies.
+@compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR, _VECTOR), None))
+def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None:
+    """Set the motors' references and the arm's torques, and the person's force as the only force.
 
-    Dry friction has the reference acceleration -v / dt, which stops a joint. A motor's reference
-    acceleration is (speed - v) / dt. The solver starts with the motors at their speeds; from the
-    last step's solution it would need three iterations.
+    MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint. A
+    motor's reference acceleration is (speed - v) / dt. The solver starts from the accelerations
+    with which the motors have their commanded speeds after the step; from the last step's solution
+    it would need three iterations.
 
     Args:
         bodies: `_WORLD`.
         aref: (m,) [m/s², rad/s²] reference accelerations of all constraints; changed in place.
         row: Index of the first motor in `aref`.
+        u_a: (n_m,) [N m or N] torques of the arm.
         force: (3,) [N] force on the end-effector's origin, in the world.
     """
     for k in range(len(bodies.speeds)):
         aref[row + k] += bodies.per_step * bodies.speeds[k]
         bodies.guess[bodies.motors[k]] = aref[row + k]
+    put(bodies.torques, u_a)
     fill(bodies.forces.ravel(), 0.0)
     _press(bodies, bodies.tip, bodies.tool, force)
 

@@ -6,6 +6,7 @@ traction of the wheels. The wheels are only animated. The base cannot tip.
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from app.strict import Array
 
 
 class Planar(Physics):
-    """`Physics` with wheels that neither slip nor lift; their force is limited to the traction."""
+    """`Physics` in which motors with the traction limit move the base on planar joints."""
 
     def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
         """Start with the robot of an engine's world at rest in the ready posture."""
@@ -27,21 +28,21 @@ class Planar(Physics):
         self._S = model.S
         base = model.description.base
         self._drive = Drive(base, dt)
-        self._axes = base.T.argmax(axis=0).tolist()  # component of the twist of each base axis
+        self._axes = base.T.argmax(axis=0).tolist()  # each axis's index in the twist (v_x, v_y, ω)
+        self._along = itemgetter(*self._axes)
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         self.world.reset(np.concatenate([base_pose, q_m]))
         self._drive.reset()
-        self._heading: float | None = None  # [rad] measured since the last step
+        self._heading: float | None = None  # [rad] heading, if measured since the last step
 
     def measure(self) -> Measurement:
         pose, v, q_m, qd_m = self.world.read()
         self._heading = heading = pose.item(2)
         c, s = math.cos(heading), math.sin(heading)
         x, y, w = v
-        twist = c * x + s * y, c * y - s * x, w
-        velocity = np.array([twist[axis] for axis in self._axes])
+        velocity = np.array(self._along((c * x + s * y, c * y - s * x, w)), ndmin=1)
         return Measurement(pose, velocity, q_m, qd_m, self._drive.state)
 
     def step(

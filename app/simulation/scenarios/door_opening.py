@@ -30,7 +30,7 @@ class DoorOpeningGains:
     ramp: float = 1.5
     """[s] rise time of the speed from zero."""
     turn: float = math.radians(88)
-    """[rad] rotation of the end-effector at which the door is open."""
+    """[rad] rotation of the end-effector since the start; there the end-effector stops."""
     braking: float = math.radians(4)
     """[rad] length of the range before the angle `turn` in which the end-effector slows down."""
     radial_force: float = 0.0
@@ -104,7 +104,7 @@ class DoorOpening:
             T_world_ee: Pose of the end-effector, whose z axis points into the door.
             radial_guess: (2,) initial estimate of the horizontal direction towards the hinge.
             gains: The gains.
-            dt: [s] period of `step`.
+            dt: [s] time between two calls of `step`.
         """
         self._gains, self._dt = gains, dt
         self._R_start = T_world_ee.rotation.copy()
@@ -182,7 +182,7 @@ def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver
         door: The door that the end-effector holds.
         session: The session, which is at its start.
         rate: [deg/s] desired rotation rate of the door.
-        guess: [deg] error of the initial estimate of the direction to the hinge.
+        guess: [deg] error of the first estimate of the direction to the hinge, as `radial_guess`.
     """
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)

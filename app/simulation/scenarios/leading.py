@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # for annotations, so that options are checked before slow im
     from app.simulation.session import Session
 
 _DURATIONS = 0.01, 3600.0  # [s] shortest and longest scenario
-_FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one is a typing error
+_FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one counts as a typo
 
 
 class StepInput(NamedTuple):
@@ -32,7 +32,7 @@ class StepInput(NamedTuple):
     reference: Reference | None = None
     """The end-effector's reference, or None while a person guides the arm."""
     pull: Array | None = None
-    """(3,) [m] target of the person's hand, in the world, or None."""
+    """(3,) [m] target of a person at the end-effector, in the world, or None."""
     door: DoorReading | None = None
     """State of the door while the scenario opens it, otherwise None."""
     holds: tuple[Hold, ...] = ()
@@ -44,7 +44,7 @@ Driver = Callable[["Session"], StepInput]
 
 
 class Setting(NamedTuple):
-    """The start of a run."""
+    """The robot, its pose and posture, and the parameters at the start of a run."""
 
     model: RobotModel
     """The robot model of the controller."""

@@ -10,9 +10,10 @@ import pinocchio as pin
 from scipy.optimize import least_squares
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.robot.link_pairs import LinkPairs, geometry_data
+from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel, length_bound
-from app.robot.state import RobotState, at_rest
+from app.robot.state import RobotState, at_rest, geometry_data
+from app.simulation.trace.words import spoken
 from app.strict import Array
 
 _MAX_EVALUATIONS = 60  # [-] largest number of evaluations of the residual
@@ -21,8 +22,8 @@ _TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
 _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
 
 Judge = Callable[[Array], float | str]
-"""A function that returns the quality [-] of a posture (n_m,), which is better if larger; if the
-posture is invalid, it returns zero or less, or the reason."""
+"""A function that judges a posture (n_m,). For a valid posture it returns a quality [-] above zero;
+larger is better. For an invalid posture it returns zero, a negative number, or the reason."""
 
 
 class Target(NamedTuple):
@@ -55,8 +56,8 @@ class PostureSearch:
         self.span = model.q_upper - model.q_lower
         self.middle = (model.q_upper + model.q_lower) / 2
         """(n_m,) [rad or m] length and middle of each joint's range."""
-        self.names = [pair.name for pair in pairs.all]
-        """Names of the pairs, in the order of `distances`."""
+        self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
+        """Displayed names of the pairs, in the order of `distances`."""
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor = FloorDistance(self.state)
         self._base_pose = np.zeros(3)
@@ -89,8 +90,8 @@ class PostureSearch:
         """Find the posture with the highest quality.
 
         Args:
-            guesses: (n_m,) each; with a target the starting points of the search, otherwise the
-                postures themselves.
+            guesses: (n_m,) each: with a target, the starting points of the search; without a
+                target, the postures to judge.
             judge: Computes the quality of a posture, into which the arm is already placed.
             target: Position or pose of the end-effector, or None.
             enough: [-] quality at which the search ends.
@@ -112,7 +113,7 @@ class PostureSearch:
         """Find the posture (n_m,) near a guess with the least squared error from the target.
 
         A small additional error draws the joints to the middle of their ranges. The joints have a
-        margin to their limits.
+        margin to their position limits.
         """
 
         def residual(q: Array) -> Array:
@@ -170,7 +171,7 @@ class PostureSearch:
         return self._floor.smallest()
 
     def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
-        """Why the present posture is not free, or an empty string.
+        """The reason why the present posture is invalid, or an empty string if it is valid.
 
         The arm must be higher than `floor` [m], and each pair `margin` [m] outside of its buffer.
         """
@@ -179,10 +180,11 @@ class PostureSearch:
         distances = self.distances()
         if min(distances, default=np.inf) > self.d_b + margin:
             return ""
-        return f"{self.names[int(np.argmin(distances))]} would be inside its buffer"
+        pair = self.names[int(np.argmin(distances))]
+        return f"{pair} would be inside its buffer of {self.d_b:g} m"
 
     def joint_room(self, q_m: Array) -> float:
-        """[-] smallest distance of a joint to a limit, relative to its range."""
+        """[-] smallest distance of a joint from a position limit, divided by the joint's range."""
         left = np.minimum(q_m - self.model.q_lower, self.model.q_upper - q_m)
         return float(np.min(left / self.span))
 

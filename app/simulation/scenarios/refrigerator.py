@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _HINGE_BESIDE = 0.10  # [m] lateral distance of the hinge from the base's axis, by default
 _FREE_TURN = math.radians(62)  # [rad] door angle at which the door meets a base at rest, by default
-_FRONT = 0.495  # [m] distance of the base's front from its centre
+_FRONT = 0.495  # [m] distance of the front of the paper's base from the base's centre
 _FARTHEST = 0.53  # [m] largest distance of the base's front from a door with a reachable handle
 _WIDE = 0.60  # [m] door width above which the base starts nearer to the handle
 _RANGES = {

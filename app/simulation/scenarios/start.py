@@ -18,13 +18,13 @@ _PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # [rad] below the horiz
 _SEEDS = 16  # starting points of the search for each pitch
 _POSITION_TOLERANCE = 1e-5  # [m] tolerance of the end-effector's position
 _DIRECTION_TOLERANCE = 0.02  # [-] tolerance of the end-effector's direction, a unit vector
-_BUFFER_MARGIN = 0.005  # [m] smallest distance of a pair outside its buffer
+_BUFFER_MARGIN = 0.005  # [m] required distance of each pair beyond d_b at the start
 _FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
 _LOST = 1e-3  # [m/rad or -] largest singular value that counts as a lost direction
 _UPRIGHT = 0.94  # [-] smallest z component of an upright axis: a tilt of 20 degrees
 _WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
-_CACHED = 100  # number of cached starts of a robot
+_CACHED = 100  # largest number of cached starts of a robot
 
 _ROLLS = np.radians([0.0, 90.0, 180.0, -90.0])  # [rad] of the end-effector about its z axis
 _ROLL_SEEDS = 80  # starting points of the search for each roll
@@ -44,9 +44,9 @@ class StartSolver:
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
-    outside its buffer, the arm is above the floor, and each joint is away from its limits. If the
-    search finds no such direction, and the arm cannot choose the end-effector's direction freely,
-    any direction is accepted.
+    outside its buffer, the arm is above the floor, and each joint is away from its position limits.
+    If the search finds no such posture, and the arm cannot choose the end-effector's direction
+    freely, any direction is accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -71,10 +71,11 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at a position in the world.
 
-        With further positions in `along`, the search prefers a posture from which the arm,
-        with the base at rest, also reaches these positions in its starting orientation, away from
-        its joint limits. If there is none, the result is another valid posture, because the
-        base can also move during a run.
+        `along` has further positions of the end-effector. The search prefers a posture from which
+        the arm reaches these positions too, while the base is at rest and the end-effector keeps
+        its starting orientation, and with the joints away from their position limits. If there is
+        no such posture, the result is another valid posture, because the base can move during a
+        run.
 
         Args:
             p_ee: (3,) [m] position of the end-effector.
@@ -166,7 +167,7 @@ class StartSolver:
         return found.q_m is not None
 
     def _direction(self, target: Array, pitch: float) -> Array:
-        """Unit vector (3,) from the arm's mount towards a target, `pitch` [rad] downwards."""
+        """Horizontal unit vector (3,) from the mount to a target, tilted down by `pitch` [rad]."""
         outwards = target[:2] - self._model.p_base()[:2]
         length = np.hypot(*outwards)
         outwards = outwards / length if length > 1e-6 else np.array([1.0, 0.0])
@@ -189,7 +190,7 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] quality of a posture: smallest joint margin and manipulability, also on the path.
+        """[-] quality of a posture: smallest joint margin plus manipulability, also on the path.
 
         It is 0 if the arm cannot follow the path with the base at rest.
         """

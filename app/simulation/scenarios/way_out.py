@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 Begin = Literal["penetration", "buffer", "arm"]
 BEGINS: tuple[Begin, ...] = get_args(Begin)
-"""Kinds of starts: a pair in penetration; a pair of L_m inside its buffer, without penetration;
-a pair of L_m^c inside its buffer, without penetration."""
+"""Kinds of starts: any pair in penetration; a pair of arm and base inside its buffer, without
+penetration; a pair within the arm inside its buffer, without penetration."""
 
 DEEPEST = 0.05  # [m] deepest penetration of a start
 _FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
@@ -39,13 +39,14 @@ class WayOutScenario(Scenario):
     duration: float = 3.0
     about: str = "the robot starts inside a buffer or in penetration, and has to leave it"
     begin: Begin = "penetration"
-    """Kind of the start."""
+    """Kind of the start: any pair in penetration, a pair of arm and base inside its buffer, or a
+    pair within the arm inside its buffer."""
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
 
-        The pair is drawn first. For a pair of L_m, the direction is drawn too: the arm is above the
-        base or beside it. Some of these cases are rare among uniformly random postures.
+        The pair is drawn first. For a pair of arm and base, the direction is drawn too: the arm is
+        above the base or beside it. Some of these cases are rare among uniformly random postures.
 
         Raises:
             UnreachableError: The search has found no posture.
@@ -82,8 +83,8 @@ def _judge(
 ) -> float:
     """1 if the search's present posture is a valid start for pair i, otherwise 0.
 
-    The pair must be the nearest one, at a distance in the range `depth` [m]. `above` states whether
-    the arm must be above the base; None means any direction.
+    The pair must be the nearest one, at a distance in the range `depth` [m], and the arm above the
+    floor. `above`: the arm must be above the base (True) or beside it (False); None: anywhere.
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]

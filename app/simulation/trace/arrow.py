@@ -74,7 +74,7 @@ def _read_csv(path: Path) -> tuple[str, pa.Table]:
         more = changed * ("# " in first) + plain * first.startswith(('"t_s"', "t_s,"))
         raise ValueError(f"the first line is not a metadata comment{more}")
     names, _, rows = rest.partition("\n")
-    # Spreadsheets write other marks; the names of later columns can contain a mark.
+    # Spreadsheets write other delimiters; the names of later columns can contain a delimiter.
     first_name = re.match(r'"?\w*"?([,;\t])', names)
     between = first_name[1] if first_name else ","
     point = "," if between != "," and re.search(r"\d,\d", rows[:10_000]) else "."

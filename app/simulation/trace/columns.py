@@ -55,9 +55,9 @@ class TraceMeta(Strict):
     pairs: tuple[str, ...]
     """Names of all link pairs, in the order of the distances."""
     mobile_pairs: tuple[str, ...]
-    """Names of the pairs of L_m."""
+    """Names of the pairs with the base (L_m)."""
     scenario: str = ""
-    """Name of the scenario; empty if a person guided the arm."""
+    """Name of the scenario; empty without a scenario."""
     physics: str = ""
     """Name of the plant; empty if unknown."""
     seed: int | None = Field(default=None, ge=0)
@@ -91,7 +91,7 @@ class TraceMeta(Strict):
 
         Args:
             model: The robot.
-            pairs: Whether each link pair belongs to L_m, by the pair's name.
+            pairs: Whether each link pair is one with the base (L_m), by the pair's name.
             config: Parameters at the first row.
             about: Further fields.
         """
@@ -183,8 +183,8 @@ class Quantity(NamedTuple):
     snapshots only."""
     row: Take | None = None
     """Computation of the numbers that are recorded at each control step, if there are no `paths`.
-    Without a held door it is called at 50 Hz only, and all other cells are empty. None if the
-    quantity is recorded at snapshots only."""
+    While the end-effector holds a door, it is called at each control step; otherwise at 50 Hz, and
+    the cells of the other steps are empty. None if the quantity is recorded at snapshots only."""
 
 
 def number(
@@ -273,7 +273,7 @@ def config_changes(take: Take) -> Quantity:
 
 
 def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
-    """A quantity for a tuple of named tuples, as JSON; an empty cell represents an empty tuple."""
+    """A quantity for a tuple of named tuples of type `kind`, as JSON; empty for an empty tuple."""
     hints = get_type_hints(kind)
 
     def inner(name: str, data: Any) -> Any:

@@ -23,6 +23,7 @@ from app.strict import LARGEST_DATA, Strict, explain, problems_of
 SUFFIXES = ".csv", ".parquet"  # the ending of a file's name selects the format
 
 _NEWER = "; if a newer version of this program wrote the log, read it with that version"
+_FORMAT = ("dbb_log", "format")  # place of the number of the format in the header
 _CELL = 100  # [bytes] memory for a cell of a snapshot
 _NUMBER = 8  # [bytes] memory for a number of the table
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
@@ -50,6 +51,14 @@ class LogHeader(Strict):
             if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
                 fault = "the file has no metadata of a log: dbb run --log or --out writes logs"
                 raise LogError(fault) from None
+            formats = [p["input"] for p in problems_of(error) if p["loc"] == _FORMAT]
+            if formats and isinstance(formats[0], int):
+                own = TraceMeta.model_fields["format"].default
+                age = "an older" if formats[0] < own else "a newer"
+                raise LogError(
+                    f"the format is {formats[0]}, but this version reads {own}; {age} version of "
+                    "this program wrote the log: read it with that version"
+                ) from None
             unknown = {"extra_forbidden", "literal_error"} & {kind for kind, _ in problems}
             raise LogError(f"the metadata: {explain(error, cls)}{_NEWER * bool(unknown)}") from None
 
@@ -79,7 +88,7 @@ def read_trace(path: Path) -> Trace:
     """Read a trace from an untrusted file.
 
     Raises:
-        LogError: The file does not exist, is damaged, or does not have the columns of a trace.
+        LogError: The file does not exist or is damaged, or its ending or columns are wrong.
     """
     _check_suffix(path)
     text, table = read_arrow(path)
@@ -90,7 +99,7 @@ def read_trace(path: Path) -> Trace:
 
 
 def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
-    """Make a trace from the header and the table of a file."""
+    """Make a trace from the header `text` and the table `found` of a file, within a budget."""
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
     names = _quantities(found.column_names, meta)
@@ -116,7 +125,7 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
 
 
 def _quantities(found: Sequence[str], meta: TraceMeta) -> list[str]:
-    """The quantities of a file; an older file can lack columns of a field with a default value."""
+    """The quantities of the columns `found`; an older file can lack those with a default."""
     optional = {each.name for each in fields(Snapshot) if each.default is not MISSING}
     present = frozenset(found)
     return [
@@ -147,7 +156,7 @@ def _snapshots(
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
     """The cells of a column in the rows with snapshots, by `_cast`.
 
-    A column without numbers at each step must be empty in the other rows.
+    A number column that is neither optional nor recorded at each step is empty in other rows.
     """
     if not column.often:
         _cast(column, values, len(drawn))
@@ -161,7 +170,8 @@ def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> l
 def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
     """Convert the cells of a column to the column's type.
 
-    `filled` is the required number of cells with a value, unless the column is optional or a text.
+    `filled` is the required number of cells with a value. Optional columns and columns of texts may
+    have fewer.
     """
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
@@ -195,6 +205,8 @@ def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
 
 
 def _check_times(times: np.ndarray) -> None:
+    if not np.isfinite(times).all():
+        raise LogError("a time is not a finite number")
     gaps = np.diff(times)
     if not (gaps > 0.0).all():
         k = int(np.argmin(gaps > 0.0))

@@ -9,7 +9,7 @@
 | `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, with their meshes | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
 | `/markers` | `foxglove.SceneUpdate`, closest points, acting points, forces | each snapshot |
-| `/step` | `dbb.Step`, the columns with a number at each step; `_` for `-` and blanks | each row |
+| `/step` | `dbb.Step`, the columns with a number at each step; signs become `_` | each row |
 | `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | start, each change |
 
 The schemas `foxglove.…` and `dbb.…` are Protobuf, the others are ROS 2 messages, because Rerun
@@ -398,7 +398,7 @@ def _header(t: float, frame: str) -> Any:
 
 
 def _ros(kind: str, **fields: Any) -> Any:
-    """A ROS message, or a part of one."""
+    """A ROS message, or a part of one, of the type with the name `kind`."""
     return _store().types[kind](**fields)
 
 

@@ -69,13 +69,17 @@ def touches(figures: dict[str, Any]) -> list[str]:
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     """The result of a run in words: contact, smallest distance and remaining error.
 
+    Values that are None or not finite are missing, which the words state.
+
     Args:
         figures: The figures of the run.
         chain: Names of the robot's bodies from the base outwards, for the displayed names of link
             pairs; if empty, the pairs' own names are used.
     """
     touched = touches(figures)
-    least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
+    distances = figures["min_distance_m"].items()
+    known = [(pair, d) for pair, d in distances if d is not None and math.isfinite(d)]
+    least = min(known, key=lambda item: item[1], default=None)
     result = outcome(least[1] if least else math.inf, touched=bool(touched))
     text = f"The arm touched {' and '.join(touched)}" if touched else result.capitalize()
     larger = ""
@@ -90,11 +94,17 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
                 " Distances are between convex bodies that enclose the links: they can overlap"
                 " without contact."
             )
-    return f"{text}; final end-effector error {1000 * figures['ee_error_final_m']:.1f} mm.{larger}"
+    if lost := sorted({pair for pair, _ in distances} - {pair for pair, _ in known}):
+        named = (spoken(pair, chain) if chain else pair for pair in lost)
+        text += f"; without a distance: {', '.join(named)}"
+    error, final = figures["ee_error_final_m"], "is missing"
+    if error is not None and math.isfinite(error):
+        final = f"{1000 * error:.1f} mm"
+    return f"{text}; final end-effector error {final}.{larger}"
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
-    """[m] smallest distance of the pairs of L_m (`mobile`) or of the pairs within the arm.
+    """[m] smallest distance of the pairs with the base (`mobile`) or of the pairs within the arm.
 
     It is None if there is no such pair.
     """
@@ -273,11 +283,11 @@ FIGURES: dict[str, Figure] = {
         lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
     ),
     "hand_force_max_n": Figure(
-        "Largest force of people on the end-effector, or of the end-effector on a held door.",
+        "Largest force of people on the end-effector, or of the end-effector on the door it holds.",
         lambda r: largest(_force(r)),
     ),
     "hand_force_clear_max_n": Figure(
-        "`hand_force_max_n` until two bodies first come nearer than 10 mm.", _clear_force
+        "The same force until two bodies first come nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
         "Smallest value during the run of the largest force of a person that the arm can resist, "
@@ -315,12 +325,12 @@ FIGURES: dict[str, Figure] = {
         "Steps in which the base's QP had no solution.", lambda r: int(_last(r, "given_up"))
     ),
     "stuck": Figure(
-        "Position and reasons if the end-effector is not at a resting reference at the end; null "
-        "otherwise.",
+        "The end-effector's error at the end with its reasons, if the reference rests and the "
+        "error exceeds 1 mm; otherwise null.",
         lambda r: r.meta.stuck,
     ),
     "left_way": Figure(
-        "Position and reasons at the largest tracking error; null if this error is at most 1 mm.",
+        "The largest tracking error with its reasons, if it exceeds 1 mm; otherwise null.",
         lambda r: r.meta.left_way,
     ),
     "fault_s": Figure(
@@ -340,7 +350,7 @@ def _first(run: Trace, holds: Array) -> float | None:
 
 
 def _door_distance(run: Trace) -> Array:
-    """(N,) [m] distance between the mobile robot and the door."""
+    """(N,) [m] distance between the base and the door."""
     return run[f"d_{next(pair for pair in run.meta.pairs if pair.endswith(BODY))}_m"]
 
 

@@ -60,11 +60,11 @@ class PairReading(NamedTuple):
     name: str
     """Name of the pair, such as `lm-lEE`."""
     mobile: bool
-    """Whether the pair belongs to L_m."""
+    """Whether one of the two bodies is the base (a pair of L_m)."""
     d: float
     """[m] signed distance."""
     beta: float
-    """[-] activation parameter."""
+    """[-] activation β."""
     p_a: Array
     """(3,) [m] closest point on the link nearer to the base."""
     p_b: Array
@@ -72,7 +72,7 @@ class PairReading(NamedTuple):
 
 
 class ActingReading(NamedTuple):
-    """The acting point of one active pair of L_m; positions are in the world."""
+    """The acting point of one active pair with the base; positions and force are in the world."""
 
     name: str
     """Name of the pair, such as `lm-lEE`."""
@@ -117,7 +117,7 @@ class GhostReading(NamedTuple):
     p_ee: Array
     """(3,) [m] position of the end-effector in the world."""
     clearance: float
-    """[m] present smallest distance of the pairs of L_m."""
+    """[m] present smallest distance of the pairs with the base."""
 
 
 class Score(NamedTuple):
@@ -126,7 +126,7 @@ class Score(NamedTuple):
     controller: str
     """Name of the controller."""
     clearance: float
-    """[m] smallest distance of any pair of L_m."""
+    """[m] smallest distance of any pair with the base."""
     error: float
     """[m] present distance of the end-effector from its target, as `Snapshot.ee_error`."""
     error_max: float
@@ -190,7 +190,7 @@ def _pairs() -> Quantity:
 
 
 def _acting() -> Quantity:
-    """The quantity of p_n, p_t, p_act and f of each pair of L_m; empty without acting points."""
+    """The quantity of p_n, p_t, p_act and f of each pair with the base; empty without them."""
     templates = (
         *(f"{p}_{{mobile}}_{{xyz}}_m" for p in ("p_n", "p_t", "p_act")),
         "f_{mobile}_{xyz}_n",
@@ -336,15 +336,16 @@ def _least_bound(w: Any, force: Array, size: float, tau_max: Array) -> float:
 _least_bound_once = direct(_least_bound)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """The whole simulation at one instant.
 
     Most fields are quantities with one or several columns in a trace. A quantity of `number` or
     `numbers` is recorded at each control step; the declaration names the attribute of `Step` with
     the value, which can be a property. A quantity of `drawn` is recorded at snapshots; the
-    declaration can also compute the value from the session s after the step and the step o.
-    Otherwise the publisher of the snapshot sets the value. Fields without columns are not recorded.
+    declaration can also compute the value from the session s after the step and the step o. If the
+    declaration has neither, the publisher of the snapshot sets the value. Of the fields without
+    columns, a file has only `physics` and `seed`.
     """
 
     t: Annotated[float, number("t_s", "float", "t")]
@@ -356,7 +357,7 @@ class Snapshot:
     base_velocity_command: Annotated[Array, numbers("command_{velocity}", "base_command")]
     """(n_b,) [m/s or rad/s] velocity command; it changes once in each `admittance.period`."""
     base_acceleration: Annotated[Array, numbers("base_{acceleration}", "control.a_base_cmd")]
-    """(n_b,) [m/s² or rad/s²] commanded base acceleration of the QP."""
+    """(n_b,) [m/s² or rad/s²] commanded base acceleration, the input of the admittance law."""
     avoidance_acceleration: Annotated[
         Array, numbers("avoidance_{acceleration}", "control.base_avoidance")
     ]
@@ -373,9 +374,9 @@ class Snapshot:
     wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
     """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
-    """All link pairs; the pairs of L_m are first."""
+    """All link pairs; the pairs with the base (L_m) are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
-    """Acting points of the pairs of L_m inside their buffer, if the controller uses them."""
+    """Acting points of the pairs with the base inside their buffer, if the controller uses them."""
     beta_m: Annotated[float, number("beta_m", "float", "control.beta_m")]
     """[-] β_m of (28)."""
     hand_target: Annotated[
@@ -387,8 +388,8 @@ class Snapshot:
     """(3,) [N] force of all people on the end-effector, in the world; while a scenario opens a
     door, the force of the end-effector on the door."""
     ee_error: Annotated[float, number("ee_error_m", "float", "ee_error")]
-    """[m] true distance of the end-effector from the person's target; without a person, from its
-    reference; 0 if there is neither."""
+    """[m] true distance of the end-effector from the target of the (first) person who holds it;
+    without such a person, from its reference; 0 if there is neither."""
     in_contact: Annotated[bool, number("contact", "bool", "contacts.arm_base")]
     """Whether arm and base touch."""
     arm_in_contact: Annotated[bool, number("arm_contact", "bool", "contacts.arm_arm")]
@@ -396,12 +397,12 @@ class Snapshot:
     solver_failures: Annotated[int, number("solver_failures", "int", "control.failures")]
     """Number of steps with the fallback command since the last reset."""
     step_time_us: Annotated[float, drawn("step_time_us", "float")]
-    """[µs] mean real time of the controller in the steps of the last simulated second."""
+    """[µs] mean real time of a control step in the last simulated second; NaN without a clock."""
     realtime_factor: Annotated[float, drawn("realtime_factor", "float")]
-    """[-] ratio of simulated to real time in the last second."""
+    """[-] ratio of simulated to real time in the last second; NaN in a run without a clock."""
     overruns: Annotated[int, drawn("overruns", "int")]
     """Number of control steps since the last reset that took longer than their period (1 ms divided
-    by the speed), or started after its end."""
+    by the speed), or started after the end of their period."""
     paused: Annotated[bool, drawn("paused", "bool")]
     """Whether the simulation is paused."""
     mode: Annotated[
@@ -437,7 +438,7 @@ class Snapshot:
     speed: Annotated[float, drawn("speed", "float")] = 1.0
     """[-] desired ratio of simulated to real time."""
     qd_m: Annotated[Array | None, numbers("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
-    """(n_m,) [rad/s or m/s] joint speeds of the arm, if known."""
+    """(n_m,) [rad/s or m/s] joint velocities of the arm; None if unknown."""
     activation: Annotated[float, number("activation", "float", "control.activation")] = 0.0
     """[-] largest activation of the rows that the controller has inserted; 0 without rows."""
     floor_contact: Annotated[bool, number("floor_contact", "bool", "contacts.arm_floor")] = False
@@ -451,7 +452,7 @@ class Snapshot:
     duration_us: Annotated[float, number("duration_us", "float", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] largest force of a person that the arm can resist; NaN if unknown."""
+    """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
     physics: str = ""
     """Name of the plant; empty if unknown."""
     seed: int | None = None
@@ -481,8 +482,8 @@ class Snapshot:
         The controller's acting points already are on the border at the configured d_b.
         """
         commanded = self.config.border
-        if abs(self.d_b - commanded.d_b) < _D_B_STEP:
-            return commanded
+        if abs(self.d_b - commanded.d_b) < _D_B_STEP or not math.isfinite(self.d_b):
+            return commanded  # it is not finite in a changed log
         d_b = round(round(self.d_b / _D_B_STEP) * _D_B_STEP, 3)
         return commanded.model_copy(update={"d_b": d_b})
 
@@ -494,7 +495,7 @@ class Snapshot:
     @property
     def clearance(self) -> float:
         """[m] smallest distance between the base and the arm, or a door that the arm holds;
-        infinite without a pair of L_m.
+        infinite without a pair with the base.
         """
         return min((pair.d for pair in self.pairs if pair.mobile), default=math.inf)
 
@@ -533,7 +534,7 @@ def make_snapshot(
         session: The session after the step.
         step: The last step.
         pacer: Source of the real-time statistics; None for a run without a clock, whose snapshots
-            are reproducible.
+            are reproducible except for `duration_us`.
         paused: Whether the simulation is paused.
         explained: Whether to include the explanation of the motion, which no file stores.
         fields: Further fields of `Snapshot`.

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import pickle
+import zlib
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
 from itertools import compress
 from operator import attrgetter
 from struct import Struct
@@ -35,6 +39,7 @@ Reason = Literal[
 ]
 
 SNAPSHOTS_STORED = 3000  # 60 s at 50 Hz
+_UNPACKED = 1050  # [-] number of the newest snapshots that are objects; plots show 20 s
 SHORT = 1e-3  # [m] error above which the end-effector counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] largest velocity and acceleration of a resting reference
 _MOVING = 1e-3  # [m/s] speed towards the target above which the end-effector counts as moving
@@ -65,7 +70,7 @@ class Trace:
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
         self.columns: list[Column] = []
-        """The columns of the table, in order; all have a number at each control step."""
+        """The columns of the table, in order: those with a number at each control step."""
         self._slices: dict[str, slice | int] = {}
         for name in names:
             begin = len(self.columns)
@@ -133,7 +138,7 @@ class Trace:
 
     @property
     def groups(self) -> dict[str, list[str]]:
-        """Names of the columns of each quantity in the table, except for the time."""
+        """Names of the columns of each quantity in the table, without the time."""
         every = np.array([column.name for column in self.columns])
         found = {name: every[at] for name, at in self._slices.items() if name != "t"}
         return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
@@ -182,7 +187,7 @@ class Trace:
         return min(self.snapshots, key=lambda snapshot: abs(snapshot.t - t))
 
     def rows(self, which: slice | Array) -> Trace:
-        """Some rows of the table, without snapshots."""
+        """The rows `which` (slice, numbers or flags) of the table, without snapshots."""
         return Trace(self.meta, self.table[which], names=self._quantities)
 
 
@@ -218,8 +223,9 @@ class Recorder:
         computed = self._nothing
         if seldom or session.door is not None:
             computed = [x for row in self._computed for x in row(session, step)]
+        control: Any = step.control.memory.take(self._places)
         numbers = self._packed(*self._numbers(step), *computed)
-        self._rows += b"".join((*self._arrays(step), numbers))
+        self._rows += b"".join((control, *self._arrays(step), numbers))
         if seldom and self._drawn:
             self._draw(session, step)
 
@@ -239,7 +245,7 @@ class Recorder:
         return Trace(meta, table, self.snapshots)
 
     def _begin(self, session: Session, step: Step) -> None:
-        """Prepare the rows. A row has the bytes of arrays, then numbers, then computed numbers."""
+        """Prepare the rows: quantities of the control step, arrays, numbers, computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
         self._meta = TraceMeta.of(
@@ -250,20 +256,22 @@ class Recorder:
             physics=session.kind,
             seed=session.seed,
         )
-        arrays, numbers, kinds = list[str](), list[str](), list[int]()
+        own = {f"control.{name}": places for name, places in step.control.places.items()}
+        paths, kinds = (list[str](), list[str](), list[str]()), list[int]()
         self._computed = list[Take]()
         for quantity in QUANTITIES.values():
             for path in quantity.paths:
                 value = attrgetter(path)(step)
-                is_array = isinstance(value, np.ndarray)
-                (arrays if is_array else numbers).append(path)
-                kinds += [0 if is_array else 1] * np.size(value)
+                kind = 0 if path in own else 1 if isinstance(value, np.ndarray) else 2
+                paths[kind].append(path)
+                kinds += [kind] * np.size(value)
             if quantity.row is not None:
                 self._computed.append(quantity.row)
-                kinds += [2] * len(quantity.row(session, step))
-        self._arrays, self._numbers = attrgetter(*arrays), attrgetter(*numbers)
-        self._packed = Struct(f"{len(kinds) - kinds.count(0)}d").pack
-        self._nothing = [NAN] * kinds.count(2)
+                kinds += [3] * len(quantity.row(session, step))
+        self._places = np.concatenate([own[path] for path in paths[0]])
+        self._arrays, self._numbers = attrgetter(*paths[1]), attrgetter(*paths[2])
+        self._packed = Struct(f"{kinds.count(2) + kinds.count(3)}d").pack
+        self._nothing = [NAN] * kinds.count(3)
         self._order = np.argsort(np.argsort(kinds, kind="stable"))
 
     def _draw(self, session: Session, step: Step) -> None:
@@ -273,12 +281,47 @@ class Recorder:
         self.snapshots.append(make_snapshot(session, step, None, paused=False, **fields))
 
 
+class Stored:
+    """A snapshot, as bytes after `pack`: as objects it takes about five times the memory.
+
+    Many snapshots share one configuration, which is not part of the bytes.
+    """
+
+    __slots__ = ("_config", "_content", "run", "t")
+
+    def __init__(self, snapshot: Snapshot) -> None:
+        self.t, self.run, self._config = snapshot.t, snapshot.run, snapshot.config
+        self._content: Snapshot | bytes = snapshot
+
+    def pack(self) -> Self:
+        """Convert the snapshot to bytes, and return this object."""
+        if not isinstance(self._content, bytes):
+            bare = replace(self._content, config=None)  # type: ignore[arg-type]
+            self._content = zlib.compress(pickle.dumps(bare), 1)
+        return self
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The snapshot; after `pack` it is a copy, and the 512 newest copies are cached."""
+        content = self._content  # another thread may pack it
+        return _unpacked(self) if isinstance(content, bytes) else content
+
+
+@lru_cache(maxsize=512)
+def _unpacked(stored: Stored) -> Snapshot:
+    content = pickle.loads(zlib.decompress(stored._content))  # type: ignore[arg-type]
+    return replace(content, config=stored._config)
+
+
 class History:
-    """The newest snapshots in order of time; the start of a run removes all older snapshots."""
+    """The newest snapshots in order of time; the start of a run removes all older snapshots.
+
+    Only the newest `_UNPACKED` snapshots are objects.
+    """
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
         """Start empty; `stored` is the largest number of stored snapshots."""
-        self._stored: deque[Snapshot] = deque(maxlen=stored)
+        self._stored: deque[Stored] = deque(maxlen=stored)
         self._latest: Snapshot | None = None
 
     @property
@@ -292,22 +335,24 @@ class History:
 
         Other threads read the history meanwhile, so it is never empty after the first snapshot.
         """
-        newest = self._latest
+        newest, stored = self._latest, Stored(snapshot)
         if newest is not None and not snapshot.follows(newest):
-            self._stored = deque([snapshot], self._stored.maxlen)
+            self._stored = deque([stored], self._stored.maxlen)
         elif newest is not None and snapshot.t == newest.t:
-            self._stored[-1] = snapshot
+            self._stored[-1] = stored
         else:
-            self._stored.append(snapshot)
+            self._stored.append(stored)
+            if len(self._stored) > _UNPACKED:
+                self._stored[-1 - _UNPACKED].pack()
         self._latest = snapshot
 
-    def after(self, t: float) -> list[Snapshot]:
+    def after(self, t: float) -> list[Stored]:
         """Snapshots later than `t` [s], oldest first."""
         found = []
-        for snapshot in reversed(tuple(self._stored)):
-            if snapshot.t <= t:
+        for stored in reversed(tuple(self._stored)):
+            if stored.t <= t:
                 break
-            found.append(snapshot)
+            found.append(stored)
         return found[::-1]
 
 
@@ -317,7 +362,7 @@ def columns_of(meta: TraceMeta) -> list[Column]:
 
 
 def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
-    """The values of a snapshot as a row of the table, in the order of the columns."""
+    """The values of a snapshot as a row of a file, in the order of `columns_of`."""
     return [x for name, q in QUANTITIES.items() for x in q.cells(getattr(snapshot, name), meta)]
 
 
@@ -352,13 +397,13 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
 
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
-    """Position of the end-effector in a step, and the reasons of its error.
+    """Where the end-effector is in a step, and why it is not at its target, or "unknown".
 
-    The reasons refer to the true robot and the controller's base motion. The end-effector can
-    still be moving towards its target. Joints can be at their position or speed limits. Links
-    of the arm can be within their buffer; their rows have a higher priority than the end-effector's
-    task. The border can push the base so that the end-effector moves away from its target. A
-    stretched arm has a small singular value of the end-effector's Jacobian.
+    Joints and speeds are those of the simulated robot. The possible reasons: The end-effector still
+    moves towards its target. Joints are at their position or speed limits. Links of the arm are
+    within their buffer; the rows that separate these links outweigh the end-effector's task. The
+    avoidance moves the base so that the end-effector moves away from its target. The arm is
+    stretched: the end-effector's Jacobian has a small singular value.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)

@@ -24,7 +24,8 @@ def body(name: str, chain: Sequence[str]) -> str:
 
     Args:
         name: Name of the body, such as `lEE`.
-        chain: Names of all bodies, from the mobile base outwards; a held door is called `door`.
+        chain: Names of all bodies, from the mobile base outwards; a door that the end-effector
+            holds is called `door`.
     """
     if name == chain[0]:
         return "base"
@@ -60,7 +61,7 @@ def outcome(least: float, *, touched: bool) -> Outcome:
 
 
 def millimetres(distance: float) -> str:
-    """A distance [m] as text in millimetres, with a typographic minus and without "−0 mm"."""
+    """A distance [m] in whole millimetres, with a typographic minus; "– mm" if it is not finite."""
     text = f"{round(1000 * distance)}" if math.isfinite(distance) else "–"
     return f"{text} mm".replace("-", "−")
 
@@ -79,21 +80,22 @@ def outcome_text(least: float, *, touched: bool) -> str:
 def number_text(value: Any, none: str = "–") -> str:
     """A result as text, also a list or dictionary of results; `none` is the text for None.
 
-    Numbers have three significant digits; from 100 on they are rounded to integers. Numbers below
-    5e-7, which are rounding errors, become 0.
+    A number that is not finite counts as None. The text has three significant digits, but at most
+    six decimals; from 100 on it is an integer. Numbers below 5e-7, which are rounding errors,
+    become 0.
     """
     if isinstance(value, dict):
-        texts = (f"{name} {number_text(each)}" for name, each in value.items())
+        texts = (f"{name} {number_text(each, none)}" for name, each in value.items())
         return ", ".join(texts) or "none"
     if isinstance(value, (list, tuple)):
-        return ", ".join(map(number_text, value))
+        return ", ".join(number_text(each, none) for each in value)
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, float):
+    if isinstance(value, float) and math.isfinite(value):
         few = float(f"{value:.3g}") if abs(value) < 100 else round(value)
         text = f"{few:.6f}" if abs(few) >= _NOTHING else "0.0"
         return text.rstrip("0").rstrip(".")
-    return none if value is None else str(value)
+    return none if value is None or isinstance(value, float) else str(value)
 
 
 def missing(key: str) -> str:

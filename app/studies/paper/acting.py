@@ -9,8 +9,8 @@ from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
 from app.avoidance.acting_point import ActingPoint
-from app.avoidance.task import activation
 from app.config import ForceConfig
+from app.control.tasks import activation, rise_length
 from app.robot.link_pairs import ClosestPoints
 from app.strict import Array
 from app.studies import style
@@ -18,7 +18,7 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
 
 TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4})
-"""Parameters with which the step α is always 0.4 m, the largest valid bound."""
+"""Parameters with which the step size α is always 0.4 m, the largest valid bound."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
 _EVERY = 20  # [-] number of rows from one evaluation of the force to the next
@@ -27,7 +27,7 @@ _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 
 
 class Force(NamedTuple):
-    """The avoidance force of L_m(1) at one instant of a run, in the base's frame."""
+    """The avoidance force due to the end-effector at one instant of a run, in the base's frame."""
 
     t: float
     """[s] time."""
@@ -57,7 +57,7 @@ class Force(NamedTuple):
         return {"p_b": self.closest.p_b, **others}
 
     def measured(self) -> dict[str, float]:
-        """Distance, step α, and magnitudes of the force and of its components, by key."""
+        """Distance, step size α, and magnitudes of the force and of its components, by key."""
         f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
         return {
             "distance_m": self.closest.d,
@@ -84,14 +84,14 @@ def force_at(
 
 
 def deepest(sources: Sources) -> int:
-    """Index of the row of the lateral guiding with the smallest distance of L_m(1)."""
+    """Index of the row of the lateral guiding in which the end-effector is nearest to the base."""
     return int(sources.distances(LATERAL).argmin())
 
 
 def turning(sources: Sources) -> Force:
     """The force in a row of the run along the wheel axis in which both its components are large.
 
-    Of every 20th row in the buffer, it is the row with the largest smaller component.
+    Every 20th row in the buffer is evaluated. In the chosen row, the smaller component is largest.
     """
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]
@@ -187,7 +187,11 @@ def figure_10(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(
         figure,
         {"": table},
-        {"full_at_m": d_full, "zero_from_m": d_b, "largest_slope_per_m": 1.5 / (d_b - d_full)},
+        {
+            "full_at_m": d_full,
+            "zero_from_m": d_b,
+            "largest_slope_per_m": 1.5 / rise_length(d_b, d_full),
+        },
     )
 
 

@@ -246,7 +246,7 @@ def _legend_below(figure: Figure, ax: Axes) -> None:
 
 @style.picture("fig16", "Figure 16: the refrigerator", DOOR)
 def figure_16(sources: Sources) -> drawing.Drawing:
-    """The end-effector is fixed to the door. The door can collide with the mobile robot; a
+    """The end-effector is fixed to the door. The door can collide with the mobile base; a
     hyper-ellipsoid is its collision model.
     """
     run, door = sources.runs[DOOR], _door()
@@ -288,8 +288,8 @@ def figure_16(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
 def figure_17(sources: Sources) -> drawing.Drawing:
-    """(a) With obstacle avoidance the mobile robot moves back and turns clockwise while the door
-    approaches. (b) Without avoidance the door collides with the mobile robot at 30 s.
+    """(a) With obstacle avoidance the mobile base moves back and turns clockwise while the door
+    approaches. (b) Without avoidance the door collides with the mobile base at 30 s.
     """
     view, strips = _door_view(_door()), []
     for name, experiment in _DOORS.items():
@@ -306,7 +306,7 @@ def figure_17(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
 def figure_18(sources: Sources) -> drawing.Drawing:
-    """When the distance between door and mobile robot falls below the buffer distance, the
+    """When the distance between door and mobile base falls below the buffer distance, the
     avoidance task is inserted continuously.
     """
     columns = ("t_s", f"d_lm-{BODY}_m", f"beta_lm-{BODY}")

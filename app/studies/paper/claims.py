@@ -69,7 +69,7 @@ class Finding(NamedTuple):
     holds: bool
     """Whether the measurement agrees with the claim."""
     values: dict[str, float | None]
-    """The measured numbers; keys end in the unit. None replaces a missing number."""
+    """The measured numbers; keys end in the unit. None replaces a missing or infinite number."""
     limits: tuple[Threshold, ...] = ()
 
 
@@ -159,7 +159,7 @@ def forward_motion(run: RunResult) -> float:
 
 
 def beta_step(run: RunResult) -> float:
-    """[-] largest change of the activation of a pair of L_m between two rows of the log."""
+    """[-] largest change of the activation of a pair with the base between two rows of the log."""
     betas = [run.trace[f"beta_{pair}"] for pair in ("lm-lEE", "lm-l3")]
     return max(float(np.abs(np.diff(beta)).max()) for beta in betas)
 
@@ -275,14 +275,18 @@ def from_any_direction(s: Sources) -> Findings:
 
 @claim("4.2.1", "departures", paper.AS_PRINTED[0])
 def reached_as_printed(s: Sources) -> Findings:
-    """The controller as printed moves the base back, and the end-effector reaches its target."""
+    """The controller with the printed (26) to (29) moves the base back, and the end-effector
+    reaches its target.
+    """
     run = s.runs[paper.AS_PRINTED[0]]
     return _error(run, high=REACHED), _clear(run, AVOIDED), _back(run)
 
 
 @claim("4.2.2", "departures", *paper.AS_PRINTED[2:])
 def guided_as_printed(s: Sources) -> Findings:
-    """During guiding, the controller as printed avoids collisions by a force on the base."""
+    """During guiding, the controller with the printed (26) to (29) avoids collisions by a force on
+    the base.
+    """
     for name, experiment in zip(("lateral", "front"), paper.AS_PRINTED[2:], strict=True):
         run = s.runs[experiment]
         yield _clear(run, AVOIDED, f"{name}_")
@@ -326,8 +330,8 @@ def base_backs_off(s: Sources) -> Findings:
 
 @claim("4.2.3", "fig17", paper.DOOR)
 def incomplete_knowledge(s: Sources) -> Findings:
-    """The adaptive controller opens the door with incomplete knowledge, by an estimate of its
-    radial direction.
+    """The adaptive controller opens the door with incomplete knowledge, by an estimate of the
+    door's radial direction.
     """
     figures = s.runs[paper.DOOR].figures
     error, force = figures["radial_error_at_5s_rad"], figures["hand_force_max_n"]
@@ -354,7 +358,7 @@ def smooth_on_the_surface(s: Sources) -> Findings:
 
 @claim("4.3", "fig15", *paper.COMPARED)
 def smoother_than_repulsive(s: Sources) -> Findings:
-    """The commands have no chattering, in contrast to those of the repulsive method."""
+    """The joint torques do not chatter; those of the repulsive method do."""
     own, repulsive = (
         max(s.runs[e].figures["torque_rate_sign_changes"] for e in paper.GUIDING[method].values())
         for method in ("dbb", "repulsive")

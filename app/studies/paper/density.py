@@ -58,7 +58,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
         ax.set_xticks(counts, [f"{n / 1000:.0f}k" for n in counts])
         ax.minorticks_off()
     style.panel_title(jump, "", "jumps of the acting point")
-    style.panel_title(cost, "", "cost of the acting point")
+    style.panel_title(cost, "", "computing time of the acting point")
     jump.legend(loc="upper right")
     cost.legend(loc="upper left")
     names = [*(f"{n} points" for n in counts), "surface"]
@@ -112,7 +112,7 @@ def _chosen(total: int, count: int) -> Array:
 
 
 def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
-    """The closest points of L_m(1) during the lateral guiding, at each control step in the buffer.
+    """The closest points of base and end-effector at each step in the buffer (lateral guiding).
 
     The joint positions are interpolated between the rows of the run.
     """
@@ -184,12 +184,12 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 
 
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s], every `dt` [s], and closest points of L_m(1) in the lateral guiding.
+    """Times (N,) [s] with a step `dt` [s], and closest points of base and end-effector at them.
 
-    The times cover the longest interval in which L_m(1) is in its buffer, cut to `LONGEST` [s]. The
-    points are on a spline through the closest points of the recorded rows. Points from the
-    collision library at each step would have errors of about 0.3 mm, which is more than the motion
-    in a step.
+    The run is the lateral guiding. The times cover the longest interval in which the end-effector
+    is in the buffer of the base, cut to `LONGEST` [s]. The points are on a spline through the
+    closest points of the recorded rows. Points from the collision library at each step would have
+    errors of about 0.3 mm, which is more than the motion in a step.
     """
     run = sources.runs[LATERAL].trace
     outside = sources.distances(LATERAL) >= sources.config.border.d_b

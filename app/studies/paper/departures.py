@@ -13,8 +13,7 @@ from app.config import TaskConfig
 from app.control import hqp
 from app.control.controller import Controller
 from app.control.quantities import ControlStep
-from app.control.tasks import Reference
-from app.control.transition import insert_rows
+from app.control.tasks import Reference, insert_rows
 from app.robot.state import at_rest
 from app.strict import Array
 from app.studies import style
@@ -47,7 +46,7 @@ number of the paper's form; the number of the project's form."""
     "departures", "(26) to (29) as printed and here", *AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS
 )
 def figure_departures(sources: Sources) -> drawing.Drawing:
-    """The paper solves a hierarchy of strict levels (26). It inserts rows by (29), with the same
+    """The paper solves a hierarchy of strict levels (26), and inserts rows by (29), with the same
     reference q̈_2* for all rows. According to the paper, the control input is continuous.
     """
     rows = [*_of_states(sources), *_of_runs(sources)]
@@ -72,10 +71,10 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
 
 
 def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """Compute a control step of the robot at rest at a posture (n_m,).
+    """Compute the first control step of the robot at rest at a posture (n_m,).
 
-    The reference is at rest, `error` [m] above the end-effector's pose. The controller reuses the
-    returned memory in its next step.
+    The reference is at rest, `error` [m] above the end-effector's pose. The controller's next step
+    overwrites the result.
     """
     model = controller.state.model
     measured = at_rest(model, q_m)
@@ -87,7 +86,7 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of (29) as printed, with the diagonal of B (k,); NaN if a level has no solution.
+    """q̈ (n,) of the controller `hqp`, with the diagonal of B (k,); NaN if a level has no solution.
 
     The function stores the diagonal in the step `w`.
     """
@@ -96,7 +95,7 @@ def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
 
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the project's form, with the diagonal of B (k,).
+    """q̈ (n,) of the project's form in the step `w`; B (k,) are the activations of the rows.
 
     The base's rows determine the base. Then the arm's QP without limits determines the arm.
     """
@@ -112,9 +111,10 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B (k,) with activations of the base's rows and of one pair of L_m^c.
+    """The diagonal of B (k,) with activations of the base's rows and of one pair within the arm.
 
-    `pair` is the index of the pair in L_m^c, `link` its activation. All other entries are zero.
+    `base` is the activation of the base's rows, `link` that of the pair; `pair` is the index of the
+    pair among the pairs within the arm. All other entries are zero.
     """
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
@@ -122,14 +122,14 @@ def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
 
 
 def nearest_pair(w: ControlStep) -> int:
-    """Index in L_m^c of the pair with the smallest distance."""
+    """Index of the nearest pair within the arm, among the pairs within the arm (L_m^c)."""
     return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
     """[rad/s²] norm of the difference between q̈ of (29) and of (26) at B = 0.
 
-    The reference of (29) is on the left side, as printed.
+    The reference of (29) is on the left side, as printed. T_sca has only the base's rows.
     """
     below = hqp.tasks_below(w, gains)
     qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
@@ -161,7 +161,7 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
 
 
 def postures(sources: Sources) -> list[Array]:
-    """Postures (n_m,) of the lateral guiding at equal intervals while L_m(1) is in its buffer."""
+    """Postures (n_m,) of the lateral guiding at equal intervals, with lm-lEE inside its buffer."""
     inside = np.flatnonzero(sources.distances(LATERAL) < sources.config.border.d_b)
     chosen = inside[np.linspace(0, len(inside) - 1, _STATES).astype(int)]
     return list(sources.runs[LATERAL].trace.of("q_m")[chosen])
@@ -170,9 +170,10 @@ def postures(sources: Sources) -> list[Array]:
 def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
-    The base's rows and a row of L_m^c are fully active, so that with T_2 there are as many rows as
-    axes. The step of the line with the largest change of q̈ is halved repeatedly. The change of a
-    continuous q̈ then vanishes, but a jump remains. If there is no solution, q̈ counts as 0.
+    The base's rows and the row of a pair within the arm are fully active, so that with T_2 there
+    are as many rows as axes. The step of the line with the largest change of q̈ is halved
+    repeatedly. The change of a continuous q̈ then tends to 0, but a jump remains. If there is no
+    solution, q̈ counts as 0.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)

@@ -98,12 +98,12 @@ class Sources:
 
     @property
     def pair(self) -> Pair:
-        """L_m(1), the pair of base and end-effector."""
+        """The pair of base and end-effector, the first pair of L_m in (2)."""
         return self.data.pairs.mobile[0]
 
     @cached_property
     def border(self) -> Border:
-        """DBB_1, the border of L_m(1)."""
+        """DBB_1, the sampled border of the pair of base and end-effector."""
         return self.border_of(self.pair)
 
     @cached_property
@@ -117,18 +117,18 @@ class Sources:
         return offset_contours(self.model, self.config.border.d_b)
 
     def border_of(self, pair: Pair) -> Border:
-        """DBB_i of a pair of L_m."""
+        """DBB_i, the sampled border of a pair with the base."""
         config = self.config.border
         return construct_dbb(self.data.clouds[pair.name], config.d_b, config.eps)
 
     @cached_property
     def surface(self) -> ActingPointFinder:
-        """Algorithm 3 on DBB_1 as a continuous surface, as in the controller."""
-        return ActingPointFinder(BorderSearch(self.offset), self.field)
+        """Algorithm 3 on the border as a continuous surface, as in the controller."""
+        return ActingPointFinder(BorderSearch(self.offset.table), self.field)
 
     def points(self, border: Border) -> ActingPointFinder:
-        """Algorithm 3 on a border of L_m(1) as points, as printed in the paper."""
-        return ActingPointFinder(BorderSearch(self.offset, [border]), self.field)
+        """Algorithm 3 on a border of points for the end-effector, as printed in the paper."""
+        return ActingPointFinder(BorderSearch(self.offset.table, [border]), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
@@ -153,7 +153,7 @@ class Sources:
         return found
 
     def distances(self, experiment: Experiment) -> Array:
-        """(N,) [m] distance of L_m(1) in each row of an experiment."""
+        """(N,) [m] distance between base and end-effector in each row of an experiment."""
         return self.runs[experiment].trace[f"d_{self.pair.name}_m"]
 
     def results(
@@ -182,9 +182,9 @@ def run_experiments(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Runs:
-    """Run each experiment once with the same seed, in parallel processes.
+    """Run each experiment once with the same seed, in up to `processes` parallel processes.
 
-    After each run `on_progress` gets the simulated time [s] of all finished runs.
+    After each result, longest run first, `on_progress` gets the simulated time [s] so far.
 
     Raises:
         UnreachableError: The arm cannot reach the start of an experiment.

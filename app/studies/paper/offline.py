@@ -30,8 +30,8 @@ _SMOOTH = 1.0  # [-] standard deviation of the Gaussian filter, in steps of the 
 
 @style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
 def figure_3(sources: Sources) -> drawing.Drawing:
-    """(a) The sampled points of the arm's links are around the mobile robot. (b) The points whose
-    distance from the mobile robot is 0.15 m, the buffer distance, within a tolerance of 0.01 m are
+    """(a) The sampled points of the arm's links are around the mobile base. (b) The points whose
+    distance from the mobile base is 0.15 m, the buffer distance, within a tolerance of 0.01 m are
     the distance buffer borders.
     """
     rng = np.random.default_rng(0)

@@ -107,7 +107,7 @@ def reproduce(
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """The HTML of `index.html`, with a sentence `about` the runs and results of `Claim.judge`."""
+    """The HTML of `index.html`, with results of `Claim.judge` and a sentence `about` the runs."""
     tally = f"{_number_that_hold(claims)} of {len(claims)} claims hold here. " if claims else ""
     lead = (
         "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "
@@ -122,7 +122,7 @@ def _number_that_hold(claims: Sequence[Mapping[str, Any]]) -> int:
 
 
 def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Part:
-    """The part of a page with a figure, the paper's statement and the measurement.
+    """The part of the report's page with one figure, the paper's statement and our measurement.
 
     `files` are the paths from `Drawing.write`.
     """

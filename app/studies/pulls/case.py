@@ -63,7 +63,7 @@ more than 45° above the horizontal, "below" more than 10° below it. The other 
 of the angle from the base's heading, on both sides."""
 
 _TRIES = 600  # [-] largest number of positions that are drawn for a case
-_IN_SECTOR = 60  # [-] number of positions after which another sector is drawn
+_IN_SECTOR = 60  # [-] number of positions after which the sector is drawn again
 _SEARCHES = 2  # [-] starting points of the search for a posture, for each pitch of the end-effector
 _GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
 _INNER = 0.9  # [-] part of the base's length and width that contains the targets
@@ -72,17 +72,17 @@ _EDGES = {"front": 30.0, "front corner": 60.0, "side": 120.0}  # [deg] largest a
 _SAMPLES = 4000  # [-] number of postures from which the reach is measured
 _SIDEWAYS = 0.5  # [-] largest sideways component of the end-effector's direction
 _UPWARDS = 0.26  # [-] largest upward component of this direction: the start solver's 15°
-_QUANTILES = 0.02, 0.98  # [-] of the end-effector's distance from the shoulder
+_QUANTILES = 0.02, 0.98  # [-] quantiles of the end-effector's distance from the shoulder
 _ALONG = 0.15  # [-] probability of a pull along the base
-_ALONG_ANGLE = math.radians(45.0)  # [rad] largest angle of a pull along the base towards it
-_LOWEST = 0.05  # [m] smallest height of a target in the base, and of the end of a pull along it
-_LENGTH = 0.15, 0.60  # [m] range of the length of a pull along the base; longest pull towards it
+_ALONG_ANGLE = math.radians(45.0)  # [rad] largest turn of a pull along the base towards the base
+_LOWEST = 0.05  # [m] smallest height of targets in the base, and of ends of pulls along the base
+_LENGTH = 0.15, 0.60  # [m] length of a pull along the base; the upper end also limits other pulls
 _REST = 1.0  # [s] time of the run after the pull, when a collision is still possible
 _PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
 _RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
 _MAX_FAULTS = 3  # [-] largest number of faults in a case
 _LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
-_FREE = 0.1, 0.9  # [-] range of the time from release to new grasp, as a share of the time of rest
+_FREE = 0.1, 0.9  # [-] time from release to new grasp: range as a share of the time after the pull
 
 
 class StudySources(NamedTuple):
@@ -201,8 +201,8 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
     """The fields `shoulder`, `near` and `far` of `StudySources`.
 
     The distances come from random postures in which the end-effector points outwards and not far
-    upwards, as at the starts that the start solver finds. Without such a posture, they are 0 and
-    infinite.
+    upwards, as at the starts that the start solver finds. Without such a posture, `near` is 0 and
+    `far` is infinite.
     """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
@@ -315,7 +315,10 @@ def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -
 def _draw_release(
     ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
 ) -> tuple[float | None, float | None]:
-    """Draw the times [s] of release and new grasp, which are None if the event does not happen."""
+    """Draw the times [s] of release and new grasp; None if the event does not happen.
+
+    `duration` [s] is that of the run, and `moving` [-] is the share of the pull in it.
+    """
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
     release = duration * moving * rng.uniform(*_RELEASE)
     regrasp = release + duration * (1.0 - moving) * rng.uniform(*_FREE)
@@ -346,8 +349,8 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
     If the run stops with an error, `error` in the row is the reason, and the row has no results.
-    Otherwise `error` is None, and `nan` is true if a torque, a pose of the base or a result is not
-    finite.
+    If the run completes, `error` is None; `nan` is then true if a torque, a pose of the base or a
+    result is not finite.
 
     Raises:
         AssetError: The robot's files are missing.
@@ -378,7 +381,7 @@ def met_base(row: Row) -> bool:
 
 
 def met_itself(row: Row) -> bool:
-    """Whether the arm touched itself in the plant, or convex bodies of a pair of L_m^c met."""
+    """Whether the arm touched itself in the plant, or two bodies of a pair within the arm met."""
     return bool(row.get("arm_contacts")) or _at_most_zero(row.get("arm_min_clearance_m"))
 
 

@@ -19,7 +19,7 @@ from app.studies.runs import Row
 STATED = Path(__file__).with_name("envelope.toml")
 """The file with the envelope that the project states, and the source of this envelope."""
 
-MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a failure
+MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a case against it
 FORCE = "hand_force_clear_max_n"
 """Column with the person's largest force until two bodies were first nearer than `NEAR`."""
 _CONFIDENCE = 0.95  # [-] confidence of the bound of a failure rate
@@ -96,9 +96,9 @@ def exerted(row: Row) -> float:
 def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
     """Fit an envelope to cases, with the intervals of the study's ranges.
 
-    A case counts as a failure if it failed, or if the arm came nearer to the base than 10 mm. F* is
-    0.9 times the smallest force of a failure, or the largest force of the other cases if this is
-    smaller. F* is rounded down to 1 N, and is 0 if all cases are failures.
+    A case counts against the envelope if it failed, or if the arm came nearer to the base than
+    10 mm. F* is 0.9 times the smallest force of these cases, or the largest force of the other
+    cases if this is smaller. F* is rounded down to 1 N, and is 0 if there are no other cases.
     """
     good: list[float] = []
     bad: list[float] = []
@@ -110,7 +110,10 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
 
 
 def tally(rows: Sequence[Row]) -> dict[str, Any]:
-    """Number of cases, number of failed cases, and the upper 95 % bound of the failure rate."""
+    """Number of cases, number of failed cases, and the upper 95 % bound of the share that fails.
+
+    A case that came nearer than 10 mm, but has not failed, does not count as failed.
+    """
     failures = sum(map(failed, rows))
     bound = rate_bound(failures, len(rows))
     return {"cases": len(rows), "failed": failures, "rate_bound_95": bound}

@@ -57,7 +57,8 @@ the configuration."""
 class StudyRange(Strict):
     """The distributions of the random quantities.
 
-    An interval has a uniform distribution, on a logarithmic scale for `LOGARITHMIC`.
+    An interval has a uniform distribution, on a logarithmic scale for `LOGARITHMIC`; `height`
+    only bounds the random starts.
     """
 
     speed: Interval = (0.1, 1.2)

@@ -91,9 +91,9 @@ _BEYOND = 1.15  # [-] end of the force axis relative to the largest force
 def summary_of(
     rows: Sequence[Row], parameters: StudyParameters, d_b: float
 ) -> tuple[dict[str, Any], Envelope]:
-    """The summary of at least one case, whose keys end in the unit, and the fitted envelope.
+    """Return the summary for `study.json`, and the envelope that `fit_envelope` finds.
 
-    `d_b` [m] is the buffer distance of the robot.
+    `rows` must not be empty. `d_b` [m] is the buffer distance of the robot.
     """
     stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
@@ -135,6 +135,7 @@ def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
     """Count the cases with a fault, those with a report of it, and those with a timely report.
 
     A wrong `stated_period` acts from the start of the run, the other faults act from `fault_at_s`.
+    A report before this time is no report of the fault.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -143,8 +144,8 @@ def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
         for row in faulty
         if row.get(f"fault_{report}_s") is not None
     ]
-    timely = sum(delay <= _SOON for delay in delays)
-    return {"cases": len(faulty), "reported": len(delays), "within_200_ms": timely}
+    reported, timely = (sum(0.0 <= each <= last for each in delays) for last in (math.inf, _SOON))
+    return {"cases": len(faulty), "reported": reported, "within_200_ms": timely}
 
 
 def _of_force(rows: Sequence[Row], low: float, high: float, events: Events) -> dict[str, Any]:
@@ -243,7 +244,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     left.set_xlabel("smallest distance between arm and base [m]; the last bar has no upper limit")
     left.set_ylabel("cases")
     left.legend(title="envelope", loc="upper center")
-    _by_kind(right, known, "min_clearance_m")
+    _by_kind(right, known, "min_clearance_m", (low, _LARGEST))
     right.axvline(0.0, color=TARGET, linewidth=1.2)
     right.set(xlabel="smallest distance [m]", xlim=(low - 0.01, _LARGEST))
     return figure
@@ -258,12 +259,12 @@ def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
     figure = new_figure(3.8)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("ee_error_final_m") is not None]
-    values = np.clip([row["ee_error_final_m"] for row in known], _ERRORS[0], None)
+    values = np.clip([row["ee_error_final_m"] for row in known], *_ERRORS)
     left.hist(values, bins=list(np.geomspace(*_ERRORS, 41)), color=_INSIDE)
     left.set_xscale("log")
-    left.set_xlabel("final distance of the end-effector from its target [m]")
+    left.set_xlabel("final distance [m]; the outer bars have the values beyond the axis")
     left.set_ylabel("cases")
-    _by_kind(right, known, "ee_error_final_m", _ERRORS[0])
+    _by_kind(right, known, "ee_error_final_m", _ERRORS)
     right.set(xscale="log", xlim=_ERRORS, xlabel="final distance [m]")
     return figure
 
@@ -281,14 +282,14 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
 }
 
 
-def _by_kind(axes: Axes, rows: Sequence[Row], column: str, low: float = -np.inf) -> None:
-    """Draw the cases of each kind as a row of points; values below `low` are drawn at `low`."""
+def _by_kind(axes: Axes, rows: Sequence[Row], column: str, ends: tuple[float, float]) -> None:
+    """Draw the cases of each kind as a row of points, with values limited to `ends`."""
     kinds = sorted({row["kind"] for row in rows}, reverse=True)
     for y, kind in enumerate(kinds):
         here = [row for row in rows if row["kind"] == kind]
         spread = y + 0.5 * (np.arange(len(here)) % 7 - 3) / 6
         colours = [TARGET if failed(row) else _INSIDE for row in here]
-        values = np.maximum([row[column] for row in here], low)
+        values = np.clip([row[column] for row in here], *ends)
         axes.scatter(values, spread, c=colours, s=10, linewidths=0)
     axes.set_yticks(range(len(kinds)), kinds, fontsize=9)
     axes.grid(visible=False, axis="y")
@@ -415,7 +416,7 @@ def _forces(summary: Mapping[str, Any]) -> Part:
 
 
 def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
-    """A table of numbers by group, with the title `group` of the first column."""
+    """A table of the numbers `found` of each group; `group` is the title of the first column."""
     head = [group, *map(label, next(iter(found.values())))]
     body = [[name, *map(number_text, counts.values())] for name, counts in found.items()]
     return Part(title, tables=[Grid(head, body, numbers=True)])

@@ -1,7 +1,7 @@
 """A study: it runs the missing cases, and writes the table, the failures, the summary, the report.
 
-A journal gets one line as soon as a case is finished. The cases run in processes of this machine,
-or on the workers of a running dask scheduler.
+A journal stores the result of each case during the study. The cases run in processes of this
+machine, or on the workers of a running dask scheduler.
 """
 
 from __future__ import annotations
@@ -53,14 +53,15 @@ def study(
     The cases have the numbers from 0 to `cases` - 1; those without a stored result run. The results
     of further stored cases are ignored. The cases run on the workers of the dask scheduler with the
     address `scheduler`; without one, they run in processes of this machine. `on_progress` gets the
-    number of finished cases.
+    number of cases with a stored result.
 
     Returns:
         The content of `study.json`.
 
     Raises:
-        StudyError: The folder has another study or is in use, the scheduler does not answer or has
-            no suitable workers, or a range has no part inside the stated envelope.
+        StudyError: The folder has another study or damaged data, is in use or cannot be written,
+            the scheduler does not answer or has no suitable workers, or a range has no part inside
+            the stated envelope.
         DbbError: The robot cannot be loaded, or the arm reaches no start.
     """
     if parameters.inside:
@@ -68,9 +69,10 @@ def study(
         parameters = parameters.model_copy(update={"ranges": inside})
     with Journal(out, identity_of(parameters)) as journal:
         todo = [number for number in range(cases) if number not in journal.rows]
-        on_progress(cases - len(todo))
+        stored = cases - len(todo)
+        on_progress(stored)
         if todo:
-            _do(todo, parameters, scheduler, processes, journal, on_progress)
+            _do(todo, parameters, scheduler, processes, journal, stored, on_progress)
         rows = [journal.rows[number] for number in range(cases)]
         return _write(rows, parameters, out)
 
@@ -86,20 +88,24 @@ def _do(
     scheduler: str | None,
     processes: int,
     journal: Journal,
+    done: int,
     on_progress: Callable[[float], None],
 ) -> None:
-    """Run the cases with the numbers `todo`; the journal stores each result immediately."""
+    """Run the cases with the numbers `todo`, and add each result to the journal.
+
+    `on_progress` gets the number of stored results; `done` of them are stored before the call.
+    """
     load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
-    kept, lost = len(journal.rows), partial(_lost_row, parameters)
+    lost = partial(_lost_row, parameters)
     with workers:
         for begin in range(0, len(todo), _AT_ONCE):
             numbers = todo[begin : begin + _AT_ONCE]
             for row in workers.map(partial(_row, parameters), numbers, lost=lost):
                 journal.add(row)
-                kept += 1
-                on_progress(kept)
+                done += 1
+                on_progress(done)
 
 
 def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -> Row:
@@ -162,7 +168,7 @@ class Journal(AbstractContextManager["Journal"]):
     """The stored rows of a study, by the number of the case.
 
     Each row is one line of JSON, which is on the disk before `add` returns. If the last line is
-    incomplete, because its process was killed, it is removed, and the case runs again.
+    incomplete, because the writing process was killed, the line is removed: the case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
@@ -179,7 +185,7 @@ class Journal(AbstractContextManager["Journal"]):
         self._folder = folder
         self._file = (folder / _LINES).open("a+b")
         try:
-            if not claim(self._file):
+            if claim(self._file) is False:
                 raise StudyError(
                     f"--out: another dbb study uses {folder}; wait until it ends, or choose "
                     "another folder"
@@ -233,11 +239,11 @@ class Journal(AbstractContextManager["Journal"]):
                     f"line {number} of {self._folder / _LINES} is damaged; remove the line, and "
                     "the case runs again"
                 ) from None
-        self._file.truncate(whole)  # writing continues at the end, because it is open to append
+        self._file.truncate(whole)  # the file is open to append: writing continues at its end
 
 
 def _difference(kept: Any, wanted: dict[str, Any]) -> str:
-    """The differences between two identities as a text, such as `seed: 1, not 2`."""
+    """The differences of the identity `kept` from `wanted`, such as `seed: 1, not 2`."""
     if not isinstance(kept, dict):
         return "its parameters cannot be read"
     if kept.get("code") != wanted.get("code"):  # then other parts may differ too

@@ -59,7 +59,7 @@ class Quantity(NamedTuple):
     def radius(self, value: float) -> float:
         """[m] radius in plan at which the bar of a value ends.
 
-        If larger values are better, and the value is below the limit, this is the limit's radius.
+        If larger values are better, each value below the limit has the radius of the limit.
         """
         if self.more_is_better and self.limit is not None:
             value = max(value, self.limit)
@@ -72,7 +72,10 @@ class Quantity(NamedTuple):
         return value >= self.limit if self.more_is_better else value <= self.limit
 
     def colour(self, value: float) -> Colour:
-        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit."""
+        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit.
+
+        Without a limit, all values are good, and smaller values are darker.
+        """
         at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
         good = self.good(value)
         width = limit if good is not self.more_is_better else 1.0 - limit
@@ -83,7 +86,8 @@ class Quantity(NamedTuple):
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
     """Final error, smallest distance, and time.
 
-    The scales of distance and time cover the values of all rows; the scale of the error is fixed.
+    The scales of distance and time reach from 0 to the largest value of all rows; an overlap counts
+    as 0. The scale of the error is fixed.
     """
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
@@ -121,8 +125,9 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
     """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
 
-    There is a column of panels for each controller, with a row for final error, smallest distance
-    and time. For a single controller the three panels are side by side.
+    There is a column of panels for each controller, with a row for the final error, the smallest
+    distance and the time until the error is within 1 mm. For a single controller the three panels
+    are side by side.
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
@@ -165,9 +170,9 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths from above at one speed [m/s], as squares on the base seen from above.
+    """Draw the paths that lead down onto the base at one speed [m/s], in a top view of the base.
 
-    The panels are those of `polar_map`.
+    Each path is a square. The panels are as in `polar_map`.
     """
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
@@ -207,7 +212,7 @@ def _panels(
 ) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
     """Make a figure, and its panels, each with the controller and the quantity that it shows.
 
-    The scales of the quantities include all `rows`; `panel` is the height [in] of a panel.
+    The scales of the quantities depend on all `rows`; `panel` is the height [in] of a panel.
     """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
@@ -284,7 +289,7 @@ def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """Draw a path along the wheel axis as a dot; the dots are in the order of x of p_b."""
+    """Draw a path along the wheel axis as a dot, in the order of x of the arm's nearest point."""
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
@@ -300,6 +305,6 @@ def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
 
 
 def _smallest_step(rows: Sequence[Row], key: str) -> float:
-    """[m] smallest difference between two values of a column."""
+    """[m] smallest difference between two values of a column; 1 without different values."""
     values = sorted({float(row[key]) for row in rows})
     return min((b - a for a, b in pairwise(values)), default=1.0)

@@ -25,7 +25,7 @@ Mode = Literal["tracking", "guiding"]
 Kind = Literal["side", "wheel_axis", "above"]
 
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
-"""[m] x of p_b at the starts of the paths along the wheel axis."""
+"""[m] x of p_b, the arm's point nearest to the base, at starts of paths along the wheel axis."""
 
 ERROR_LIMIT = 0.001  # [m] largest final error of a successful path
 CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a successful path
@@ -50,15 +50,15 @@ class Approach:
     """A straight path of the end-effector towards the base, which is at the origin and faces +x."""
 
     kind: Kind
-    """"side": horizontal, towards the centre of the base; "wheel_axis": parallel to the wheel axis;
-    "above": vertical, downwards."""
+    """"side": horizontal, towards the middle of the base's box; "wheel_axis": parallel to the wheel
+    axis; "above": vertical, downwards."""
     height: float = 0.0
     """[m] height of the end-effector's origin, for horizontal paths."""
     direction_deg: float = 0.0
-    """[deg] direction from the base to the start of a horizontal path, counter-clockwise from the
-    front; 90 or 270 for `wheel_axis`."""
+    """[deg] direction from the middle of the base's box to the start of a horizontal path,
+    counter-clockwise from the front; 90 or 270 for `wheel_axis`."""
     offset: float = 0.0
-    """[m] x of the closest point p_b at the start, for `wheel_axis`."""
+    """[m] x of p_b, the arm's point nearest to the base, at the start, for `wheel_axis`."""
     place: tuple[float, float] = (0.0, 0.0)
     """[m] x and y of the end-effector's origin, for `above`."""
 
@@ -146,7 +146,7 @@ class SweepPlan:
     mode: Mode = "tracking"
     """tracking with constant orientation, or guiding by a person who pulls the end-effector."""
     wheel_axis: bool = True
-    """Include paths along the wheel axis."""
+    """Include paths parallel to the wheel axis, from the left and from the right."""
     above: bool = False
     """Include vertical paths down onto the base, one at each point of a grid over the base."""
     above_spacing: float = 0.15
@@ -236,9 +236,9 @@ class Start(NamedTuple):
     q_m: tuple[float, ...] = ()
     """(n_m,) [rad or m] joint positions of the arm."""
     p_ee: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] position of the end-effector's origin."""
+    """(3,) [m] position of the end-effector's origin in the world; the base is at the origin."""
     p_b: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] the arm's closest point to the base."""
+    """(3,) [m] the arm's closest point to the base, in the world."""
     clearance: float = 0.0
     """[m] distance of the closest point from the base."""
     reason: str = ""

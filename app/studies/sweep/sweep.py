@@ -86,7 +86,7 @@ _MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
 _SLIDE = 0.02  # [m] first step of the end-effector towards the desired distance
 _FARTHEST_SLIDE = 0.25  # [m] sum of these steps after which no further step is made
 _DISTANCE_TOLERANCE = 1e-4  # [m] tolerance of the distance at the start
-_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of the x coordinate of p_b, similar to that of distances
+_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of the x coordinate of p_b
 _OFFSET_TRIES = 40  # [-] largest number of corrections of p_b
 _SMALL_OFFSET = 1e-4  # [m] error of p_b below which joint steps replace the search for postures
 
@@ -183,10 +183,12 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Find joint positions (n_m,) for which the arm's closest point p_b has x [m], in the base.
+        """Find joint positions (n_m,) for which p_b has the coordinate x [m] in the base's frame.
 
-        The search starts at `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m]. It shifts this
-        position along the base's x axis, and makes the last small correction by the joints alone.
+        p_b is the arm's closest point to the base. The search starts at `q_m` (n_m,) with the
+        end-effector at `p_ee` (3,) [m]. While the error of p_b is large, the search shifts the
+        end-effector along the base's x axis, and computes the joint positions by inverse
+        kinematics. A small error is corrected by a step of the joint positions, which is finer.
 
         Raises:
             UnreachableError: The search has found no such posture.
@@ -210,7 +212,7 @@ class StartFinder:
         )
 
     def _closest(self, q_m: Array) -> ClosestPoints:
-        """The closest points of the nearest pair of L_m at a posture; sets the state to it."""
+        """Closest points of the nearest pair with the base; the state then has the posture q_m."""
         self._state.update(at_rest(self._state.model, q_m))
         return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
 
@@ -338,7 +340,7 @@ def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]
 
 
 def _summary(starts: list[Start], rows: list[Row]) -> Row:
-    """Numbers of runs by their result, and the worst values; None without a value."""
+    """Numbers of runs by their result, sums, and worst and median values; None without a value."""
     unreachable = sum(bool(start.reason) for start in starts)
 
     def extreme(choose: Any, key: str) -> float | None:

@@ -24,7 +24,11 @@ class Watch:
     """Records the motion at each step of the libraries, and the time of every control step."""
 
     def __init__(self, duration: float, every: int) -> None:
-        """Record a run of `duration` [s]; one of every `every` control steps is stored."""
+        """Prepare for a run of `duration` [s].
+
+        The motion is stored at every `every`-th control step and at the end of the run, the
+        computing time at every control step.
+        """
         self._every, self._last = every, round(duration / DT) - 1
         self._q: list[Array] = []
         self._times: list[float] = []

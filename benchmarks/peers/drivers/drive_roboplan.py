@@ -77,7 +77,7 @@ class Roboplan:
         tasks = [self._ee, self._damping]
         self._oink.solveIk(self._q, tasks, self._constraints, self._barriers, self._step)
         turn, ahead = self._step[:2]
-        middle = yaw + turn / 2  # exact on a circle
+        middle = yaw + turn / 2  # direction of the chord of an arc
         self._pose = np.array(
             [x + ahead * math.cos(middle), y + ahead * math.sin(middle), yaw + turn]
         )

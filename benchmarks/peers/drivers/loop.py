@@ -37,7 +37,7 @@ def main(make: Callable[[Plan, Array, float], Follower], *packages: str) -> None
     """Follow all runs of a plan.
 
     Args:
-        make: A follower from the plan, its start (3 + n_m,) and the cost of the base's motion.
+        make: Makes a follower from the plan, the initial q (3 + n_m,) and the cost of base motion.
         packages: Packages whose versions are recorded.
     """
     source, out = Path(sys.argv[1]), Path(sys.argv[2])
