@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -126,14 +127,16 @@ def _serve(first: _First) -> None:
     """Serve the dashboard until it ends; no variable here keeps the first robot in memory."""
     asked, server = first.asked, _opened(first)
     try:
-        print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
-        if not _is_loopback(asked.host):
-            say(
-                f"other machines can reach {asked.host}, without a password: everyone there can "
-                "watch and command the simulation"
-            )
-        server.run_forever()
+        with suppress(KeyboardInterrupt):  # the regular end, as soon as the address is printed
+            print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+            if not _is_loopback(asked.host):
+                say(
+                    f"other machines can reach {asked.host}, without a password: everyone there "
+                    "can watch and command the simulation"
+                )
+            server.run_forever()
     finally:
+        server.stop()
         server.shared.loop.stop()
 
 

@@ -65,18 +65,16 @@ class DashboardServer:
         self.watchdog = Watchdog(viser_server, self._silent)
 
     def run_forever(self) -> None:
-        """Serve until another thread calls `stop`, or until Ctrl-C.
+        """Serve until another thread calls `stop`, or until Ctrl-C; the caller then calls `stop`.
 
         Raises:
             LoopError: The simulation or the drawing has ended with an error, which the pages show
                 until the server ends.
         """
-        give_back()
-        try:
-            with gc_frozen(), contextlib.suppress(KeyboardInterrupt):
+        with contextlib.suppress(KeyboardInterrupt):
+            give_back()
+            with gc_frozen():
                 self._stopping.wait()
-        finally:
-            self.stop()
         for part, error in (("simulation", self.shared.loop.error), ("drawing", self.error)):
             if error is not None:
                 raise LoopError(f"the {part} ended: {type(error).__name__}: {error}") from error
