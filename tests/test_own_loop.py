@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -702,6 +702,68 @@ def test_positions_that_become_degrees_stay_implausible_and_lead_to_the_fallback
         assert ("implausible" in faults) == (k >= 10), k
         assert "jump" not in faults
     assert "stale" in faults
+
+
+def reordered(order: Sequence[int], begin: int = 0) -> Degradation:
+    return starting_at(lambda _, m: m._replace(q_m=m.q_m[order], qd_m=m.qd_m[order]), begin)
+
+
+def wobbling(t: float, origin: pin.SE3) -> Reference:
+    """A motion of 0.1 m to each side."""
+    pose, v, a = origin.copy(), np.zeros(6), np.zeros(6)
+    pose.translation = origin.translation + np.array([0.0, 0.1 * np.sin(2.0 * t), 0.0])
+    v[1], a[1] = 0.2 * np.cos(2.0 * t), -0.4 * np.sin(2.0 * t)
+    return Reference(pose, v, a)
+
+
+SIGNS = np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("degrade", "latest"),
+    [
+        (reordered([2, 1, 0, 3, 4, 5, 6]), 0.3),
+        (reordered([0, 1, 2, 3, 6, 5, 4], 500), 0.7),
+        (reordered([6, 5, 4, 3, 2, 1, 0]), 0.3),
+        (lambda _, m: m._replace(q_m=SIGNS * m.q_m, qd_m=SIGNS * m.qd_m), 0.8),
+        (late(30), 0.4),
+        (late(50), 0.3),
+    ],
+)
+def test_readings_that_contradict_the_torques_lead_to_the_fallback_until_reset(
+    run, degrade: Degradation, latest: float
+) -> None:
+    loops: list[ControlLoop] = []
+    found = run(degrade, reference=wobbling, pull=np.zeros(3), created=loops.append)
+    assert found.faults["contradictory"] < latest
+    last = loops[0].controller.last
+    assert not last.solved
+    assert np.abs(last.qd[2:]).max() == 0.0  # no damping by wrong speeds
+    loops[0].reset()
+    command = loops[0].step(found.sent._replace(qd_m=np.zeros(7)))
+    assert "contradictory" not in command.faults
+    assert command.step.solved
+
+
+@pytest.mark.parametrize("stiffness", [3e3, 1e5])
+def test_arm_that_a_contact_holds_does_not_contradict_the_torques(
+    robot: RobotModel, border_data: BorderData, starts, stiffness: float
+) -> None:
+    """The reference moves away from a place where a stiff spring holds the end-effector."""
+    loop, plant, seen = ControlLoop(robot, border_data), Kinematic(robot), RobotState(robot)
+    plant.reset(np.zeros(3), starts[SIDE])
+    seen.update_kinematics(plant.measure())
+    origin, last, furthest = seen.T_world_ee.copy(), seen.p_ee.copy(), 0.0
+    for k in range(1500):
+        measured = plant.measure()
+        seen.update_kinematics(measured)
+        v, last = (seen.p_ee - last) / 0.001, seen.p_ee.copy()
+        furthest = max(furthest, float(np.linalg.norm(seen.p_ee - origin.translation)))
+        command = loop.step(measured, wobbling(0.001 * k, origin))
+        assert "contradictory" not in command.faults
+        force = stiffness * (origin.translation - seen.p_ee) - 2.0 * np.sqrt(stiffness) * v
+        plant.step(command.u_a, np.zeros(2), force)
+    assert furthest < 0.05
 
 
 @pytest.mark.parametrize(

@@ -90,8 +90,10 @@ twists | | n_j 6 | m/s, rad/s | world | |
 biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings | 1 if a reading of the last 0.1 s is usable, else 0
-faults | | 11 | 1 | | readings |
+faults | | 12 | 1 | | readings |
     1 for each fault of this step's readings, in the order of `readings.FAULTS`
+contradiction | | | 1 | | readings |
+    memory: evidence that the readings contradict the commanded torques
 age | | | 1 | | readings | memory: control periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in control periods
 stated_lag | | | 1 | | readings | memory: the part of `lag` that `estimate.delay` states

@@ -4,7 +4,7 @@ A step runs once in each control period, with or without a new reading. "Period"
 period in this module. The Kalman filter estimates the state of the arm at the newest reading. The
 present state is predicted from this state over the age of the reading, with the known torques and
 the motion of the base. Thus repeated readings, lost readings, impossible readings, and readings
-with a known delay are the same case. Three properties are estimated from the readings themselves:
+with a known delay are the same case. Four properties are estimated from the readings themselves:
 
 - **The lag**: a delay that begins during a motion is the age at which the predicted state equals
   the reading. Any delay is the number of periods until accelerations due to the torques and the
@@ -13,6 +13,8 @@ with a known delay are the same case. Three properties are estimated from the re
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
+- **The contradiction**: readings that the commanded torques explain worse than no torques, with
+  every lag, are not those of this arm: joints are swapped, have a wrong sign, or are too late.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
   if they exceed the speed limits by far. Then the joint velocities are computed from the positions,
   and the base's velocity from the model of the drive.
@@ -55,12 +57,13 @@ FAULTS = {
     "mass of the load",
     "base": "the base does not follow its commands: check its brakes, its driver, the sign of its "
     "velocity, and its `drive_time_constant_s`",
+    "contradictory": "the arm does not move as the torques command: check the order, the signs and "
+    "the age of the joints' readings; the step returns the fallback command until `reset`",
 }
 """The possible faults of readings, by name, in the order of `ControlStep.faults`."""
 
-INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION, LOAD, BASE = (
-    range(11)
-)
+INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD = range(8)
+LOCALISATION, LOAD, BASE, CONTRADICTORY = range(8, 12)
 
 HISTORY = 128
 """Largest age of a reading, in control periods, over which the motion can be predicted."""
@@ -84,6 +87,9 @@ _REVERSAL = 0.002  # [-] RMS error of a cubic that is fitted to a step of accele
 # the step and to the squared duration; that of a parabola would hide delays from the first groups
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
+_VIOLENT = 1e-3  # [-] smallest unexplained motion that can contradict the torques: its RMS value,
+# relative to the motion at the speed limit; a stiff contact lets an arm move less than its torques
+_CONTRADICTORY = 8.0  # [-] evidence at which the readings are no longer used
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
 _UNEXPECTED = 30.0  # [rad/s²] acceleration that a prediction over one period can miss
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
@@ -350,18 +356,22 @@ def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
 
 
 @compiled()
-def _compare_lags(robot: Any, w: Any, ways: Array, n: int, dt: float) -> tuple[Array, Array, float]:
+def _compare_lags(
+    robot: Any, w: Any, ways: Array, n: int, dt: float
+) -> tuple[Array, Array, float, float]:
     """Compare the possible lags by the newest n groups; dt [s] is the control period.
 
     Returns:
         (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
         and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sums of the
-        squared residuals; and the sum [rad²] below which a lag is clearly better than these two.
+        squared residuals; the sum [rad²] below which a lag is clearly better than these two; and
+        the logarithm of the likelihood ratio of no prediction to the best lag, from the joints
+        with a motion above `_VIOLENT`.
     """
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
-    ratios, totals = np.ones(lags), np.zeros(lags + 1)
-    friction = _error_of_friction(robot, w, n, dt)
+    ratios, totals, worse = np.ones(lags), np.zeros(lags + 1), np.ones(lags)
+    friction, span = _error_of_friction(robot, w, n, dt), w.group_age[n - 1] * dt
     for i in range(len(ways)):
         error = min(w.noise_var[0, i], _MOST_NOISE**2) / w.group_size[()] + _EXACT**2
         error += friction[i] ** 2
@@ -370,10 +380,12 @@ def _compare_lags(robot: Any, w: Any, ways: Array, n: int, dt: float) -> tuple[A
             residuals[lag] = max(residuals[lag], 0.0) + (n - len(basis)) * error
             totals[lag] += residuals[lag]
         least = min(residuals[present], residuals[lags])
+        violent = residuals[lags] > n * (_VIOLENT * span * robot.qd_max[i]) ** 2
         for lag in range(lags):
             ratios[lag] *= least / residuals[lag]
+            worse[lag] *= residuals[lag] / residuals[lags] if violent else 1.0
     clear = min(totals[present], totals[lags]) / _CLEARLY
-    return 0.5 * np.log(ratios), totals[:lags], clear
+    return 0.5 * np.log(ratios), totals[:lags], clear, 0.5 * math.log(worse.min())
 
 
 @compiled()
@@ -395,7 +407,10 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     if n < _FEWEST_GROUPS:
         return
     ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
-    gain, totals, clear = _compare_lags(robot, w, ways, n, gains.dt)
+    gain, totals, clear, against = _compare_lags(robot, w, ways, n, gains.dt)
+    # The prediction is right if the period and the base's acceleration are right.
+    if w.ratio[()] == 1.0 and w.faults[LOCALISATION] == w.faults[BASE] == 0.0:
+        w.contradiction[()] += min(max(against, -_LARGEST_GAIN), _LARGEST_GAIN)
     excess, lasting = 0.0, len(ages) * (_LARGEST_GAIN - _DOUBT)
     for lag in range(lags):
         if totals[lag] < clear:
@@ -408,7 +423,7 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
         return
     newest = max(2 * n // 3, _FEWEST_GROUPS)
-    _, totals, clear = _compare_lags(robot, w, ways, newest, gains.dt)
+    _, totals, clear, _ = _compare_lags(robot, w, ways, newest, gains.dt)
     if w.evidence[best] > lasting or totals[best] < clear:
         w.lag[()] = best
         w.samples[()] = 0.0
@@ -635,6 +650,8 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
         decay = math.exp(-gains.dt / gains.noise_window)  # an external force does not stay constant
         for i in range(len(w.q_m)):
             w.x_est[2, i] *= decay
+        if w.faults[CONTRADICTORY] != 0.0:  # wrong speeds; their damping could accelerate the arm
+            fill(w.x_est[1], 0.0)
         put(w.qd[robot.n_b :], w.x_est[1])
 
 
@@ -765,7 +782,9 @@ def take_readings(
     if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt):
         lost, w.faults[REPEATED] = True, 1.0
     w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
-    w.valid[()] = not (lost and (first or w.faults[STALE] != 0.0))
+    w.faults[CONTRADICTORY] = 1.0 if w.contradiction[()] > _CONTRADICTORY else 0.0
+    unusable = w.faults[STALE] != 0.0 or w.faults[CONTRADICTORY] != 0.0
+    w.valid[()] = not (unusable or (lost and first))
     if w.valid[()] == 0.0:
         _advance_blind(robot, gains, w)
         return
@@ -831,6 +850,8 @@ def _take_new(
     )
     jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains) or leapt
     w.faults[JUMP] = 1.0 if jumped else 0.0
+    forgotten = (1.0 + w.age[()]) * _DOUBT / _GROUP
+    w.contradiction[()] = max(w.contradiction[()] + jumped - forgotten, 0.0)
     if jumped:
         _forget_groups(w)
         put(w.q_posture, q)
