@@ -13,8 +13,9 @@ with a known delay are the same case. Four properties are estimated from the rea
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
-- **The contradiction**: readings that the commanded torques explain worse than no torques, with
-  every lag, are not those of this arm: joints are swapped, have a wrong sign, or are too late.
+- **The contradiction**: if a joint is far above its speed limit, and the commanded torques explain
+  its motion worse than no torques with every lag, the readings are not those of this arm: joints
+  are swapped, have a wrong sign, or are too late.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
   if they exceed the speed limits by far. Then the joint velocities are computed from the positions,
   and the base's velocity from the model of the drive.
@@ -87,9 +88,10 @@ _REVERSAL = 0.002  # [-] RMS error of a cubic that is fitted to a step of accele
 # the step and to the squared duration; that of a parabola would hide delays from the first groups
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
-_VIOLENT = 1e-3  # [-] smallest unexplained motion that can contradict the torques: its RMS value,
-# relative to the motion at the speed limit; a stiff contact lets an arm move less than its torques
-_CONTRADICTORY = 8.0  # [-] evidence at which the readings are no longer used
+_VIOLENT = 1.5  # [-] speed of a joint, relative to its limit, from which its motion can contradict
+# the torques; friction and stiff contacts let slower joints move less than their torques
+_CONTRADICTORY, _JUMPS = 8.0, 0.5  # [-] evidence at which the readings are no longer used, and the
+# evidence of one jump; a strong pull lets a light joint jump in some ten successive steps
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
 _UNEXPECTED = 30.0  # [rad/s²] acceleration that a prediction over one period can miss
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
@@ -356,6 +358,16 @@ def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
 
 
 @compiled()
+def _fastest(w: Any, i: int, n: int, dt: float) -> float:
+    """[rad/s or m/s] largest mean speed of joint i between two successive ones of n groups."""
+    found = 0.0
+    for k in range(n - 1):
+        time = dt * (w.group_age[k + 1] - w.group_age[k])
+        found = max(found, abs(w.group[k, i] - w.group[k + 1, i]) / time)
+    return found
+
+
+@compiled()
 def _compare_lags(
     robot: Any, w: Any, ways: Array, n: int, dt: float
 ) -> tuple[Array, Array, float, float]:
@@ -366,12 +378,12 @@ def _compare_lags(
         and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sums of the
         squared residuals; the sum [rad²] below which a lag is clearly better than these two; and
         the logarithm of the likelihood ratio of no prediction to the best lag, from the joints
-        with a motion above `_VIOLENT`.
+        that are faster than `_VIOLENT` times their speed limit.
     """
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
     ratios, totals, worse = np.ones(lags), np.zeros(lags + 1), np.ones(lags)
-    friction, span = _error_of_friction(robot, w, n, dt), w.group_age[n - 1] * dt
+    friction = _error_of_friction(robot, w, n, dt)
     for i in range(len(ways)):
         error = min(w.noise_var[0, i], _MOST_NOISE**2) / w.group_size[()] + _EXACT**2
         error += friction[i] ** 2
@@ -380,7 +392,7 @@ def _compare_lags(
             residuals[lag] = max(residuals[lag], 0.0) + (n - len(basis)) * error
             totals[lag] += residuals[lag]
         least = min(residuals[present], residuals[lags])
-        violent = residuals[lags] > n * (_VIOLENT * span * robot.qd_max[i]) ** 2
+        violent = _fastest(w, i, n, dt) > _VIOLENT * robot.qd_max[i]
         for lag in range(lags):
             ratios[lag] *= least / residuals[lag]
             worse[lag] *= residuals[lag] / residuals[lags] if violent else 1.0
@@ -484,13 +496,14 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     delay = _FILTER + 0.5 * steps * gains.dt
     ratio, late = _divided(way, integral), _divided(way, integral + delay * change)
     low, high = min(ratio, late), max(ratio, late)
-    if low < 0.0 < high or (low < right and high > 1.0 / right):
+    unclear = low < 0.0 < high  # the readings show neither a right nor a wrong ratio
+    if unclear or (low < right and high > 1.0 / right):
         found = 1.0
     else:
         found = low if low > 1.0 else high
         if low > 0.0 and high < math.inf:
             found = math.sqrt(low * high)
-    if not low < 0.0 < high:  # otherwise the readings show neither a right nor a wrong ratio
+    if not unclear:
         w.no_velocity[()] = 0.0 if _SMALLEST < found < _LARGEST else 1.0  # NaN too
     if w.no_velocity[()] != 0.0:
         found = 1.0
@@ -764,7 +777,8 @@ def take_readings(
     """Check the readings, and estimate the present state of the robot (Algorithm 2, line 2).
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
-    the first usable reading, and if there has been no usable reading for 0.1 s.
+    the first usable reading, if there has been no usable reading for 0.1 s, and from the fault
+    `contradictory` until `reset`.
 
     Args:
         robot: `ROBOT`.
@@ -851,7 +865,7 @@ def _take_new(
     jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains) or leapt
     w.faults[JUMP] = 1.0 if jumped else 0.0
     forgotten = (1.0 + w.age[()]) * _DOUBT / _GROUP
-    w.contradiction[()] = max(w.contradiction[()] + jumped - forgotten, 0.0)
+    w.contradiction[()] = max(w.contradiction[()] + _JUMPS * jumped - forgotten, 0.0)
     if jumped:
         _forget_groups(w)
         put(w.q_posture, q)

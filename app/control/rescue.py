@@ -37,7 +37,7 @@ class OpenQP(NamedTuple):
 
 
 def solved_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) of a QP; NaN if there is none, or if ProxQP does not find it."""
+    """The solution (n,) of a QP; all entries are NaN if there is none or ProxQP finds none."""
     k, x = len(qp.fixed), _without_limits(qp)
     moved = qp.C[:, :k] @ qp.fixed
     C, l, u = qp.C[:, k:], qp.l - moved, qp.u - moved
@@ -51,7 +51,8 @@ def solved_by_proxqp(qp: OpenQP) -> Array:
     A = np.hstack([a / length[:, None], slack])  # the unknowns are Lᵀ (x − x*) and the slacks
     l, u = (l - reached) / length, (u - reached) / length
     z = _nearest_to_zero(A, l, u)
-    return np.concatenate([qp.fixed, x + np.linalg.solve(L.T, z[: len(x)])])
+    found = np.concatenate([qp.fixed, x + np.linalg.solve(L.T, z[: len(x)])])
+    return found if np.isfinite(found).all() else np.full(len(qp.c), np.nan)
 
 
 def changed_by_proxqp(qp: OpenQP) -> Array:

@@ -395,17 +395,20 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     - "nothing to show" if the arm without avoidance stays d_b/2 or more away from the base;
     - `warned` if the base moves by less than d_b/3, and the arm cannot hold its end-effector;
     - `failed` if the base moves by less than d_b/3;
+    - `warned` if d_b is too small for the speed of the run;
     - `passed`.
     """
+    from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
 
     config = model.description.config
     try:
         run = partial(run_scenario, model, data, scenario_of(model.description, name), config)
-        figures, bare = run().figures, run(controller="none", physics="kinematic").figures
+        guided, bare = run(), run(controller="none", physics="kinematic").figures
     except UnreachableError as error:
         return Row(name, "warned", f"the run cannot start: {error}", {})
+    figures, warning = guided.figures, buffer_warning(guided.trace.buffer, config)
     steps = {what: int(figures[key]) for key, what in _TOUCHED.items() if figures[key]}
     touched = sum(steps.values())
     failures, moved = int(figures["solver_failures"]), float(figures["base_displacement_m"])
@@ -431,4 +434,6 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         held = bool(holding_warning(carried_ee(model)))
         text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
         return Row(name, "warned" if held else "failed", text, numbers)
+    if shown and warning:
+        return Row(name, "warned", f"{text}; {warning}", numbers)
     return Row(name, "passed" if shown else "nothing to show", text, numbers)
