@@ -13,9 +13,9 @@ with a known delay are the same case. Four properties are estimated from the rea
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
-- **The contradiction**: if a joint is far above its speed limit, and the commanded torques explain
-  its motion worse than no torques with every lag, the readings are not those of this arm: joints
-  are swapped, have a wrong sign, or are too late.
+- **The contradiction**: a joint is far above its speed limit, and no lag lets the commanded torques
+  explain its motion better than no torques. Joints are then swapped, have a wrong sign, or are too
+  late.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
   if they exceed the speed limits by far. Then the joint velocities are computed from the positions,
   and the base's velocity from the model of the drive.
@@ -88,8 +88,8 @@ _REVERSAL = 0.002  # [-] RMS error of a cubic that is fitted to a step of accele
 # the step and to the squared duration; that of a parabola would hide delays from the first groups
 _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
-_VIOLENT = 1.5  # [-] speed of a joint, relative to its limit, from which its motion can contradict
-# the torques; friction and stiff contacts let slower joints move less than their torques
+_VIOLENT = 1.5  # [-] smallest speed, relative to its limit, of a joint that can contradict the
+# torques; friction and stiff contacts let slower joints move less than their torques
 _CONTRADICTORY, _JUMPS = 8.0, 0.5  # [-] evidence at which the readings are no longer used, and the
 # evidence of one jump; a strong pull lets a light joint jump in some ten successive steps
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
@@ -377,8 +377,8 @@ def _compare_lags(
         (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
         and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sums of the
         squared residuals; the sum [rad²] below which a lag is clearly better than these two; and
-        the logarithm of the likelihood ratio of no prediction to the best lag, from the joints
-        that are faster than `_VIOLENT` times their speed limit.
+        the evidence of a contradiction. This is the logarithm of the likelihood ratio of no
+        prediction to the best lag, from the joints above `_VIOLENT` times their speed limit.
     """
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
@@ -764,6 +764,16 @@ def _store_reading(w: Any, base_pose: Array, base_velocity: Array, q: Array, qd:
 
 
 @compiled()
+def _remains_valid(w: Any, lost: bool, first: bool, dt: float) -> bool:
+    """Update `w.valid` and the faults that lead to the fallback command; `w.valid` as a bool."""
+    w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * dt > _MAX_AGE else 0.0
+    w.faults[CONTRADICTORY] = 1.0 if w.contradiction[()] > _CONTRADICTORY else 0.0
+    unusable = w.faults[STALE] != 0.0 or w.faults[CONTRADICTORY] != 0.0
+    w.valid[()] = not (unusable or (lost and first))
+    return w.valid[()] != 0.0
+
+
+@compiled()
 def take_readings(
     robot: Any,
     gains: Any,
@@ -795,11 +805,7 @@ def take_readings(
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
     if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt):
         lost, w.faults[REPEATED] = True, 1.0
-    w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
-    w.faults[CONTRADICTORY] = 1.0 if w.contradiction[()] > _CONTRADICTORY else 0.0
-    unusable = w.faults[STALE] != 0.0 or w.faults[CONTRADICTORY] != 0.0
-    w.valid[()] = not (unusable or (lost and first))
-    if w.valid[()] == 0.0:
+    if not _remains_valid(w, lost, first, gains.dt):
         _advance_blind(robot, gains, w)
         return
     if not lost:

@@ -1,6 +1,6 @@
 """All steps from a URDF to a robot's folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -21,7 +21,7 @@ from app.onboarding.fit.grouping import Detection, Grouping, detection_of, find_
 from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, line_from
 from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
-from app.onboarding.fit.units import make_units
+from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.numbers import Limits, base_numbers, completed, damping, find_reach, read_limits
 from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
@@ -238,8 +238,9 @@ def _embodied(
             parsed = replace(parsed, changes=(*parsed.changes, said))
             continue
         tell("fitting bodies")
+        count = _count(request, units, [len(each.grouping.bodies) for each in found])
         grouping = find_grouping(
-            bare, meetings, d_b=request.buffer, count=request.bodies, on_progress=on_progress
+            bare, meetings, d_b=request.buffer, count=count, on_progress=on_progress
         )
         limited = replace(parsed, limits=limits)
         unwatched = grouping.verdict.unwatched
@@ -255,6 +256,18 @@ def _embodied(
             "a different --seed"
         )
     return best
+
+
+def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
+    """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
+
+    The second fit differs by its random postures. The third one has one more body than the second,
+    if the arm has as many moving units with shapes, and unless --bodies is set. `found` has the
+    numbers of bodies of the earlier fits, with the base.
+    """
+    if request.bodies or len(found) < _MAX_FITS - 1:
+        return request.bodies
+    return min(found[-1], sum(bool(unit.parts) for unit in units[2:]))
 
 
 def parse(request: Request, whole: Whole | None = None) -> Parsed:
