@@ -51,6 +51,17 @@ def test_robot_has_the_same_dynamics_in_both_engines(name: str) -> None:
         assert row.outcome == "passed", row
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*PACKAGES, "racecar_panda"])
+def test_a_pair_detects_each_collision_of_random_postures(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grouping, "TEST_POSTURES", 300)
+    monkeypatch.setattr(grouping, "ENOUGH", 30)
+    row = arm_row(RobotModel(load_robot(name)))
+    assert row.outcome != "failed", row
+
+
 def test_missing_package_is_reported_with_its_installation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(assets, "share_folders", list)
