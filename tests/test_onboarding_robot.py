@@ -24,6 +24,7 @@ from app.border import cache
 from app.border.cache import BorderData
 from app.border.config import QUICK, SamplingConfig
 from app.cli import serve
+from app.control.buffer_watch import BufferReading
 from app.dashboard import job
 from app.errors import AssetError, DescriptionError, RobotFileError, UnreachableError
 from app.jobs.pool import ALONE, Workers
@@ -480,25 +481,39 @@ def test_line_outside_the_buffer_has_nothing_to_show(
 
 
 @pytest.mark.parametrize(
-    ("lost", "bare", "near", "outcome"),
+    ("lost", "bare", "near", "moved", "needed", "outcome"),
     [
-        (0.0, 0.02, 0.1, "failed"),
-        (0.0, 0.07, 0.1, "failed"),
-        (0.0, 0.08, 0.1, "nothing to show"),
-        (1.0, 0.02, 0.1, "warned"),
-        (1.0, 0.02, 0.02, "failed"),
+        (0.0, 0.02, 0.1, 0.01, 0.1, "failed"),
+        (0.0, 0.07, 0.1, 0.01, 0.1, "failed"),
+        (0.0, 0.08, 0.1, 0.01, 0.1, "nothing to show"),
+        (1.0, 0.02, 0.1, 0.01, 0.1, "warned"),
+        (1.0, 0.02, 0.02, 0.01, 0.1, "failed"),
+        (0.0, 0.02, 0.1, 0.2, 0.1, "passed"),
+        (0.0, 0.02, 0.1, 0.2, np.inf, "warned"),
+        (0.0, 0.08, 0.1, 0.2, np.inf, "nothing to show"),
     ],
-    ids=["compensates", "inner half", "outer half", "cannot compensate", "cannot, and near"],
+    ids=[
+        "compensates",
+        "inner half",
+        "outer half",
+        "cannot compensate",
+        "cannot, and near",
+        "moves away",
+        "buffer too small",
+        "too small, and outer half",
+    ],
 )
-def test_base_that_stands_still_fails_unless_it_would_drag_the_arm(
+def test_outcome_of_a_guiding_run_depends_on_base_arm_and_buffer(
     finished: tuple[NewRobot, BorderData],
     monkeypatch: pytest.MonkeyPatch,
     lost: float,
     bare: float,
     near: float,
+    moved: float,
+    needed: float,
     outcome: str,
 ) -> None:
-    """The runs are replaced by figures without contact in which the base stands still."""
+    """The runs are replaced by figures without contact."""
     from app.simulation import run
 
     monkeypatch.setattr(checks, "carried_ee", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
@@ -507,14 +522,18 @@ def test_base_that_stands_still_fails_unless_it_would_drag_the_arm(
         counts = ("contacts", "arm_contacts", "floor_contacts", "solver_failures")
         least = bare if controller == "none" else near
         reported = dict.fromkeys(counts, 0)
+        small = needed > 0.15
         return SimpleNamespace(
-            figures=reported | {"min_clearance_m": least, "base_displacement_m": 0.01}
+            figures=reported | {"min_clearance_m": least, "base_displacement_m": moved},
+            trace=SimpleNamespace(buffer=BufferReading(0.1, needed, 0.1, needed, small, small)),
         )
 
     monkeypatch.setattr(run, "run_scenario", figures)
     row = run_row(written(finished[0]), finished[1], "guiding-front")
     assert row.outcome == outcome
-    assert ("moves away by less than" in row.text) is (bare < 0.075 and near > 0.05)
+    still = moved < 0.05 and bare < 0.075 and near > 0.05
+    assert ("moves away by less than" in row.text) is still
+    assert ("is too small" in row.text) is (outcome == "warned" and not still)
 
 
 def test_exception_in_a_check_is_a_failure_of_its_row(
