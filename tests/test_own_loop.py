@@ -739,6 +739,9 @@ def test_readings_that_contradict_the_torques_lead_to_the_fallback_until_reset(
     last = loops[0].controller.last
     assert not last.solved
     assert np.abs(last.qd[2:]).max() == 0.0  # no damping by wrong speeds
+    for k in range(300):  # right readings of an arm at rest change nothing
+        command = loops[0].step(found.sent._replace(qd_m=np.full(7, 1e-9 * k)))
+        assert "contradictory" in command.faults
     loops[0].reset()
     command = loops[0].step(found.sent._replace(qd_m=np.zeros(7)))
     assert "contradictory" not in command.faults

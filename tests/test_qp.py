@@ -126,7 +126,7 @@ class Turning:
         return moved, self.limits._replace(C=C + s * self.turn)
 
 
-def test_proxqp_returns_nan_only_if_its_problem_has_no_solution() -> None:
+def test_proxqp_returns_only_nan_without_a_solution() -> None:
     """A finite first entry would pass as a solution: the fixed entries are known before."""
     C, far = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]), np.array([-np.inf, 1.0])
     limits = C, far, np.array([-1.0, np.inf]), np.zeros(2)

@@ -59,7 +59,7 @@ def test_a_pair_detects_each_collision_of_random_postures(
     monkeypatch.setattr(grouping, "TEST_POSTURES", 300)
     monkeypatch.setattr(grouping, "ENOUGH", 30)
     row = arm_row(RobotModel(load_robot(name)))
-    assert row.outcome != "failed", row
+    assert row.outcome in {"passed", "warned"}, row
 
 
 def test_missing_package_is_reported_with_its_installation(monkeypatch: pytest.MonkeyPatch) -> None:

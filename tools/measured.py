@@ -46,8 +46,8 @@ EXACT = (
     *("--encoder-noise", "0", "0", "--mass-error", "0", "0", "--slip", "0", "0"),
     *("--v-max", "0.5", "0.5", "--speed", "0.3", "1.2", "--payload", "0", "0", "--faulty", "0"),
 )
-"""Options of a study of a robot that agrees with its model."""
-PULLS = ("--cases", "690", "--seed", "17", *EXACT)
+"""Options of both studies: no errors of the model, noise, payload or faults."""
+PULLS = ("--cases", "690", "--seed", "17", "--hand-f-max", "30", "100", *EXACT)
 """Options of the study of pulls with up to 100 N."""
 ENVELOPE = ("--cases", "20000", "--seed", "1", "--hand-f-max", "30", "50", *EXACT)
 """Options of the study from which the stated envelope is fitted; it takes two hours."""

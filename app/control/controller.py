@@ -206,9 +206,9 @@ class Controller:
             The quantities of this step, which the next step overwrites. They always contain a
             command. It is the fallback command if there is no valid reading for 0.1 s, if the
             readings have contradicted the torques since the last `reset`, or if the arm's QP has
-            no solution. With the fallback command the base brakes, the predicted joint
-            speeds are damped, and gravity is compensated at the last valid posture; before the
-            first valid posture, at the ready posture.
+            no solution. With the fallback command the base brakes, gravity is compensated at the
+            last valid posture (before the first one, at the ready posture), and the predicted joint
+            speeds are damped, except after contradictory readings.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong type or number of entries, the

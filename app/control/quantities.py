@@ -90,7 +90,7 @@ twists | | n_j 6 | m/s, rad/s | world | |
 biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings |
-    1 if a reading of the last 0.1 s is usable and not contradictory, else 0
+    1 if a reading of the last 0.1 s is usable and no contradiction was found, else 0
 faults | | 12 | 1 | | readings |
     1 for each fault of this step's readings, in the order of `readings.FAULTS`
 contradiction | | | 1 | | readings |

@@ -14,8 +14,8 @@ with a known delay are the same case. Four properties are estimated from the rea
   period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
   loop does not run at the stated period.
 - **The contradiction**: a joint is far above its speed limit, and no lag lets the commanded torques
-  explain its motion better than no torques. Joints are then swapped, have a wrong sign, or are too
-  late.
+  explain its motion better than no torques. Usually joints are then swapped, have a wrong sign, or
+  are too late. Readings that jump in many successive steps count too.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
   if they exceed the speed limits by far. Then the joint velocities are computed from the positions,
   and the base's velocity from the model of the drive.
@@ -58,8 +58,9 @@ FAULTS = {
     "mass of the load",
     "base": "the base does not follow its commands: check its brakes, its driver, the sign of its "
     "velocity, and its `drive_time_constant_s`",
-    "contradictory": "the arm does not move as the torques command: check the order, the signs and "
-    "the age of the joints' readings; the step returns the fallback command until `reset`",
+    "contradictory": "the arm's motion does not agree with the commanded torques: brake the drives "
+    "and check the order, the signs and the age of the joints' readings; the step returns the "
+    "fallback command until `reset`",
 }
 """The possible faults of readings, by name, in the order of `ControlStep.faults`."""
 
@@ -90,6 +91,7 @@ _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
 _VIOLENT = 1.5  # [-] smallest speed, relative to its limit, of a joint that can contradict the
 # torques; friction and stiff contacts let slower joints move less than their torques
+_RECENTLY = 3  # [-] number of the newest groups in which a joint must be that fast
 _CONTRADICTORY, _JUMPS = 8.0, 0.5  # [-] evidence at which the readings are no longer used, and the
 # evidence of one jump; a strong pull lets a light joint jump in some ten successive steps
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
@@ -378,7 +380,8 @@ def _compare_lags(
         and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sums of the
         squared residuals; the sum [rad²] below which a lag is clearly better than these two; and
         the evidence of a contradiction. This is the logarithm of the likelihood ratio of no
-        prediction to the best lag, from the joints above `_VIOLENT` times their speed limit.
+        prediction to the best lag, from the joints that have just been faster than `_VIOLENT`
+        times their speed limit.
     """
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
@@ -392,12 +395,12 @@ def _compare_lags(
             residuals[lag] = max(residuals[lag], 0.0) + (n - len(basis)) * error
             totals[lag] += residuals[lag]
         least = min(residuals[present], residuals[lags])
-        violent = _fastest(w, i, n, dt) > _VIOLENT * robot.qd_max[i]
+        violent = _fastest(w, i, _RECENTLY, dt) > _VIOLENT * robot.qd_max[i]
         for lag in range(lags):
             ratios[lag] *= least / residuals[lag]
             worse[lag] *= residuals[lag] / residuals[lags] if violent else 1.0
     clear = min(totals[present], totals[lags]) / _CLEARLY
-    return 0.5 * np.log(ratios), totals[:lags], clear, 0.5 * math.log(worse.min())
+    return 0.5 * np.log(ratios), totals[:lags], clear, 0.5 * math.log(worse[: _MOST_LAG + 1].min())
 
 
 @compiled()
@@ -421,7 +424,8 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
     gain, totals, clear, against = _compare_lags(robot, w, ways, n, gains.dt)
     # The prediction is right if the period and the base's acceleration are right.
-    if w.ratio[()] == 1.0 and w.faults[LOCALISATION] == w.faults[BASE] == 0.0:
+    right = w.ratio[()] == 1.0 and w.faults[LOCALISATION] == w.faults[BASE] == 0.0
+    if right and math.isfinite(against):
         w.contradiction[()] += min(max(against, -_LARGEST_GAIN), _LARGEST_GAIN)
     excess, lasting = 0.0, len(ages) * (_LARGEST_GAIN - _DOUBT)
     for lag in range(lags):
@@ -870,7 +874,7 @@ def _take_new(
     )
     jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains) or leapt
     w.faults[JUMP] = 1.0 if jumped else 0.0
-    forgotten = (1.0 + w.age[()]) * _DOUBT / _GROUP
+    forgotten = min(1.0 + w.age[()], _GROUP) * _DOUBT / _GROUP
     w.contradiction[()] = max(w.contradiction[()] + _JUMPS * jumped - forgotten, 0.0)
     if jumped:
         _forget_groups(w)

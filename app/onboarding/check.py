@@ -433,6 +433,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     if shown and moved < (least := GIVES_WAY * config.border.d_b):
         held = bool(holding_warning(carried_ee(model)))
         text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
+        text += f"; {warning}" if warning else ""
         return Row(name, "warned" if held else "failed", text, numbers)
     if shown and warning:
         return Row(name, "warned", f"{text}; {warning}", numbers)

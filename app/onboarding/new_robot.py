@@ -261,13 +261,14 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    The second fit differs by its random postures. The third one has one more body than the second,
-    if the arm has as many moving units with shapes, and unless --bodies is set. `found` has the
+    The second fit differs by its random postures. Without --bodies, the third fit has one more body
+    than the second, but not more bodies than the arm has moving units with shapes. `found` has the
     numbers of bodies of the earlier fits, with the base.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies
-    return min(found[-1], sum(bool(unit.parts) for unit in units[2:]))
+    movable = sum(bool(unit.parts) for unit in units[2:])
+    return max(found[-1] - 1, min(found[-1], movable))
 
 
 def parse(request: Request, whole: Whole | None = None) -> Parsed:
