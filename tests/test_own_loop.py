@@ -113,6 +113,11 @@ def plain(run) -> Run:
     return run()
 
 
+def ready(robot: RobotModel) -> Measurement:
+    """The readings of an arm that rests in its ready posture."""
+    return at_rest(robot, np.array(robot.description.arm.ready_position))
+
+
 def every_nth(n: int) -> Degradation:
     last: list[Measurement] = []
 
@@ -338,7 +343,7 @@ def test_blind_time_is_the_largest_recent_age_of_the_readings(run) -> None:
 def test_jump_adds_to_the_blind_time_which_then_decays(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    good = ready(robot)
     loop, window = ControlLoop(robot, border_data), Config().estimate.noise_window
     loop.step(good._replace(q_m=np.zeros(7)))
     for k in range(1, 1000):
@@ -420,7 +425,7 @@ def test_only_changes_of_acceleration_that_no_person_causes_show_a_lag(
         lag: Expected lag in control periods.
     """
     loop = ControlLoop(robot, border_data)
-    w = loop.step(at_rest(robot, np.array(robot.description.arm.ready_position))).step
+    w = loop.step(ready(robot)).step
     gains, q, speed = gains_struct(Config(), robot, "dbb", 0.001), w.q_m.copy(), 0.0
     for k in range(1000):
         w.periods[()], w.known[()] = k % HISTORY, min(k, HISTORY)
@@ -530,7 +535,7 @@ def test_refused_readings_do_not_use_up_the_reference(
 ) -> None:
     loop, m = (
         ControlLoop(robot, border_data),
-        at_rest(robot, np.array(robot.description.arm.ready_position)),
+        ready(robot),
     )
     start = pin.SE3(pin.XYZQUATToSE3(np.array([0.9, 0.0, 0.8, 1.0, 0.0, 0.0, 0.0])))
     for k in range(4):
@@ -575,7 +580,7 @@ def test_wrong_joint_names_are_refused_by_name(robot: RobotModel, change, named:
 
 
 def test_velocities_are_optional(robot: RobotModel, border_data: BorderData) -> None:
-    m = at_rest(robot, np.array(robot.description.arm.ready_position))
+    m = ready(robot)
     for nothing in (None, (), np.empty(0)):
         command = ControlLoop(robot, border_data).step(
             m._replace(base_velocity=nothing, qd_m=nothing)
@@ -609,7 +614,7 @@ def turned(robot: RobotModel, border_data: BorderData) -> Callable[..., ControlS
     def turned(dt: float, acceleration: float, count: int) -> ControlStep:
         loop = ControlLoop(robot, border_data, dt=dt)
         m, turning = (
-            at_rest(robot, np.array(robot.description.arm.ready_position)),
+            ready(robot),
             np.arange(7) == 6,
         )
         for k in range(count):
@@ -651,7 +656,7 @@ def test_invalid_measurement_is_refused_by_field(
 ) -> None:
     loop = ControlLoop(robot, border_data)
     with pytest.raises(MeasurementError, match=named):
-        loop.step(change(at_rest(robot, np.array(robot.description.arm.ready_position))))
+        loop.step(change(ready(robot)))
 
 
 @pytest.mark.parametrize(
@@ -667,7 +672,7 @@ def test_invalid_measurement_is_refused_by_field(
 def test_readings_may_be_any_array_of_numbers(
     robot: RobotModel, border_data: BorderData, change
 ) -> None:
-    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    good = ready(robot)
     loop, other = ControlLoop(robot, border_data), ControlLoop(robot, border_data)
     command = loop.step(Measurement(*map(change, good[:4])))
     np.testing.assert_array_equal(command.u_a, other.step(good).u_a)
@@ -678,7 +683,7 @@ def test_readings_may_be_any_array_of_numbers(
 def test_positions_in_degrees_are_refused_first_and_reported_later(
     robot: RobotModel, border_data: BorderData, factor: float
 ) -> None:
-    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    good = ready(robot)
     bad = good._replace(q_m=factor * good.q_m)
     loop = ControlLoop(robot, border_data)
     with pytest.raises(MeasurementError, match="radians"):
@@ -693,7 +698,7 @@ def test_positions_that_become_degrees_stay_implausible_and_lead_to_the_fallback
     robot: RobotModel, border_data: BorderData
 ) -> None:
     """They lie many turns beyond the limits, so no full turns are subtracted from them."""
-    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    good = ready(robot)
     loop = ControlLoop(robot, border_data)
     for k in range(300):
         creep = np.full(7, 1e-5 * max(k - 10, 0))
@@ -804,7 +809,7 @@ def test_invalid_reference_is_refused_by_field(
 ) -> None:
     loop = ControlLoop(robot, border_data)
     with pytest.raises(MeasurementError, match=named):
-        loop.step(at_rest(robot, np.array(robot.description.arm.ready_position)), reference)
+        loop.step(ready(robot), reference)
 
 
 def sampled(rate: float, jitter: float) -> Callable[[float, pin.SE3], Reference]:
@@ -1055,7 +1060,7 @@ def test_command_reports_its_gravity_torques(robot: RobotModel, border_data: Bor
 def test_copied_command_does_not_change(robot: RobotModel, border_data: BorderData, copied) -> None:
     loop, m = (
         ControlLoop(robot, border_data),
-        at_rest(robot, np.array(robot.description.arm.ready_position)),
+        ready(robot),
     )
     command = loop.step(m._replace(qd_m=NAN))
     record, gravity = copied(command), command.gravity
@@ -1072,7 +1077,7 @@ def test_jump_of_the_positions_resets_the_posture(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     """An example is a driver that sends zeros until it is ready."""
-    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    good = ready(robot)
     loop = ControlLoop(robot, border_data)
     for _ in range(3):
         loop.step(good._replace(q_m=np.zeros(7)))
@@ -1084,7 +1089,7 @@ def test_jump_of_the_positions_resets_the_posture(
 def test_jump_after_any_time_at_rest_resets_the_posture(
     robot: RobotModel, border_data: BorderData, steps: int
 ) -> None:
-    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    good = ready(robot)
     loop = ControlLoop(robot, border_data)
     for _ in range(steps):
         loop.step(good)
@@ -1100,7 +1105,7 @@ def test_start_of_a_resting_arm_with_a_slow_driver_is_no_jump(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     """The driver sends at 20 Hz; the last joint then accelerates by 22 rad/s²."""
-    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    good = ready(robot)
     loop, last = ControlLoop(robot, border_data), np.eye(7)[6]
     for k in range(500):
         t = 1e-3 * max(k // 50 * 50 - 300, 0)
@@ -1141,7 +1146,7 @@ def test_load_is_set_atomically(robot: RobotModel) -> None:
 
 def test_a_fault_is_logged_once(robot: RobotModel, border_data: BorderData, caplog) -> None:
     loop = ControlLoop(robot, border_data)
-    m = at_rest(robot, np.array(robot.description.arm.ready_position))._replace(qd_m=NAN)
+    m = ready(robot)._replace(qd_m=NAN)
     for _ in range(5):
         loop.step(m)
     assert [r.levelname for r in caplog.records] == ["WARNING"]
@@ -1161,7 +1166,7 @@ def test_wrong_predictions_do_not_throw_the_arm(run) -> None:
 
 
 def test_stated_age_of_the_readings_can_change(robot: RobotModel, border_data: BorderData) -> None:
-    at = at_rest(robot, np.array(robot.description.arm.ready_position))
+    at = ready(robot)
     loop = ControlLoop(robot, border_data)
     for delay in (0.0, 0.004, 0.002):
         loop.configure(Config.model_validate({"estimate": {"delay": delay}}))

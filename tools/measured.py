@@ -359,12 +359,13 @@ def study_table(found: Figures) -> str:
     counts, rows = ("cases", "entered_buffer", "bodies_overlap", "contact"), []
     for name, study in found.items():
         bands = [band for band in study["by_force"] if band["cases"]]
+        options = {"pulls": PULLS, "envelope": ENVELOPE}[name]
+        limit = f"{options[options.index('--hand-f-max') + 2]} N"
         for band in bands:
             force = f"{band['from_n']:.0f} to {band['to_n']:.0f} N" if band["to_n"] else "more"
             least = metres(band["least_clearance_m"])
             fastest = number(band["hand_speed_max_mps"], "m/s")
             numbers = (f"{band[key]:,}" for key in counts)
-            limit = "50 N" if name == "envelope" else "100 N"
             rows.append([limit, force, *numbers, least, fastest])
     columns = (
         "cases",

@@ -407,6 +407,8 @@ def _compare_lags(
 def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     """Update the evidence with a new group, and change the lag if the evidence is sufficient.
 
+    `w.contradiction` grows by the evidence against all lags, within the same bound.
+
     The evidence for each lag is a sum that never becomes negative (a CUSUM test): each new group
     adds the gain of the lag minus `_DOUBT`. The gain is the logarithm of a likelihood ratio, with
     an upper bound, so no single event can decide. It is 0 if the residuals of the lag are not
@@ -874,7 +876,7 @@ def _take_new(
     )
     jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains) or leapt
     w.faults[JUMP] = 1.0 if jumped else 0.0
-    forgotten = min(1.0 + w.age[()], _GROUP) * _DOUBT / _GROUP
+    forgotten = min(age + 1.0, _GROUP) * _DOUBT / _GROUP
     w.contradiction[()] = max(w.contradiction[()] + _JUMPS * jumped - forgotten, 0.0)
     if jumped:
         _forget_groups(w)

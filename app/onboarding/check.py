@@ -430,11 +430,11 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     shown = without is not None and without < config.border.d_b / 2
     if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
-    if shown and moved < (least := GIVES_WAY * config.border.d_b):
+    if not shown:
+        return Row(name, "nothing to show", text, numbers)
+    outcome: Outcome = "warned" if warning else "passed"
+    if moved < (least := GIVES_WAY * config.border.d_b):
         held = bool(holding_warning(carried_ee(model)))
         text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
-        text += f"; {warning}" if warning else ""
-        return Row(name, "warned" if held else "failed", text, numbers)
-    if shown and warning:
-        return Row(name, "warned", f"{text}; {warning}", numbers)
-    return Row(name, "passed" if shown else "nothing to show", text, numbers)
+        outcome = "warned" if held else "failed"
+    return Row(name, outcome, f"{text}; {warning}" if warning else text, numbers)
