@@ -287,6 +287,8 @@ class DisturbanceConfig(Strict):
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller assumes from the start of a run on; the true period
     is 0.001 s."""
+    time_stamps: Literal["no", "yes"] = "no"
+    """[-] whether the readings have time stamps, and each control step has the time of a clock."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)
     """[s] start of the late, repeated and lost readings, and of the unknown load."""
 

@@ -1,4 +1,4 @@
-"""A driver's own joint states: any order, 50 Hz, without velocities; the driver adds gravity.
+"""A driver's own joint states: any order, 50 Hz, no velocities, time stamps; it adds gravity.
 
 Run it: python examples/joint_states.py
 """
@@ -22,12 +22,13 @@ def main(duration: float = 1.0) -> tuple[str, ...]:
     faults: dict[str, None] = {}
 
     for k in range(round(duration / DT)):
-        truth = robot.measure()
+        now, truth = k * DT, robot.measure()
         if k % EVERY == 0:  # a new message; it has no velocities
             position = np.zeros(len(names))
             position[places] = truth.q_m
-            q_m, qd_m = order(position)
-        command = loop.step(Measurement(truth.base_pose, truth.base_velocity, q_m, qd_m))
+            stamp, (q_m, qd_m) = now, order(position)
+        base = truth.base_pose, truth.base_velocity
+        command = loop.step(Measurement(*base, q_m, qd_m, now=now, time=stamp))
         to_driver = command.u_a - command.gravity  # the driver adds gravity
         faults |= dict.fromkeys(command.faults)
         robot.step(to_driver + command.gravity, command.base_velocity, hand_force=PULL)

@@ -1,7 +1,8 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-`publisher`, `subscribe` and `timer` of `ros` stand for create_publisher(…).publish,
-create_subscription and create_timer of rclpy. Run it: python examples/ros2_shape.py
+`publisher`, `subscribe`, `timer` and `now` of `ros` stand for create_publisher(…).publish,
+create_subscription, create_timer and get_clock().now() of rclpy, and `stamp` for header.stamp in
+seconds. Run it: python examples/ros2_shape.py
 """
 
 from functools import partial
@@ -18,7 +19,7 @@ class AvoidanceNode:
     """Reads /joint_states and /odom, writes /arm/effort at 1 kHz and /cmd_vel at 10 Hz."""
 
     def __init__(self, loop: ControlLoop, ros: Any) -> None:
-        self.loop, self.joints, self.odom = loop, None, None
+        self.loop, self.joints, self.odom, self.now = loop, None, None, ros.now
         self.send_effort, self.send_velocity = map(ros.publisher, ("/arm/effort", "/cmd_vel"))
         ros.subscribe("/joint_states", partial(setattr, self, "joints"))
         ros.subscribe("/odom", partial(setattr, self, "odom"))
@@ -28,7 +29,8 @@ class AvoidanceNode:
     def control(self) -> None:
         """One control step, once both sensors have sent a message."""
         if (joints := self.joints) and (odom := self.odom):
-            measured = Measurement(odom.pose, odom.velocity, joints.position, joints.velocity)
+            readings = odom.pose, odom.velocity, joints.position, joints.velocity
+            measured = Measurement(*readings, now=self.now(), time=joints.stamp)
             self.send_effort(Message(effort=self.loop.step(measured).u_a))
 
     def drive(self) -> None:
@@ -39,16 +41,13 @@ class AvoidanceNode:
 def main(steps: int = 300) -> dict[str, Any]:
     """Run the node with a simulated robot, without ROS; returns each topic's last message."""
     model, sent, callbacks, timers = RobotModel(load_robot("husky_panda")), {}, {}, {}
-    robot = make_physics("kinematic", model)
-    topics = Message(
-        subscribe=callbacks.__setitem__,
-        timer=timers.__setitem__,
-        publisher=lambda topic: partial(sent.__setitem__, topic),
-    )
-    AvoidanceNode(ControlLoop(model), topics)
+    robot, time = make_physics("kinematic", model), [0.0]
+    ros = Message(subscribe=callbacks.__setitem__, timer=timers.__setitem__, now=lambda: time[0])
+    ros.publisher = lambda topic: partial(sent.__setitem__, topic)
+    AvoidanceNode(ControlLoop(model), ros)
     for k in range(steps):
-        now = robot.measure()
-        callbacks["/joint_states"](Message(position=now.q_m, velocity=now.qd_m))
+        now, time[0] = robot.measure(), 0.001 * k
+        callbacks["/joint_states"](Message(position=now.q_m, velocity=now.qd_m, stamp=time[0]))
         callbacks["/odom"](Message(pose=now.base_pose, velocity=now.base_velocity))
         for callback in (timers[s] for s in timers if k % round(1000 * s) == 0):
             callback()

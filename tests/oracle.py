@@ -133,7 +133,7 @@ class Oracle:
             if np.isnan(w.d_b)
             else w.d_b + np.clip(goal - w.d_b, -0.1 * self.dt, 0.1 * self.dt)
         )
-        w.valid = all(np.isfinite(each).all() for each in m)
+        w.valid = all(np.isfinite(each).all() for each in m[:5])
         if not w.valid:
             self.estimate.gap()
             self.age = STALLED + 1

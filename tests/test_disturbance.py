@@ -59,7 +59,9 @@ def pulled(session: Session, steps: int) -> list[Step]:
 
 
 def path(steps: list[Step]) -> np.ndarray:
-    return np.array([np.concatenate([*s.truth, s.control.u_cmd, s.base_command]) for s in steps])
+    return np.array(
+        [np.concatenate([*s.truth[:5], s.control.u_cmd, s.base_command]) for s in steps]
+    )
 
 
 @pytest.mark.slow

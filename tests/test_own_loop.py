@@ -217,6 +217,19 @@ def starting_at_pose(begin: int) -> Degradation:
     return lambda k, m: m._replace(base_pose=NAN[:3] if k < begin else m.base_pose + origin)
 
 
+EPOCH = 1.7e9  # [s] time stamps of a real clock are large numbers
+
+
+def stamped(degrade: Degradation, real: float = 0.001) -> Degradation:
+    """Readings with time stamps; the loop knows the time."""
+
+    def degraded(k: int, m: Measurement) -> Measurement:
+        now = EPOCH + k * real
+        return degrade(k, m._replace(time=now))._replace(now=now)
+
+    return degraded
+
+
 READINGS = {
     "no velocities": (lambda: lambda k, m: m._replace(qd_m=NAN), {"velocity"}),
     "one velocity missing": (
@@ -513,6 +526,90 @@ def test_period_hardly_changes_the_motion_and_a_wrong_one_is_reported(
     np.testing.assert_allclose(found.base, plain.base, atol=0.01)  # the base moves at 0.5 m/s
 
 
+def test_time_stamps_of_perfect_readings_change_nothing(run, plain: Run) -> None:
+    found = run(stamped(lambda k, m: m))
+    assert found.faults == {}
+    np.testing.assert_array_equal(found.ee, plain.ee)
+
+
+@pytest.mark.parametrize(
+    ("make", "begin"),
+    [
+        (lambda: late(20), 0.0),
+        (lambda: late(50), 0.0),
+        (lambda: starting_at(late(24), 100), 0.1),
+        (lambda: noisy(3e-4, late(20)), 0.0),
+        (lambda: both(late(9), every_nth(27)), 0.0),
+        (lambda: both(noisy(1e-4, late(15)), lossy(0.4)), 0.0),
+    ],
+)
+def test_time_stamps_show_the_age_of_the_readings_at_once(
+    run, plain: Run, make: Callable[[], Degradation], begin: float
+) -> None:
+    """Without time stamps, noise hides a delay for up to a second, and 50 ms remain unknown."""
+    found = run(stamped(make()))
+    assert set(found.faults) <= {"lag", "repeated"}
+    assert found.faults["lag"] <= begin + 0.061
+    assert found.share < 1.05
+    assert found.nearest > 0.02
+    np.testing.assert_allclose(found.base, plain.base, atol=0.15)  # the base moves 0.5 m
+
+
+def test_readings_that_arrive_in_a_wrong_order_cause_no_jump(run, plain: Run) -> None:
+    delays = np.random.default_rng(3).integers(0, 12, 2000)
+    seen: list[Measurement] = []
+
+    def shuffled(k: int, m: Measurement) -> Measurement:
+        seen.append(m)
+        return seen[max(0, k - delays[k])]
+
+    found = run(stamped(shuffled))
+    assert set(found.faults) <= {"lag", "repeated"}
+    assert found.share < 1.05
+    np.testing.assert_allclose(found.base, plain.base, atol=0.06)
+
+
+@pytest.mark.parametrize(("stated", "real"), [(0.001, 0.005), (0.004, 0.001), (0.002, 0.0025)])
+def test_a_clock_shows_a_wrong_period_at_rest(run, stated: float, real: float) -> None:
+    found = run(stamped(lambda k, m: m, real), stated=stated, real=real, time=0.3, pull=np.zeros(3))
+    assert found.faults["period"] < 0.2
+
+
+def test_velocities_in_another_unit_are_no_wrong_period_if_a_clock_is_known(run) -> None:
+    found = run(stamped(lambda k, m: m._replace(qd_m=2.0 * m.qd_m)))
+    assert set(found.faults) == {"velocity"}
+
+
+def test_pause_of_the_loop_is_no_wrong_period(run) -> None:
+    def paused(k: int, m: Measurement) -> Measurement:
+        later = 0.05 * (k // 100)  # [s] a pause of 50 ms each 0.1 s
+        return m._replace(now=EPOCH + 0.001 * k + later, time=EPOCH + 0.001 * k + later)
+
+    assert run(paused).faults == {}
+
+
+@pytest.mark.parametrize(
+    ("error", "faults"), [(-0.5, {"invalid", "stale"}), (0.2, {"lag", "stale"})]
+)
+def test_clocks_that_differ_lead_to_the_fallback(run, error: float, faults: set[str]) -> None:
+    found = run(
+        lambda k, m: stamped(lambda _, each: each)(k, m)._replace(time=EPOCH + 0.001 * k - error),
+        time=0.3,
+    )
+    assert set(found.faults) == faults
+
+
+def test_driver_that_ends_at_rest_is_reported_by_its_time_stamps(run) -> None:
+    last: list[Measurement] = []
+
+    def ended(k: int, m: Measurement) -> Measurement:
+        last[:] = last or [m._replace(time=EPOCH)]
+        return last[0]._replace(now=EPOCH + 0.001 * k)
+
+    found = run(ended, time=0.3, pull=np.zeros(3))
+    assert found.faults["stale"] == pytest.approx(0.1, abs=0.002)
+
+
 @pytest.mark.parametrize(
     ("dt", "path", "value", "named"),
     [
@@ -649,6 +746,8 @@ def test_external_force_is_estimated_before_the_noise_is_known(turned) -> None:
         (lambda m: m._replace(base_pose=np.zeros(7)), "base_pose must be 3"),
         (lambda m: m._replace(base_velocity=[[0.0], 0.0]), "base_velocity must be 2"),
         (lambda m: m._replace(drive=[None]), "drive"),
+        (lambda m: m._replace(now="12:00"), "now must be seconds"),
+        (lambda m: m._replace(time=1.0), "time needs measurement.now"),
     ],
 )
 def test_invalid_measurement_is_refused_by_field(

@@ -177,7 +177,7 @@ def test_equal_inputs_give_bitwise_equal_states(plant):
         for k in range(400):
             m = p.measure()
             state.update(m)
-            out.append(np.concatenate(m))
+            out.append(np.concatenate(m[:5]))
             p.step(state.g[2:] - DAMPING * m.qd_m, wave(k * p.dt), np.array([-30.0, 9.0, -30.0]))
             if beside is not None:
                 beside.step(READY, (0.5, 0.5), NOBODY)
@@ -201,7 +201,7 @@ def test_measuring_does_not_change_the_simulation(plant):
             if k % every == 0:
                 plant.measure()
             plant.step(np.zeros(7), np.array(wave(k * plant.dt)), NOBODY)
-        ends.append(np.concatenate(plant.measure()))
+        ends.append(np.concatenate(plant.measure()[:5]))
     np.testing.assert_array_equal(*ends)
 
 

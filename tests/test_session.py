@@ -65,7 +65,7 @@ def numbers(step: Step) -> np.ndarray:
     return np.concatenate(
         [
             [step.t, step.ee_error, w.activation, w.beta_m, w.solved],
-            *m,
+            *m[:5],
             w.u_cmd,
             w.a_base_cmd,
             step.base_command,

@@ -139,6 +139,10 @@ def study(
             "states (docs/safety_study.md); a range completely outside the envelope is an error."
         ),
     ] = False,
+    time_stamps: Annotated[
+        options.Flag,
+        tyro.conf.arg(help="The readings have time stamps, and each control step has the time."),
+    ] = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,
     out: Path = Path("out/study"),
@@ -159,7 +163,9 @@ def study(
     """
     check_range("--cases", cases, 1, _MAX_CASES)
     chosen = asdict(options.Setup(**setup))
-    parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
+    parameters = StudyParameters(
+        **chosen, inside=inside, time_stamps=time_stamps, ranges=StudyRange(**ranges)
+    )
     workers = options.check_processes(processes)
     from app.robot.description import load_robot
 

@@ -124,7 +124,11 @@ def forget_reference(w: Any) -> None:
     w.way_time[()] = w.way_duration[()] = w.sample_interval[()] = w.since_sample[()] = 0.0
 
 
-@compiled(Signature(types.b1, (ROBOT.type, GAINS.type, STEP.type, *[_READING] * 5), None))
+@compiled(
+    Signature(
+        types.b1, (ROBOT.type, GAINS.type, STEP.type, *[_READING] * 5, types.f8, types.f8), None
+    )
+)
 def update_estimate(
     robot: Any,
     gains: Any,
@@ -134,6 +138,8 @@ def update_estimate(
     q_m: Array,
     qd_m: Array,
     drive: Array,
+    now: float,
+    time: float,
 ) -> bool:
     """Estimate the robot's state from the readings, and convert it to pinocchio's coordinates.
 
@@ -151,7 +157,7 @@ def update_estimate(
         w.d_b[()] = gains.d_b
     w.d_b[()] += min(max(gains.d_b - w.d_b[()], -way), way)
     fill(w.qp_tried, 0.0)
-    take_readings(robot, gains, w, base_pose, base_velocity, q_m, qd_m, drive)
+    take_readings(robot, gains, w, base_pose, base_velocity, q_m, qd_m, drive, now, time)
     if w.valid[()] == 0.0 or w.faults[JUMP] != 0.0 or w.faults[LOCALISATION] != 0.0:
         forget_reference(w)
     if w.valid[()] == 0.0:

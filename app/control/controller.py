@@ -64,7 +64,16 @@ _take = direct(take_reference)
 _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
-_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading", "x_sent")  # NaN until known
+_UNKNOWN = (
+    "d_b",
+    "u_a",
+    "v_last",
+    "q_posture",
+    "reading",
+    "x_sent",
+    "clock",
+    "stamp",
+)  # NaN until known
 
 
 class Controller:

@@ -97,6 +97,12 @@ contradiction | | | 1 | | readings |
     memory: evidence that the readings contradict the commanded torques
 age | | | 1 | | readings | memory: control periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in control periods
+clock | | | s | | readings | memory: `Measurement.now` of the last step; NaN without a clock
+clock_span | | 2 | s, 1 | | readings |
+    memory: duration and number of the control periods since the last measurement by the clock
+clock_ratio | | | 1 | | readings |
+    memory: ratio of the control period by the clock to `dt`; 0 before a measurement
+stamp | | | s | | readings | memory: time stamp of the newest reading; NaN without one
 stated_lag | | | 1 | | readings | memory: the part of `lag` that `estimate.delay` states
 blind_time | T | | s | | readings |
     memory: recent longest age of the readings in use, including doubts about it
@@ -159,7 +165,7 @@ q_last |  | 3 n_m | rad | joints | estimate |
     the positions
 v_error | | n_m | rad/s, m/s | joints | readings |
     memory: recent error of the velocities that the law used; 0 while all readings are new
-qd_used | | 32 n_m | rad/s, m/s | joints | readings |
+qd_used | | 128 n_m | rad/s, m/s | joints | readings |
     memory: `qd_m` of the last control periods, as a ring buffer
 samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap

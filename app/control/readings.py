@@ -4,7 +4,9 @@ A step runs once in each control period, with or without a new reading. "Period"
 period in this module. The Kalman filter estimates the state of the arm at the newest reading. The
 present state is predicted from this state over the age of the reading, with the known torques and
 the motion of the base. Thus repeated readings, lost readings, impossible readings, and readings
-with a known delay are the same case. Four properties are estimated from the readings themselves:
+with a known delay are the same case. A time stamp of the readings shows their age, and the caller's
+clock the control period. Without them, both are estimated from the readings themselves, as are two
+further properties:
 
 - **The lag**: a delay that begins during a motion is the age at which the predicted state equals
   the reading. Any delay is the number of periods until accelerations due to the torques and the
@@ -41,7 +43,8 @@ from app.control.qp import backward, dot, fill, forward, put, put_rows, times
 from app.strict import Array
 
 FAULTS = {
-    "invalid": "a position, the base's pose or its drive's state is not a finite number",
+    "invalid": "a position, the base's pose or its drive's state is not a finite number, or the "
+    "time stamp is later than the control step",
     "implausible": "a joint is beyond its limits by more than half its range: check the unit "
     "(degrees?) and the order of the joints",
     "velocity": "velocities of joints or base are missing, impossible, or do not match the "
@@ -50,7 +53,8 @@ FAULTS = {
     "stale": "for 0.1 s, all readings were invalid, implausible, or repeated although the robot "
     "moves: the step returns the fallback command",
     "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
-    "lag": "the readings are older than stated: an age of up to 24 periods is compensated",
+    "lag": "the readings are older than stated: the age is compensated, up to 24 periods or, with "
+    "time stamps, 0.1 s",
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
     "localisation": "the base's pose has jumped, or contradicts its velocity: use a frame without "
     "jumps, such as odom, and check the unit and the sign of pose and velocity",
@@ -74,8 +78,16 @@ _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
-_RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
+_RIGHT, _RIGHT_BY_CLOCK, _MEASURED_RIGHT = (
+    1.1,
+    1.05,
+    1.02,
+)  # [-] largest ratio, or its inverse, that
+# counts as 1
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
+_MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
+# periods, for a measurement of the period by the clock
+_ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a speed limit and to the
 # control period, that does not cast doubt on the age of the readings
@@ -153,9 +165,13 @@ def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
 
 @compiled()
 def _is_repeated(
-    w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, dt: float
+    w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float, dt: float
 ) -> bool:
-    """Whether the readings equal the last readings although the robot has moved."""
+    """Whether the readings have the last time stamp [s], or equal the last readings although the
+    robot has moved.
+    """
+    if not math.isnan(stamp):
+        return stamp == w.stamp[()]
     if not (
         _same(q, w.reading[0])
         and _same(qd, w.reading[1])
@@ -383,7 +399,8 @@ def _compare_lags(
         prediction to the best lag, from the joints that have just been faster than `_VIOLENT`
         times their speed limit.
     """
-    lags, present = len(w.evidence), int(w.lag[()])
+    lags = len(w.evidence)
+    present = min(int(w.lag[()]), lags - 1)
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
     ratios, totals, worse = np.ones(lags), np.zeros(lags + 1), np.ones(lags)
     friction = _error_of_friction(robot, w, n, dt)
@@ -438,7 +455,8 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
         w.evidence[lag] = min(max(w.evidence[lag] + more - _DOUBT, 0.0), 2.0 * lasting)
     best = int(np.argmax(w.evidence))
     known = np.argmin(totals) <= _MOST_LAG  # the residuals of longer lags are larger
-    if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
+    stamped = not math.isnan(w.stamp[()])
+    if stamped or not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
         return
     newest = max(2 * n // 3, _FEWEST_GROUPS)
     _, totals, clear, _ = _compare_lags(robot, w, ways, newest, gains.dt)
@@ -509,7 +527,8 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         found = low if low > 1.0 else high
         if low > 0.0 and high < math.inf:
             found = math.sqrt(low * high)
-    if not unclear:
+    by_clock = w.clock_ratio[()] == 1.0  # then the velocities are wrong, not the period
+    if not unclear and (found == 1.0 or not by_clock):
         w.no_velocity[()] = 0.0 if _SMALLEST < found < _LARGEST else 1.0  # NaN too
     if w.no_velocity[()] != 0.0:
         found = 1.0
@@ -518,10 +537,68 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         time = found * w.travel_time[()]
         w.agreed[()] = w.agreed[()] + time if agrees else 0.0
         if w.agreed[()] >= max(_AGREED, 1.5 * time):
-            w.faults[PERIOD] = w.corrected[()] = 1.0
+            if by_clock:
+                w.no_velocity[()] = 1.0
+            elif math.isnan(w.clock[()]):
+                w.faults[PERIOD] = w.corrected[()] = 1.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = found
     _measure_from(w, q, qd)
+
+
+@compiled()
+def _watch_clock(w: Any, now: float, dt: float) -> None:
+    """Measure the control period by the caller's clock; `now` [s] is NaN without one.
+
+    Two successive measurements that differ from the stated period, and agree, set the fault
+    `period`, and `w.ratio` becomes the ratio of the true period to `dt`. A pause counts as none.
+    """
+    interval = now - w.clock[()]
+    w.clock[()] = now
+    if not 0.0 < interval < _MAX_AGE:  # NaN too
+        fill(w.clock_span, 0.0)
+        return
+    w.clock_span[0] += interval
+    w.clock_span[1] += 1.0
+    if w.clock_span[0] < _MEASURED or w.clock_span[1] < _FEWEST_PERIODS:
+        return
+    found = w.clock_span[0] / (w.clock_span[1] * dt)
+    if 1.0 / _RIGHT_BY_CLOCK < found < _RIGHT_BY_CLOCK:
+        found = 1.0
+    elif abs(found - w.clock_ratio[()]) < _ALIKE_PERIODS * found:
+        w.faults[PERIOD] = 1.0
+        w.ratio[()] = found
+    w.clock_ratio[()] = found
+    fill(w.clock_span, 0.0)
+
+
+@compiled()
+def _is_too_old(w: Any, age: float, dt: float) -> bool:
+    """Whether an age [s] by a time stamp is too long for a prediction, or negative.
+
+    The age is NaN without a time stamp. If it is below minus one control period, the two clocks
+    differ: then the reading is invalid.
+    """
+    future, old = age < -dt, age > min(_MAX_AGE, (HISTORY - 1) * dt)
+    if future:
+        w.faults[INVALID] = 1.0
+    if old:
+        w.faults[LAG] = 1.0
+    return future or old
+
+
+@compiled()
+def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
+    """Set `w.lag` by the age [s] of a new reading.
+
+    Returns:
+        Whether the reading is older than the last one; then `w.age` is negative.
+    """
+    lag = max(round(age / dt), 0)
+    if not first:
+        w.age[()] += w.lag[()] - lag
+    w.lag[()] = lag
+    return w.age[()] < 0.0
 
 
 @compiled()
@@ -539,8 +616,9 @@ def _use_stated_lag(gains: Any, w: Any) -> None:
     The stated delay is a time, so its number of control periods changes too if the period changes.
     """
     stated = min(round(gains.delay / gains.dt), _MOST_LAG)
-    w.lag[()] = min(max(w.lag[()] + stated - w.stated_lag[()], 0.0), _MOST_LAG)
-    w.stated_lag[()] = stated
+    if stated != w.stated_lag[()]:
+        w.lag[()] = min(max(w.lag[()] + stated - w.stated_lag[()], 0.0), _MOST_LAG)
+        w.stated_lag[()] = stated
 
 
 @compiled()
@@ -728,7 +806,7 @@ def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool
         error = abs(w.x_read[1, i] - used[i]) if compared else 0.0
         doubtful = doubtful or error > _DOUBTFUL * gains.dt * robot.qd_max[i]
         w.v_error[i] = max(error if blind else 0.0, decay * w.v_error[i])
-    if doubtful:
+    if doubtful and math.isnan(w.stamp[()]):
         w.blind_time[()] = max(w.blind_time[()], min((steps + lag) * gains.dt, _MAX_AGE) + _LATE)
 
 
@@ -761,8 +839,11 @@ def _checked_positions(
 
 
 @compiled()
-def _store_reading(w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array) -> None:
+def _store_reading(
+    w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float
+) -> None:
     """Store a reading; the next one is a repetition if it is equal."""
+    w.stamp[()] = stamp
     put(w.reading[0], q)
     put(w.reading[1], qd)
     put(w.pose_read, base_pose)
@@ -789,28 +870,24 @@ def take_readings(
     q_m: Array,
     qd_m: Array,
     drive: Array,
+    now: float,
+    time: float,
 ) -> None:
     """Check the readings, and estimate the present state of the robot (Algorithm 2, line 2).
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, if there has been no usable reading for 0.1 s, and from the fault
     `contradictory` until `reset`.
-
-    Args:
-        robot: `ROBOT`.
-        gains: `GAINS`.
-        w: `STEP`.
-        base_pose: (3,) x, y [m], φ [rad].
-        base_velocity: (n_b,) [m/s or rad/s]; NaN where the driver has none.
-        q_m: (n_m,) [rad or m] positions.
-        qd_m: (n_m,) [rad/s or m/s] velocities; NaN if the driver does not measure them.
-        drive: (n_d,) state of the drive.
+    The arguments after `w`, a `STEP`, are the fields of a `Measurement`.
     """
     _use_stated_lag(gains, w)
     first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
-    if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt):
+    _watch_clock(w, now, gains.dt)
+    age, stamped = now - time, math.isfinite(time)
+    if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, time, gains.dt):
         lost, w.faults[REPEATED] = True, 1.0
+    lost = lost or _is_too_old(w, age, gains.dt)
     if not _remains_valid(w, lost, first, gains.dt):
         _advance_blind(robot, gains, w)
         return
@@ -819,21 +896,19 @@ def take_readings(
     _remember(robot, gains, w, velocity, not lost)
     advance(w.x_est, _recall(w, 0, 1), gains.dt)
     unseen = not lost
-    if unseen and not first:
+    if unseen and stamped:
+        lost = _use_stamp(w, age, gains.dt, first)
+    elif unseen and not first:
         lost = _match_lag(w, q, qd, gains)
     if lost:
         w.age[()] += 1.0
     else:
         _take_base(robot, gains, w, base_pose.copy(), velocity, first)
-        rested = _rested(w, q, qd, gains.dt, first)
-        if rested > 0.0:
-            _forget_groups(w)
-        w.age[()] += rested
-        _take_new(robot, gains, w, q, qd, first, rested)
-        w.age[()] = 0.0
+        _take_new(robot, gains, w, q, qd, first, stamped)
     if unseen:
-        _store_reading(w, base_pose, base_velocity, q, qd)
-    w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else 0.0
+        _store_reading(w, base_pose, base_velocity, q, qd, time)
+    if w.lag[()] > w.stated_lag[()]:
+        w.faults[LAG] = 1.0
     estimate_load(gains, w, w.faults[JUMP] != 0.0)
     w.faults[LOAD] = 1.0 if w.unstated[()] != 0.0 else 0.0
     _use_estimate(gains, w)
@@ -843,14 +918,18 @@ def take_readings(
 
 @compiled()
 def _take_new(
-    robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool, rested: float
+    robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool, stamped: bool
 ) -> None:
     """Update the estimate of the arm's motion by new readings q and qd (n_m,).
 
-    Unusable velocities are ignored; the positions are used. If equal readings at rest were
-    repetitions, `rested` is their number. More than 0.1 s of them are a gap of unknown duration;
-    after it, a reading that the arm cannot reach within 0.1 s is a jump.
+    Unusable velocities are ignored; the positions are used. Without time stamps, equal readings at
+    rest can be repetitions. More than 0.1 s of them are a gap of unknown duration; after it, a
+    reading that the arm cannot reach within 0.1 s is a jump.
     """
+    rested = 0.0 if stamped else _rested(w, q, qd, gains.dt, first)
+    if rested > 0.0:
+        _forget_groups(w)
+    w.age[()] += rested
     gap, longest = rested * gains.dt > _MAX_AGE, round(_MAX_AGE / gains.dt)
     leapt = gap and has_jumped(w.x_read, q, robot.qd_max, longest, gains.dt)
     age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
@@ -887,3 +966,4 @@ def _take_new(
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)
     if not first:
         _learn_errors(robot, gains, w, predicted, jumped)
+    w.age[()] = 0.0

@@ -9,6 +9,7 @@ the base to its twist (v_x, v_y, ω_z).
 """
 
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any, NamedTuple
 
 import coal
@@ -38,6 +39,10 @@ class Measurement(NamedTuple):
     drive: Array = np.zeros(0)
     """(n_d,) further states of the base's drive, such as a steering angle [rad]; the default is the
     state at rest."""
+    now: float = np.nan
+    """[s] time of this control step, by any clock that does not jump; NaN without a clock."""
+    time: float = np.nan
+    """[s] time stamp of the readings by the same clock; NaN if the driver has none."""
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
@@ -78,19 +83,36 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
             f"measured must be a Measurement({', '.join(Measurement._fields)}), was "
             f"{type(measurement).__name__}"
         )
-    pose, v, q, qd, drive = measurement
+    pose, v, q, qd, drive, now, time = measurement
     if type(pose) is type(v) is type(q) is type(qd) is type(drive) is Array:
         shapes = pose.shape, v.shape, q.shape, qd.shape, drive.shape
         floats = pose.dtype is v.dtype is q.dtype is qd.dtype is drive.dtype is _FLOAT
-        if floats and shapes in model.reading_shapes:
+        floats = floats and type(now) is type(time) is float
+        if floats and shapes in model.reading_shapes and (time != time or now == now):
             return measurement
+    now, time = _seconds("measurement.now", now), _seconds("measurement.time", time)
+    if np.isfinite(time) and not np.isfinite(now):
+        raise MeasurementError(
+            "measurement.time needs measurement.now, the time of the control step by the same clock"
+        )
     return Measurement(
         numbers("measurement.base_pose", pose, 3),
         velocities("measurement.base_velocity", v, model.n_b),
         numbers("measurement.q_m", q, model.n_m),
         velocities("measurement.qd_m", qd, model.n_m),
         numbers("measurement.drive", drive, *dict.fromkeys((model.n_d, 0))),
+        now,
+        time,
     )
+
+
+def _seconds(name: str, value: Any) -> float:
+    """A time [s]; None becomes NaN."""
+    if value is None:
+        return np.nan
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise MeasurementError(f"{name} must be seconds, was {value!r}")
+    return float(value)
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
@@ -553,7 +575,7 @@ class RobotState:
         self._update_motion(v)
 
     def _take(self, measurement: Measurement) -> tuple[Array, Array]:
-        base_pose, base_velocity, q_m, qd_m, self.drive = measurement
+        base_pose, base_velocity, q_m, qd_m, self.drive, *_ = measurement
         qd, q, v = coordinates(*measurement[:4], self._B, self.model.J_m_inv)
         self._store(base_pose=base_pose, base_velocity=base_velocity, q_m=q_m, qd_m=qd_m, qd=qd)
         return q, v

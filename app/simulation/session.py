@@ -353,7 +353,7 @@ class Disturbances:
         Until they exist, the oldest known command and reading are used.
         """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
-        self._slip = config.slip
+        self._slip, self._stamped = config.slip, config.time_stamps == "yes"
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)
         self._commands = deque(known[:1] * (late + 1 - len(known)) + known, late + 1)
@@ -391,8 +391,14 @@ class Disturbances:
 
     def _arrived(self, sent: Measurement) -> Measurement:
         """The readings that reach the controller: new, late, or a repetition of the last ones."""
-        self._sent.append(sent)
         step, self._steps = self._steps, self._steps + 1
+        if not self._stamped:
+            return self._transmitted(sent, step)
+        now = step * self._dt
+        return self._transmitted(sent._replace(time=now), step)._replace(now=now)
+
+    def _transmitted(self, sent: Measurement, step: int) -> Measurement:
+        self._sent.append(sent)
         if self._punctual or step < self._begins:
             self._seen = sent
             return sent

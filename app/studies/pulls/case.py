@@ -334,6 +334,7 @@ def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
     drawn["disturbance.begins"] = row[COLUMNS["fault_at"]]
+    drawn["disturbance.time_stamps"] = "yes" if parameters.time_stamps else "no"
     config = load_robot(parameters.robot).config.changed(drawn)
     scenario = RANDOM_PULL.changed(
         start=tuple(row[f"start_{axis}_m"] for axis in "xyz"),

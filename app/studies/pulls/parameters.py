@@ -139,6 +139,8 @@ class StudyParameters(Strict):
     ranges: StudyRange = StudyRange()
     inside: bool = False
     """Whether to narrow the ranges to the envelope that the project states."""
+    time_stamps: bool = False
+    """Whether the readings have time stamps, and each control step has the time of a clock."""
 
 
 @cache
