@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.options import Given, Setup, configured
 from app.errors import ConfigError, check_name, printable
-from app.jobs.progress import progress_bar
+from app.jobs.progress import OnProgress, progress_bar
 from app.simulation.case import RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.words import number_text
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def load_model(robot: str) -> RobotModel:
-    """Load the model of a robot by its name; raises the errors of `load_robot` and `RobotModel`."""
+    """Load the model of a robot by its name."""
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
@@ -35,7 +36,7 @@ def load_model(robot: str) -> RobotModel:
 
 
 def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
-    """Load a robot's model, link pairs and border clouds; missing pairs and clouds are sampled."""
+    """Load a robot's model, and its border data, which are sampled if they are missing."""
     from app.border.cache import load_border_data
 
     model = load_model(robot)
@@ -85,7 +86,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 
 
 def print_part(part: Part) -> None:
-    """Print the texts and tables of a part of a report's page on standard output."""
+    """Print the texts and tables of a part of a report's page."""
     for text in part.text:
         show(text)
     for grid in part.tables:
@@ -93,11 +94,7 @@ def print_part(part: Part) -> None:
 
 
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
-    """The run of a scenario, by its name, or of a case, by its file.
-
-    Raises:
-        DbbError: The errors of `spec_of_scenario` and `spec_of_case`.
-    """
+    """The run of a scenario, by its name, or of a case, by its file."""
     if is_case(word):
         return spec_of_case(home_expanded(word), setup, word, config=config)
     return spec_of_scenario(word, setup, config)
@@ -109,9 +106,6 @@ def spec_of_scenario(
     """The run of a scenario with `own` options; `setup` has values for `Setup`.
 
     `config` and `parameters` are the arguments `file` and `given` of `configured`.
-
-    Raises:
-        DbbError: The robot or the scenario does not exist, or an option is invalid.
     """
     from app.robot.description import load_robot
 
@@ -122,10 +116,9 @@ def spec_of_scenario(
 
 
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
-    """The run of a case; a controller or plant in `setup` replaces the one in the case.
+    """The run of a case, whose differences are printed; `setup` can replace controller and plant.
 
-    The `differences` of the case are printed. `others` are further options that a case already
-    sets; `word` is the origin of the case, as in `check_no_others`.
+    `others` and `word` are as in `check_no_others`.
 
     Raises:
         CaseError: The file cannot be read or is not a valid case.
@@ -143,8 +136,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
     """Execute a run with a progress bar; see `run_from_spec`."""
     from app.simulation.run import run_from_spec
 
-    duration = run.scenario.duration
-    with progress_bar(f"{run.scenario.name}, {run.controller}", duration) as on_progress:
+    with _bar_of(run, run.scenario.duration) as on_progress:
         return run_from_spec(run, model, data, on_progress=on_progress, drawn=drawn)
 
 
@@ -154,28 +146,27 @@ def filmed(
     """Execute a run up to the last of `times` [s] with a progress bar; see `simulation.filmed`."""
     from app.simulation import run as simulation
 
-    with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
+    with _bar_of(run, max(times)) as on_progress:
         return simulation.filmed(run, model, data, times, on_progress)
 
 
-def is_case(word: str) -> bool:
-    """Whether a word is the file of a case, and not the name of a scenario.
+def _bar_of(run: RunSpec, duration: float) -> AbstractContextManager[OnProgress]:
+    return progress_bar(f"{run.scenario.name}, {run.controller}", duration)
 
-    Raises:
-        UnknownNameError: The word does not end in .json and is not the name of a scenario.
-    """
-    if not word.lower().endswith(".json"):
-        check_name("scenario", word, SCENARIOS)
-        return False
-    return True
+
+def is_case(word: str) -> bool:
+    """Whether a word is the file of a case; an `UnknownNameError` if it is neither a scenario."""
+    if case := word.lower().endswith(".json"):
+        return case
+    check_name("scenario", word, SCENARIOS)
+    return False
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
     """Check that the user has set none of the options that a case already sets.
 
-    `options` has the values by name; None means that the user has not set an option. `border` and
-    `buffer_distance` are ignored, because they override the case. `case` is the origin of the case
-    for the message: the option `--case`, or the case's file.
+    None means that an option is not set. `border` and `buffer_distance` are ignored, because they
+    override the case. `case` is its origin for the message: the option `--case`, or the file.
 
     Raises:
         ConfigError: An option is set; the message names the first such option.
@@ -189,11 +180,7 @@ def check_no_others(options: Mapping[str, object], case: str = "--case") -> None
 
 
 def trace_of(path: Path) -> Trace:
-    """Read the trace of a log, or execute the run of a case and return its trace.
-
-    Raises:
-        DbbError: The file is neither a log nor a case, or the run of the case cannot start.
-    """
+    """Read the trace of a log, or execute the run of a case and return its trace."""
     from app.simulation.trace.log_file import read_trace
 
     if path.suffix.lower() != ".json":

@@ -43,6 +43,7 @@ def pairs(
     from app.robot.link_pairs import find_link_pairs
 
     found = find_link_pairs(load_model(robot), samples=samples, seed=seed)
+    distances, never = found.least_distance_m, [pair.name for pair in found.never]
     result = {
         "robot": robot,
         "samples": found.samples,
@@ -51,11 +52,8 @@ def pairs(
         "L_m": [pair.name for pair in found.mobile],
         "L_m_c": [pair.name for pair in found.manipulator],
         "collision_rate": found.rates,
-        "never": [
-            {"pair": pair.name, "least_distance_m": found.least_distance_m[pair.name]}
-            for pair in found.never
-        ],
-        "least_distance_m": found.least_distance_m,
+        "never": [{"pair": name, "least_distance_m": distances[name]} for name in never],
+        "least_distance_m": distances,
     }
     print_result(result, json=json)
 
