@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.options import Given, Setup, configured
 from app.errors import ConfigError, check_name, printable
-from app.jobs.progress import OnProgress, progress_bar
+from app.jobs.progress import progress_bar
 from app.simulation.case import RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.words import number_text
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from app.simulation.run import RunResult
     from app.simulation.trace.snapshot import Snapshot
     from app.simulation.trace.trace import Trace
-    from app.studies.page import Part
 
 
 def load_model(robot: str) -> RobotModel:
@@ -85,14 +83,6 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
     Console(width=140, force_terminal=False, file=sys.stdout).print(table)
 
 
-def print_part(part: Part) -> None:
-    """Print the texts and tables of a part of a report's page."""
-    for text in part.text:
-        show(text)
-    for grid in part.tables:
-        print_table(grid.head, [list(map(str, row)) for row in grid.rows], part.title)
-
-
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
     """The run of a scenario, by its name, or of a case, by its file."""
     if is_case(word):
@@ -136,7 +126,8 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
     """Execute a run with a progress bar; see `run_from_spec`."""
     from app.simulation.run import run_from_spec
 
-    with _bar_of(run, run.scenario.duration) as on_progress:
+    duration = run.scenario.duration
+    with progress_bar(f"{run.scenario.name}, {run.controller}", duration) as on_progress:
         return run_from_spec(run, model, data, on_progress=on_progress, drawn=drawn)
 
 
@@ -146,12 +137,8 @@ def filmed(
     """Execute a run up to the last of `times` [s] with a progress bar; see `simulation.filmed`."""
     from app.simulation import run as simulation
 
-    with _bar_of(run, max(times)) as on_progress:
+    with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
         return simulation.filmed(run, model, data, times, on_progress)
-
-
-def _bar_of(run: RunSpec, duration: float) -> AbstractContextManager[OnProgress]:
-    return progress_bar(f"{run.scenario.name}, {run.controller}", duration)
 
 
 def is_case(word: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import print_json, print_part
+from app.cli.common import print_json, print_table, show
 from app.cli.options import Given, from_record
 from app.jobs.progress import progress_bar
 from app.strict import check_range
@@ -170,8 +170,11 @@ def study(
         return
     from app.studies.pulls.report import outcome
 
-    for part in outcome(result):
-        print_part(part)
+    verdict, forces = outcome(result)
+    for text in verdict.text:
+        show(text)
+    for grid in forces.tables:
+        print_table(grid.head, [list(map(str, row)) for row in grid.rows], forces.title)
     print(out / "report.html")
 
 

@@ -97,15 +97,12 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     for ax in grid[0]:
         ax.set_xlabel("")
     grid[0][0].legend(loc="lower left")
-    return drawing.Drawing(
-        figure,
-        {"": table},
-        sources.results(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m")),
-        [
-            "The task of the repulsive method prescribes all three components of the closest "
-            "point's acceleration, so the end-effector almost stops at the edge of the buffer."
-        ],
+    remark = (
+        "The task of the repulsive method prescribes all three components of the closest point's "
+        "acceleration, so the end-effector almost stops at the edge of the buffer."
     )
+    measured = sources.results(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m"))
+    return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
 @style.picture(
@@ -148,9 +145,8 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     grid[1][0].set(ylabel=r"activation $\beta$ [–]", ylim=(-0.02, 1.02))
     _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
-    return drawing.Drawing(
-        figure, {"": drawing.stacked(parts, "direction")}, sources.results(DIRECTIONS, keys)
-    )
+    table = drawing.stacked(parts, "direction")
+    return drawing.Drawing(figure, {"": table}, sources.results(DIRECTIONS, keys))
 
 
 @style.picture(
@@ -254,12 +250,9 @@ def figure_16(sources: Sources) -> drawing.Drawing:
         "exponent_e1": body.e1,
         "exponent_e2": body.e2,
     }
-    return drawing.Drawing(
-        figure,
-        {"": drawing.table_of(("axis", "door_m", "semi_axis_m"), sides)},
-        measured,
-        ["The CSV has the door's sides and the semi-axes of its hyper-ellipsoid."],
-    )
+    table = drawing.table_of(("axis", "door_m", "semi_axis_m"), sides)
+    remark = "The CSV has the door's sides and the semi-axes of its hyper-ellipsoid."
+    return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
 @style.picture("fig17", "Figure 17: opening a refrigerator", *_DOORS.values())
@@ -293,12 +286,9 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     activation.set_ylabel(r"activation $\beta$ [–]")
     style.panel_title(activation, "b", "activation")
     distance.legend(loc="upper right")
-    return drawing.Drawing(
-        figure,
-        {"": drawing.stacked(parts, "controller")},
-        sources.results(_DOORS, _OF_DOOR),
-        ["Without avoidance the activation is computed, but no task is inserted."],
-    )
+    table, measured = drawing.stacked(parts, "controller"), sources.results(_DOORS, _OF_DOOR)
+    remark = "Without avoidance the activation is computed, but no task is inserted."
+    return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
 def refrigerator(run: RunResult, k: int) -> list[Solid]:

@@ -292,12 +292,9 @@ def figure_7(sources: Sources) -> drawing.Drawing:
         near.plot([], [], color=colour, label=text)
     _points(near, force)
     near.legend(loc="lower left", fontsize=9)
-    return drawing.Drawing(
-        figure,
-        {"": table, "points": _point_table({"chosen": force})},
-        {"t_s": force.t, **force.measured()},
-        ["The end-effector approaches along the wheel axis; the base has started to turn."],
-    )
+    tables = {"": table, "points": _point_table({"chosen": force})}
+    remark = "The end-effector approaches along the wheel axis; the base has started to turn."
+    return drawing.Drawing(figure, tables, {"t_s": force.t, **force.measured()}, [remark])
 
 
 @style.picture("fig8", "Figure 8: finding the acting point", LATERAL)
@@ -321,11 +318,8 @@ def figure_8(sources: Sources) -> drawing.Drawing:
     points = [point for force in found.values() for point in force.points.values()]
     drawing.square_around(grid[0], np.array(points), 0.06, _ZOOM)
     figure.colorbar(shown, ax=grid, label=_SCORE, shrink=0.8)
-    return drawing.Drawing(
-        figure,
-        {"": table, "points": _point_table(found)},
-        {name: force.measured() for name, force in found.items()},
-    )
+    measured = {name: force.measured() for name, force in found.items()}
+    return drawing.Drawing(figure, {"": table, "points": _point_table(found)}, measured)
 
 
 @style.picture("fig10", "Figure 10: activation by distance")

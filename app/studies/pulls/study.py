@@ -132,18 +132,16 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file for each failed case, which `dbb run --case` reads; remove other such files."""
+    """Write a file for each failed case, which `dbb run --case` reads; remove earlier files."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
-    kept = set()
-    for row in filter(case.failed, rows):
-        run, path = case.spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
-        write_whole(path, RunCase.of(run).text())
-        kept.add(path)
-    for path in set(folder.glob("case-*.json")) - kept:
+    for path in folder.glob("case-*.json"):
         path.unlink()
+    for row in filter(case.failed, rows):
+        text = RunCase.of(case.spec_of(row, parameters)).text()
+        write_whole(folder / f"case-{row['case']:05d}.json", text)
 
 
 class Journal(AbstractContextManager["Journal"]):

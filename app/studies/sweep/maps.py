@@ -202,11 +202,10 @@ def _panels(
     figure.suptitle(title[0].upper() + title[1:], x=0.01, ha="left", fontsize=13)
     grid = figure.subplots(high, wide, squeeze=False, subplot_kw={"projection": projection})
     panels = []
-    for i, quantity in enumerate(shown):
-        for j, (name, label) in enumerate(zip(names, labels, strict=True)):
-            ax, text = (grid[0, i] if single else grid[i, j]), quantity.title
-            ax.set_title(f"{label}\n{text}" if i == 0 and not single else text, fontsize=11)
-            panels.append((ax, name, quantity))
+    for (i, j), ax in np.ndenumerate(grid.T if single else grid):
+        text = shown[i].title
+        ax.set_title(f"{labels[j]}\n{text}" if i == 0 and not single else text, fontsize=11)
+        panels.append((ax, names[j], shown[i]))
     return figure, panels
 
 
