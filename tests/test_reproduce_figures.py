@@ -15,7 +15,7 @@ from app.control.tasks import activation
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.run import RunResult
-from app.studies.paper import acting, approach, density, departures, offline
+from app.studies.paper import approach, density, departures, method
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
     AS_PRINTED,
@@ -46,7 +46,7 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
 def drawn(sources: Sources) -> dict[str, Drawing]:
     names = ("fig3", "fig5", "fig6", "fig7", "fig8", "fig10", "fig12", "fig14", "fig15")
     with styled(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(offline, "FINE_SAMPLES", 6000)  # of Figure 6
+        patch.setattr(method.maps, "FINE_SAMPLES", 6000)  # of Figure 6
         return {name: FIGURES[name].draw(sources) for name in names}
 
 
@@ -155,7 +155,7 @@ def test_drawn_fit_of_reachability_has_the_reported_coefficients(drawn):
 
 
 def test_force_components_are_orthogonal_and_add_up(drawn, sources: Sources):
-    rng, force = np.random.default_rng(3), acting.turning(sources)
+    rng, force = np.random.default_rng(3), method.turning(sources)
     for p_b, p_n, f in rng.normal(size=(20, 3, 3)):
         closest, found = force.closest._replace(p_b=p_b), force.acting._replace(p_n=p_n)
         along, across = force._replace(closest=closest, acting=found, f=f).components
@@ -174,7 +174,7 @@ def test_too_large_a_step_loses_the_component_along_the_line(drawn):
 
 
 def test_drawn_instant_has_the_least_distance(drawn, sources: Sources):
-    force = acting.force_at(sources, LATERAL, acting.deepest(sources))
+    force = method.force_at(sources, LATERAL, method.deepest(sources))
     d = sources.runs[LATERAL].trace["d_lm-lEE_m"]
     assert force.closest.d == pytest.approx(d.min(), abs=1e-9)
     height = drawn["fig8"].tables[""]["z_m"]
@@ -182,11 +182,11 @@ def test_drawn_instant_has_the_least_distance(drawn, sources: Sources):
 
 
 def test_instant_of_figure_7_shows_both_components(sources: Sources):
-    def smaller(force: acting.Force) -> float:
+    def smaller(force: method.Force) -> float:
         return min(float(np.linalg.norm(v)) for v in force.components)
 
-    deepest = acting.force_at(sources, LATERAL, acting.deepest(sources))
-    assert smaller(acting.turning(sources)) >= smaller(deepest) - 1.0 > 0.0
+    deepest = method.force_at(sources, LATERAL, method.deepest(sources))
+    assert smaller(method.turning(sources)) >= smaller(deepest) - 1.0 > 0.0
 
 
 def test_drawn_activation_is_that_of_the_controller(drawn):
@@ -238,9 +238,9 @@ def test_border_of_a_thinned_cloud_has_the_same_share_of_points(sources: Sources
 
 def test_picture_shows_a_limited_number_of_distinct_points():
     rng = np.random.default_rng(0)
-    assert offline._some(10, rng).tolist() == list(range(10))
-    many = offline._some(10**5, rng)
-    assert len(set(many.tolist())) == len(many) == offline._SHOWN
+    assert method._some(10, rng).tolist() == list(range(10))
+    many = method._some(10**5, rng)
+    assert len(set(many.tolist())) == len(many) == method._SHOWN
 
 
 @pytest.mark.slow

@@ -21,7 +21,6 @@ from app.studies.pulls.case import (
     SECTORS,
     TIMES,
     draw_case,
-    draw_value,
     flat,
     load_sources,
     place,
@@ -123,7 +122,7 @@ def test_a_case_has_at_most_three_faults_that_start_during_the_pull(sources, cas
 def test_soft_and_stiff_springs_are_equally_likely(sources):
     """Half of the draws are below the geometric mean of the interval."""
     rng = np.random.default_rng(0)
-    draws = [draw_value("hand_stiffness", PARAMETERS.ranges, rng) for _ in range(400)]
+    draws = [PARAMETERS.ranges.draw("hand_stiffness", rng) for _ in range(400)]
     middle = np.sqrt(np.prod(PARAMETERS.ranges.hand_stiffness))
     assert 160 < sum(k < middle for k in draws) < 240
     assert min(draws) < 350.0 < 2500.0 < max(draws)

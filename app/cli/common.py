@@ -23,11 +23,10 @@ if TYPE_CHECKING:
     from app.simulation.run import RunResult
     from app.simulation.trace.snapshot import Snapshot
     from app.simulation.trace.trace import Trace
-    from app.studies.page import Part
 
 
 def load_model(robot: str) -> RobotModel:
-    """Load the model of a robot by its name; raises the errors of `load_robot` and `RobotModel`."""
+    """Load the model of a robot by its name."""
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
@@ -35,7 +34,7 @@ def load_model(robot: str) -> RobotModel:
 
 
 def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
-    """Load a robot's model, link pairs and border clouds; missing pairs and clouds are sampled."""
+    """Load a robot's model, and its border data, which are sampled if they are missing."""
     from app.border.cache import load_border_data
 
     model = load_model(robot)
@@ -84,20 +83,8 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
     Console(width=140, force_terminal=False, file=sys.stdout).print(table)
 
 
-def print_part(part: Part) -> None:
-    """Print the texts and tables of a part of a report's page on standard output."""
-    for text in part.text:
-        show(text)
-    for grid in part.tables:
-        print_table(grid.head, [list(map(str, row)) for row in grid.rows], part.title)
-
-
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
-    """The run of a scenario, by its name, or of a case, by its file.
-
-    Raises:
-        DbbError: The errors of `spec_of_scenario` and `spec_of_case`.
-    """
+    """The run of a scenario, by its name, or of a case, by its file."""
     if is_case(word):
         return spec_of_case(home_expanded(word), setup, word, config=config)
     return spec_of_scenario(word, setup, config)
@@ -109,9 +96,6 @@ def spec_of_scenario(
     """The run of a scenario with `own` options; `setup` has values for `Setup`.
 
     `config` and `parameters` are the arguments `file` and `given` of `configured`.
-
-    Raises:
-        DbbError: The robot or the scenario does not exist, or an option is invalid.
     """
     from app.robot.description import load_robot
 
@@ -122,10 +106,9 @@ def spec_of_scenario(
 
 
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
-    """The run of a case; a controller or plant in `setup` replaces the one in the case.
+    """The run of a case, whose differences are printed; `setup` can replace controller and plant.
 
-    The `differences` of the case are printed. `others` are further options that a case already
-    sets; `word` is the origin of the case, as in `check_no_others`.
+    `others` and `word` are as in `check_no_others`.
 
     Raises:
         CaseError: The file cannot be read or is not a valid case.
@@ -159,23 +142,18 @@ def filmed(
 
 
 def is_case(word: str) -> bool:
-    """Whether a word is the file of a case, and not the name of a scenario.
-
-    Raises:
-        UnknownNameError: The word does not end in .json and is not the name of a scenario.
-    """
-    if not word.lower().endswith(".json"):
-        check_name("scenario", word, SCENARIOS)
-        return False
-    return True
+    """Whether a word is the file of a case; an `UnknownNameError` if it is neither a scenario."""
+    if case := word.lower().endswith(".json"):
+        return case
+    check_name("scenario", word, SCENARIOS)
+    return False
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
     """Check that the user has set none of the options that a case already sets.
 
-    `options` has the values by name; None means that the user has not set an option. `border` and
-    `buffer_distance` are ignored, because they override the case. `case` is the origin of the case
-    for the message: the option `--case`, or the case's file.
+    None means that an option is not set. `border` and `buffer_distance` are ignored, because they
+    override the case. `case` is its origin for the message: the option `--case`, or the file.
 
     Raises:
         ConfigError: An option is set; the message names the first such option.
@@ -189,11 +167,7 @@ def check_no_others(options: Mapping[str, object], case: str = "--case") -> None
 
 
 def trace_of(path: Path) -> Trace:
-    """Read the trace of a log, or execute the run of a case and return its trace.
-
-    Raises:
-        DbbError: The file is neither a log nor a case, or the run of the case cannot start.
-    """
+    """Read the trace of a log, or execute the run of a case and return its trace."""
     from app.simulation.trace.log_file import read_trace
 
     if path.suffix.lower() != ".json":

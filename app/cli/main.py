@@ -20,10 +20,8 @@ from app.jobs.progress import ending_signals_raised
 from app.system import open_standard_files, set_missing_folders
 
 COMMANDS = {
-    "Runs and pictures": {
-        **{"serve": "serve", "run": "run"},
-        **dict.fromkeys(("screenshot", "film", "report", "replay"), "pictures"),
-    },
+    "Runs and pictures": {"serve": "serve", "run": "run"}
+    | dict.fromkeys(("screenshot", "film", "report", "replay"), "pictures"),
     "The method": dict.fromkeys(("pairs", "border", "reach", "config", "bench"), "method"),
     "Many runs": dict.fromkeys(("reproduce", "sweep", "study"), "many"),
     "Robots": dict.fromkeys(("robots", "new-robot", "check-robot"), "robots"),

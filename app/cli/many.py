@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import print_json, print_part
+from app.cli.common import print_json, print_table, show
 from app.cli.options import Given, from_record
 from app.jobs.progress import progress_bar
 from app.strict import check_range
@@ -56,11 +56,9 @@ def reproduce(
     for name, figure in result["figures"].items():
         print(f"{name:8} {figure['title']}")
     for claim in result["claims"]:
-        print(
-            f"{'holds   ' if claim['holds'] else 'DOES NOT'} §{claim['section']} {claim['paper']}"
-        )
-        print(f"         {claim['measured']}")
-    print(f"{out / result['page']}")
+        mark = "holds   " if claim["holds"] else "DOES NOT"
+        print(f"{mark} §{claim['section']} {claim['paper']}\n         {claim['measured']}")
+    print(out / result["page"])
 
 
 def sweep(
@@ -84,9 +82,7 @@ def sweep(
             --above, a PNG of the paths from above for each speed too.
     """
     if "controllers" in plan:
-        plan["controllers"] = [
-            name for text in plan["controllers"] for name in text.split(",") if name
-        ]
+        plan["controllers"] = filter(None, ",".join(plan["controllers"]).split(","))
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
     robot = plan.get("robot", SweepPlan.robot)
@@ -108,18 +104,16 @@ def sweep(
 
 
 def _print_sweep(result: dict[str, Any], out: Path) -> None:
-    for controller, kinds in result["summary"].items():
-        for kind, s in kinds.items():
-            print(f"{controller}, {kind.replace('_', ' ')}:")
+    found = [(name, *each) for name, kinds in result["summary"].items() for each in kinds.items()]
+    for controller, kind, s in found:
+        print(f"{controller}, {kind.replace('_', ' ')}:")
+        print(f"  {s['passed']} of {s['runs']} runs passed, {s['unreachable']} starts unreachable")
+        if s["runs"]:
             print(
-                f"  {s['passed']} of {s['runs']} runs passed, {s['unreachable']} starts unreachable"
+                f"  largest final error {1000 * s['ee_error_final_max_m']:.3g} mm, "
+                f"smallest clearance {s['min_clearance_m']:.3f} m, "
+                f"{s['runs_with_contact']} with contact, {s['solver_failures']} solver failures"
             )
-            if s["runs"]:
-                print(
-                    f"  largest final error {1000 * s['ee_error_final_max_m']:.3g} mm, "
-                    f"smallest clearance {s['min_clearance_m']:.3f} m, "
-                    f"{s['runs_with_contact']} with contact, {s['solver_failures']} solver failures"
-                )
     for row in result["unreachable"]:
         where = ", ".join(f"{k} {v:g}" for k, v in row.items() if k not in ("kind", "reason"))
         print(f"unreachable: {row['kind'].replace('_', ' ')}, {where}: {row['reason']}")
@@ -182,8 +176,11 @@ def study(
         return
     from app.studies.pulls.report import outcome
 
-    for part in outcome(result):
-        print_part(part)
+    verdict, forces = outcome(result)
+    for text in verdict.text:
+        show(text)
+    for grid in forces.tables:
+        print_table(grid.head, [list(map(str, row)) for row in grid.rows], forces.title)
     print(out / "report.html")
 
 

@@ -43,6 +43,7 @@ def pairs(
     from app.robot.link_pairs import find_link_pairs
 
     found = find_link_pairs(load_model(robot), samples=samples, seed=seed)
+    distances, never = found.least_distance_m, [pair.name for pair in found.never]
     result = {
         "robot": robot,
         "samples": found.samples,
@@ -51,11 +52,8 @@ def pairs(
         "L_m": [pair.name for pair in found.mobile],
         "L_m_c": [pair.name for pair in found.manipulator],
         "collision_rate": found.rates,
-        "never": [
-            {"pair": pair.name, "least_distance_m": found.least_distance_m[pair.name]}
-            for pair in found.never
-        ],
-        "least_distance_m": found.least_distance_m,
+        "never": [{"pair": name, "least_distance_m": distances[name]} for name in never],
+        "least_distance_m": distances,
     }
     print_result(result, json=json)
 
@@ -197,17 +195,17 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
     fitted = fit.at(profile.rho_m)
     shells = np.column_stack([profile.rho_m, profile.mean, profile.spread, fitted, profile.count])
     positions = np.column_stack([reach_map.points, reach_map.rho, reach_map.reach, reach_map.found])
-    for name, header, rows in (
-        (f"reach-{reach_map.body}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", positions),
-        (f"reach-{reach_map.body}-radial.csv", "rho_m,mean,spread,fit,positions", shells),
-    ):
-        _write_csv(out / name, header, rows[~np.isnan(rows).any(axis=1)], "%.6g")
+    name = f"reach-{reach_map.body}"
+    _write_csv(out / f"{name}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", positions, "%.6g")
+    _write_csv(out / f"{name}-radial.csv", "rho_m,mean,spread,fit,positions", shells, "%.6g")
 
 
 def _write_csv(path: Path, header: str, rows: np.ndarray, form: str) -> None:
+    """Write the rows without missing values."""
     import numpy as np
 
-    np.savetxt(path, rows, form, ",", header=header, comments="")
+    known = rows[~np.isnan(rows).any(axis=1)]
+    np.savetxt(path, known, form, ",", header=header, comments="")
 
 
 def config(

@@ -25,8 +25,7 @@ from app.system import home_expanded, is_no_file, own_path, unfinished_folder, u
 
 _log = logging.getLogger(__name__)
 Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
-NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
-"""Mark of an option whose default is not displayed."""
+NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")  # for an option whose default is not displayed
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, NO_DEFAULT]  # an option without a value
 Json = Annotated[Flag, tyro.conf.arg(help="Print only one JSON object.")]
 ConfigOption = Annotated[
@@ -77,8 +76,7 @@ _METAVARS = {
 }
 
 
-REGISTRY = tyro.constructors.ConstructorRegistry()
-"""Further rules for options by their types."""
+REGISTRY = tyro.constructors.ConstructorRegistry()  # further rules for options by their types
 
 
 @REGISTRY.primitive_rule
@@ -101,8 +99,7 @@ class Field(NamedTuple):
     """The description of an option: type, default and help text."""
 
     kind: Any
-    default: Any
-    """Default value, or `MISSING` for a required option."""
+    default: Any  # `MISSING` for a required option
     help: str
 
 
@@ -125,24 +122,18 @@ def from_record(
         names: Name of the option, for each field whose option has a different name.
         positional: The field that is a positional argument.
     """
-    found = {
-        name: each
-        for name, each in fields_of(record)
-        if (only is None or name in only) and name not in leave
-    }
-    return from_fields(found, names or {}, positional)
+    found = dict(fields_of(record))
+    chosen = [name for name in found if (only is None or name in only) and name not in leave]
+    return _from_fields({name: found[name] for name in chosen}, names or {}, positional)
 
 
-def from_fields(
-    found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
-) -> Any:
-    """The annotation of `from_record`, for the options `found` by their names."""
+def _from_fields(found: Mapping[str, Field], names: Mapping[str, str], positional: str = "") -> Any:
     kinds: dict[str, Any] = {}
     for name, about in found.items():
         needed = about.default is MISSING
         hint = "(required)" if needed else f"(default: {_text(about.default)})"
         marks = tyro.conf.arg(
-            name=(names or {}).get(name, name),
+            name=names.get(name, name),
             metavar=_metavar(name, about.kind, positional == name),
             help=about.help,
             help_behavior_hint="" if about.default in (None, (), "") else hint,
@@ -188,7 +179,7 @@ def fields_of(record: object) -> Iterator[tuple[str, Field]]:
 
 
 def _not_none(kind: Any) -> Any:
-    """The type `kind` of a field without None, because an option that is set has a value."""
+    """The type of a field without None, because an option that is set has a value."""
     rest = [each for each in get_args(kind) if each is not NoneType]
     return rest[0] if len(rest) == 1 and NoneType in get_args(kind) else kind
 
@@ -209,17 +200,13 @@ class Setup:
     """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
-        """Check controller, plant and seed before anything is loaded."""
         check_name("controller", self.controller, CONTROLLERS)
         object.__setattr__(self, "physics", chosen_plant(self.physics))
         check_seed(self.seed)
 
 
 def parameter_options(paths: Mapping[str, str]) -> Any:
-    """The annotation in `Annotated[Given, …]` for options that set one parameter each.
-
-    `paths` has the path of each option's parameter, such as `border.d_b`.
-    """
+    """The annotation in `Annotated[Given, …]` for options that set the parameters with `paths`."""
     found = {}
     for name, path in paths.items():
         about = tunable(path)
@@ -229,7 +216,7 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
             kind, usual = str, about.default
             text = f"{about.allowed}: {about.help.rstrip('.')}"
         found[name] = Field(kind, f"{usual}, unless robot.toml sets another value", text)
-    return from_fields(found)
+    return _from_fields(found, {})
 
 
 SetupOptions = Annotated[Given, from_record(Setup)]
@@ -243,10 +230,6 @@ def configured(
 
     `given` are the values of the options that the user set; `paths` has the path of the parameter
     that each option sets, such as `border.d_b`.
-
-    Raises:
-        ConfigError: The file cannot be read, or a parameter is unknown or out of range.
-        DbbError: The robot or a choice does not exist, or the robot's description is invalid.
     """
 
     def override(usual: Config) -> Config:
@@ -263,11 +246,7 @@ def configured(
 
 
 def read(file: Path | None, usual: Config | None = None) -> NamedConfig:
-    """The content of the file of `--config`, by `read_config`; without a file, only `usual`.
-
-    Raises:
-        ConfigError: The file cannot be read.
-    """
+    """The content of the file of `--config`, by `read_config`; without a file, only `usual`."""
     try:
         return read_config(file, usual) if file else NamedConfig("", usual or Config())
     except ConfigError as error:
@@ -292,20 +271,12 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
 
 
 def check_seed(seed: int) -> None:
-    """Check that all generators of random numbers accept a seed.
-
-    Raises:
-        ConfigError: The seed is out of range; the message names the range.
-    """
+    """Check that all generators of random numbers accept a seed."""
     check_range("--seed", seed, 0, MAX_SEEDS)
 
 
 def check_processes(processes: int | None) -> int:
-    """The requested number of processes, or the default: two, or one on a single core.
-
-    Raises:
-        ConfigError: The number is out of range; the message names the range.
-    """
+    """The requested number of processes, or the default: two, or one on a single core."""
     if processes is not None:
         check_range("--processes", processes, 1, _MAX_PROCESSES)
     return processes or min(_USUAL_PROCESSES, usable_cores())
@@ -344,11 +315,8 @@ def in_order(words: Iterable[str]) -> list[str]:
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
     """Check an option's file before the work, and make its folder.
 
-    The file must have a valid ending, and it must be possible to write it.
-
     Raises:
-        OutputError: The file has a different ending or cannot be written; the message names the
-            option and the reason.
+        OutputError: The file has a different ending or cannot be written.
     """
     if path is None:
         return
@@ -360,11 +328,7 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
 
 
 def make_folder(out: Path | None, option: str = "--out") -> None:
-    """Make the folder of an option, and check that it is writable, before the work.
-
-    Raises:
-        OutputError: The folder cannot be made, or is not writable.
-    """
+    """Make the folder of an option before the work; an `OutputError` if it is not writable."""
     if out is None:
         return
     try:

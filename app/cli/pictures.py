@@ -7,6 +7,7 @@ import math
 from collections.abc import Generator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -64,15 +65,11 @@ def screenshot(
     result = {
         "picture": str(out),
         "scenario": asked.scenario.name,
-        "controller": asked.controller,
-        "robot": asked.robot,
-        "seed": asked.seed,
+        **{name: getattr(asked, name) for name in ("controller", "robot", "seed")},
         "at_s": list(at),
         "width_px": whole.width,
         "height_px": whole.height,
-        "layer": look.layer,
-        "view": look.view,
-        "page": look.page,
+        **{name: getattr(look, name) for name in ("layer", "view", "page")},
     }
     common.print_json(result) if json else print(out)
 
@@ -177,13 +174,13 @@ def _film(
         found = [common.filmed(run, model, data, times) for run in runs]
         orbit = math.radians(how.orbit) / how.rate
 
+        scene = times, model, data.clouds, look
+
         def drawn(shown: list[Snapshot], *framed: Snapshot) -> Generator[Image.Image, None, None]:
-            return film_pictures(
-                browser, shown, times, model, data.clouds, look, orbit=orbit, framed=framed
-            )
+            return film_pictures(browser, shown, *scene, orbit=orbit, framed=framed)
 
         if how.side_by_side:
-            everything = [snapshot for each in found for snapshot in each]
+            everything = [*chain.from_iterable(found)]
             films = [drawn(each, *everything) for each in (*found[1:], found[0])]
             pictures = (side_by_side(each) for each in zip(*films, strict=True))
         else:

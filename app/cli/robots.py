@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter
@@ -16,7 +15,7 @@ from app.cli import options
 from app.cli.common import print_json, say, show
 from app.cli.options import Flag, Given, Json, from_record
 from app.errors import DbbError
-from app.jobs.progress import progress_bar
+from app.jobs.progress import OnProgress, progress_bar
 from app.onboarding import helpers
 from app.onboarding.request import Request, check_request
 from app.simulation.trace.words import number_text
@@ -96,14 +95,13 @@ def check_robot(
     coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
     rows = []
     for row in check.check_robot(description, runs=runs, tell=say, **coarse):
-        rows.append(row)
+        rows.append(row._asdict())
         if not json:  # at once, so that an interrupted check has shown its results
             show(f"{_MARKS[row.outcome]} {row.name:16} {row.outcome}: {row.text}")
             sys.stdout.flush()
-    failed = any(row.outcome == "failed" for row in rows)
+    failed = any(row["outcome"] == "failed" for row in rows)
     if json:
-        checks = [row._asdict() for row in rows]
-        print_json({"robot": name, "passed": not failed, "checks": checks})
+        print_json({"robot": name, "passed": not failed, "checks": rows})
     if failed:
         sys.exit(1)
 
@@ -135,8 +133,9 @@ def new_robot(
     from app.border.config import QUICK
     from app.onboarding.new_robot import finish
 
+    sampling = QUICK if quick else None
     with ExitStack() as step:
-        share: Callable[[float], None] = lambda _: None  # noqa: E731
+        share: OnProgress = lambda _: None  # noqa: E731
 
         def tell(text: str) -> None:
             nonlocal share
@@ -144,19 +143,10 @@ def new_robot(
             say(text)
             share = step.enter_context(progress_bar(text, 1.0))
 
-        robot, data = finish(
-            asked,
-            helpers,
-            whole=whole,
-            tell=tell,
-            sampling=QUICK if quick else None,
-            on_progress=lambda part: share(part),
-        )
+        how = {"whole": whole, "tell": tell, "sampling": sampling}
+        robot, data = finish(asked, helpers, **how, on_progress=lambda part: share(part))
     result = _figures(robot, data) | {"elapsed_s": perf_counter() - begin}
-    if json:
-        print_json(result)
-    else:
-        _print_made(result)
+    print_json(result) if json else _print_made(result)
 
 
 def _print_made(made: dict[str, Any]) -> None:
@@ -165,22 +155,19 @@ def _print_made(made: dict[str, Any]) -> None:
     name, folder = made["robot"], made["folder"]
     show(f"{name}: {folder}/robot.toml and {folder}/report.html, in {made['elapsed_s']:.0f} s")
     geometry = (f"{key} {number_text(made[key])}" for key in _GEOMETRY if key in made)
-    base = ", ".join([f"{made['base']}, {made['mass_kg']:.4g} kg", *geometry])
+    base = f"{made['base']}, {made['mass_kg']:.4g} kg"
+    show(f"  base          {', '.join([base, *geometry])}")
     bodies = (f"{body} ({', '.join(each['links'])})" for body, each in made["bodies"].items())
+    show(f"  arm           {made['arm_joints']} joints; {', '.join(bodies)}")
     rates = made["collision_rate"]
-    pairs = ", ".join(f"{pair} ({rates[pair]:.1%} of all postures)" for pair in made["pairs"])
+    pairs = (f"{pair} ({rates[pair]:.1%} of all postures)" for pair in made["pairs"])
+    show(f"  can collide   {', '.join(pairs) or 'no pair'}")
     reach = (
         f"{body} A {each['A_per_m2']:.4g} /m², B {each['B_m']:.3g} m, C {each['C']:.3g}"
         + ("" if each.get("r_squared") is None else f" (R² {each['r_squared']:.2f})")
         for body, each in made["reachability"].items()
     )
-    for title, text in (
-        ("base", base),
-        ("arm", f"{made['arm_joints']} joints; {', '.join(bodies)}"),
-        ("can collide", pairs or "no pair"),
-        ("reachability", "; ".join(reach)),
-    ):
-        show(f"  {title:13} {text}")
+    show(f"  reachability  {'; '.join(reach)}")
     for warning in made["warnings"]:
         show(f"  warning: {warning}")
     print("next:")

@@ -170,17 +170,17 @@ def _run(asked: RunSpec, files: Files, *, json: bool, fail_on_contact: bool) -> 
 def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]:
     from app.simulation.trace.log_file import write_trace
 
-    written, out, log = [], files.out, files.log
-    if out is not None:
-        written += [out / "log.csv", out / "metrics.json"]
+    written = []
+    if files.out is not None:
+        written += [files.out / "log.csv", files.out / "metrics.json"]
         write_trace(written[0], result.trace)
         write_json(written[1], result.figures)
-    if log is not None:
-        written.append(log)
-        if log.suffix.lower() == ".mcap":
+    if files.log is not None:
+        written.append(files.log)
+        if files.log.suffix.lower() == ".mcap":
             from app.simulation.trace.mcap_file import write_mcap
 
-            write_mcap(log, result.trace, model, ros=files.ros)
+            write_mcap(files.log, result.trace, model, ros=files.ros)
         else:
-            write_trace(log, result.trace)
+            write_trace(files.log, result.trace)
     return written

@@ -52,7 +52,6 @@ class Serving:
     start, the parameters and the seed are those of the case, and a button repeats the case."""
 
     def __post_init__(self) -> None:
-        """Check `allow_host` and `start` before anything is loaded."""
         object.__setattr__(self, "allow_host", tuple(map(checked_host, self.allow_host)))
         if self.start is not None:
             check_point("--start", self.start)
@@ -94,12 +93,6 @@ class _First(NamedTuple):
     asked: Serving
     played: Scenario | None
     child: Child
-
-    def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
-        """(n_m,) [rad or m] joint positions of the arm at the start."""
-        if self.played is not None:
-            return self.played.setting(model, data, self.config, self.setup.seed).q_m
-        return free_start(model, data, self.config, self.asked.start, self.setup.seed)
 
     def begin_loop(
         self,
@@ -144,15 +137,17 @@ def _opened(first: _First) -> DashboardServer:
     from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, serve_dashboard
 
-    asked = first.asked
+    asked, setup = first.asked, first.setup
     sys.setswitchinterval(_SWITCH)
     check_address(asked.host, asked.port)
-    model = load_model(first.setup.robot)
+    model = load_model(setup.robot)
     data = _border(model)
-    q_start = first.q_start(model, data)
-    simulation = first.begin_loop(
-        model, data, first.config, first.setup.controller, q_start, first.child
-    )
+    given = model, data, first.config
+    if first.played is None:
+        q_start = free_start(*given, asked.start, setup.seed)
+    else:
+        q_start = first.played.setting(*given, setup.seed).q_m
+    simulation = first.begin_loop(*given, setup.controller, q_start, first.child)
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()

@@ -18,8 +18,7 @@ from app.system import limited
 
 Read = TypeVar("Read")
 
-SMALL = 16 * 2**10
-"""[bytes] largest size of data that this process reads itself; most configurations are smaller."""
+SMALL = 16 * 2**10  # [bytes] largest size of data that this process reads itself
 _AT_ONCE = threading.BoundedSemaphore(2)  # largest number of reading child processes
 _limited = threading.Event()  # set in a reading child, which starts no further child
 
@@ -31,10 +30,8 @@ class BudgetError(ValueError):
 class Budget(NamedTuple):
     """Time and memory for reading data, in addition to those that a process needs by itself."""
 
-    seconds: float
-    """[s] processor time."""
-    memory: int
-    """[bytes] memory."""
+    seconds: float  # [s] processor time
+    memory: int  # [bytes]
 
     @classmethod
     def of(cls, size: int) -> Budget:
@@ -58,11 +55,8 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
         return read(*args)
     budget = Budget.of(size)
     with _AT_ONCE, suppress(MemoryError, EndedError):
-        never = threading.Event()
-        given = _limited_read, budget, read, args
-        return pickle.loads(
-            run_in_process(*given, report=lambda *_: None, cancelled=never, niceness=0)
-        )
+        never = {"report": lambda *_: None, "cancelled": threading.Event()}
+        return pickle.loads(run_in_process(_limited_read, budget, read, args, **never, niceness=0))
     raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
 
 

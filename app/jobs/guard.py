@@ -32,10 +32,6 @@ def guarded(
 ) -> Iterator[int]:
     """Run a guard for this process, or for its whole `group`, during the `with`.
 
-    The guard reads the file with the descriptor `heard`. The end of this file, or a byte with one
-    of the numbers of signals in `numbers`, announces the end of the process. If the process still
-    exists `patience` [s] later, the guard kills it.
-
     Yields:
         The descriptor of a file to which the guard copies the bytes of `heard`. If the guard cannot
         start, this is `heard` itself.
@@ -66,10 +62,7 @@ def guarded(
 
 
 def main(heard: int, lives: int, pid: int, patience: float, numbers: Sequence[int]) -> None:
-    """Wait until `heard` announces the end of process `pid`; kill it `patience` [s] later.
-
-    Return at once if the process ends earlier. The module's docstring explains the arguments.
-    """
+    """Wait until `heard` announces the end of process `pid`; kill it `patience` [s] later."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     wake_without_parent()

@@ -10,7 +10,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from threading import Lock
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from typing_extensions import Self
 
@@ -35,8 +35,8 @@ class Workers(AbstractContextManager["Workers"]):
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
         """Prepare a number of processes; default: one for each usable core.
 
-        With the number 1, or if a process cannot start, this process executes the jobs.
-        `make_context` makes the data that all jobs share, and must be picklable.
+        With one, or if a process cannot start, this process executes the jobs. `make_context` makes
+        the data that all jobs share, and must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
@@ -74,8 +74,7 @@ class Workers(AbstractContextManager["Workers"]):
     ) -> Iterator[Result]:
         """Execute the jobs, and yield each result as soon as it is available, in order.
 
-        The processes begin at once. If there is only this process, a job runs when its result is
-        read.
+        The processes begin at once. Without processes, a job runs when its result is read.
 
         Args:
             function: Executes a job.
@@ -83,65 +82,72 @@ class Workers(AbstractContextManager["Workers"]):
             on_progress: Called in the thread that reads the results, with the share of all work
                 that is done, 0 to 1, which never decreases.
             tells: Whether `function` has a third argument: a function that it calls with the
-                finished share of the job. If False, the share of all work grows only at the end of
-                each job.
+                finished share of the job. Otherwise the share grows only at the end of a job.
             lost: Makes the result of a job whose process has ended in each of three attempts.
 
         Raises:
             LoopError: Each attempt at a job has ended its process, and there is no `lost`.
-            Exception: Any exception of `function` or of `make_context`, when the job's result is
-                read.
+            Exception: An exception of `function` or `make_context`, when the result is read.
         """
         shares = _Shares(len(jobs), on_progress)
-        tasks = [_Task(function, job, tells, lost) for job in jobs]
+        work = function if tells else partial(_without_reports, function)
         futures: list[Future[Result]] = []
         if self._processes > 1:
-            for number, task in enumerate(tasks):
+            for number, job in enumerate(jobs):
                 tell = partial(shares.send, number)
-                futures.append(self._threads.submit(self._ask, task, tell))
+                futures.append(self._threads.submit(self._ask, work, job, tell, lost))
                 futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
-        return self._results(tasks, futures, shares)
+        return self._results(work, jobs, futures, shares)
 
     def _results(
-        self, tasks: Sequence[_Task], futures: Sequence[Future[Result]], shares: _Shares
+        self,
+        work: Callable[..., Result],
+        jobs: Sequence[Any],
+        futures: Sequence[Future[Result]],
+        shares: _Shares,
     ) -> Iterator[Result]:
-        done = 0
+        """Yield the results of the futures; without futures, run the jobs here."""
         try:
-            for future in futures:
-                shares.wait_for(done)
+            for number, future in enumerate(futures):
+                shares.wait_for(number)
                 yield future.result()
-                done += 1
         finally:
             for future in futures:
                 future.cancel()
-        if done < len(tasks) and self._own is None:
-            self._own = self._make_context()
-        for number, task in enumerate(tasks[done:], done):
-            result = task.do(self._own, partial(shares.take, number))
+        for number, job in enumerate(jobs[len(futures) :]):
+            if self._own is None:
+                self._own = self._make_context()
+            result = work(self._own, job, partial(shares.take, number))
             shares.take(number, 1.0)
             yield result
 
-    def _ask(self, task: _Task, tell: OnProgress) -> Any:
+    def _ask(
+        self,
+        work: Callable[..., Result],
+        job: Any,
+        tell: OnProgress,
+        lost: Callable[[Any], Result] | None,
+    ) -> Result:
         """Run a job in an idle process; there are as many threads as processes."""
         child = self._idle.get()
         try:
             for _ in range(_TRIES):
                 try:
-                    child.sender.send(task._replace(lost=None))
+                    child.sender.send((work, job))
                     while not isinstance(received := child.receiver.recv(), Outcome):
                         tell(received)
                 except (EOFError, OSError):  # the process has ended
                     child = self._replaced(child)
                 else:
                     return received.value()
-            if task.lost is None:
+            if lost is None:
                 raise LoopError(f"a worker process was killed at the same job {_TRIES} times")
-            return task.lost(task.job)
+            return lost(job)
         finally:
             self._idle.put(child)
 
     def _replaced(self, gone: Child) -> Child:
-        """Return a new process in place of an ended one; the ended one if the pool is ending."""
+        """A new process in place of an ended one; the ended one if the pool is ending."""
         with self._lock:
             if gone not in self._children:
                 return gone
@@ -157,8 +163,7 @@ class Workers(AbstractContextManager["Workers"]):
             child.end(at_once=True)
 
 
-ALONE = Workers(tuple, 1)
-"""Runs jobs in this process; their context is an empty tuple."""
+ALONE = Workers(tuple, 1)  # runs jobs in this process; their context is an empty tuple
 
 
 class _Shares:
@@ -177,24 +182,13 @@ class _Shares:
             self.take(*self._sent.get())
 
     def take(self, number: int, share: float) -> None:
-        """Store the share of a job, and report the mean of all jobs.
-
-        The share of a job that starts again does not decrease.
-        """
+        """Store the share of a job, also if it starts again, and report the mean of all jobs."""
         self._of[number] = max(self._of[number], min(share, 1.0))
         self._on_progress(sum(self._of) / len(self._of))
 
 
-class _Task(NamedTuple):
-    """A function with its job; `tells` and `lost` as in `Workers.map`."""
-
-    function: Callable[..., Any]
-    job: Any
-    tells: bool
-    lost: Callable[[Any], Any] | None
-
-    def do(self, context: Any, tell: OnProgress) -> Any:
-        return self.function(context, self.job, *([tell] if self.tells else []))
+def _without_reports(function: Callable[..., Result], context: Any, job: Any, _: object) -> Result:
+    return function(context, job)
 
 
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
@@ -202,5 +196,5 @@ def _work(receiver: Connection, sender: Connection, make_context: Callable[[], A
     made = Outcome.of(make_context)
     with suppress(EOFError):
         while True:
-            task = receiver.recv()
-            Outcome.of(lambda: task.do(made.value(), sender.send)).send(sender)  # noqa: B023
+            work, job = receiver.recv()
+            Outcome.of(lambda: work(made.value(), job, sender.send)).send(sender)  # noqa: B023

@@ -50,9 +50,8 @@ class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
     `work` must be a function of a module, and its arguments must be picklable. The child never
-    imports the parent's main module. It imports modules from the working directory only if the
-    parent's `sys.path` names this directory. The child ignores SIGINT (Ctrl-C); the parent handles
-    SIGINT.
+    imports the parent's main module, and modules from the working directory only if the parent's
+    `sys.path` names this directory. It ignores SIGINT (Ctrl-C), which the parent handles.
     """
 
     def __init__(
@@ -65,9 +64,7 @@ class Child(AbstractContextManager["Child"]):
         """
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
-        """Connection to the process."""
         self.receiver, theirs_out = _pipe()
-        """Connection from the process."""
         alive, self._alive = _pipe()
         self._leads_group = leads_group
         given = theirs_in.fileno(), theirs_out.fileno()
@@ -86,10 +83,7 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status if the process ends within `patience` [s], otherwise None.
-
-        After a signal, the status is the negative number of the signal.
-        """
+        """The exit status if the process ends within `patience` [s], otherwise None."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
@@ -111,14 +105,12 @@ class Child(AbstractContextManager["Child"]):
 class Outcome(NamedTuple):
     """Outcome of work in another process: its result, or the exception that it raised."""
 
-    result: Any
-    """The result; None after an exception."""
+    result: Any  # None after an exception
     error: BaseException | None = None
     traceback: str = ""
 
     @classmethod
     def of(cls, work: Callable[..., Any], *args: Any) -> Outcome:
-        """Call `work(*args)`, and return the outcome."""
         try:
             return cls(work(*args))
         except Exception as error:  # raised again in the process that waits
@@ -182,14 +174,11 @@ def portable(error: BaseException) -> BaseException:
 
 
 def begin(receiver: int, sender: int, leads_group: bool) -> None:
-    """Main function of a `Child`; `receiver` and `sender` are the connections' descriptors.
-
-    The child watches its parent before it imports the modules of the work, because the import can
-    take seconds.
-    """
+    """Main function of a `Child`; `receiver` and `sender` are the connections' descriptors."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     wake_without_parent()
     with ExitStack() as stack:
+        # Watch the parent before the import of the work's modules, which can take seconds.
         if leads_group:
             lead_group()
             stack.enter_context(guarded(0, _PATIENCE + 1.0, group=True))

@@ -14,8 +14,7 @@ from app.errors import BrowserError, DbbError
 from app.jobs.guard import guarded
 from app.system import ENDING, wake_children
 
-OnProgress = Callable[[float], None]
-"""A function that takes the share of the work that is done, 0 to 1."""
+OnProgress = Callable[[float], None]  # takes the share of the work that is done, 0 to 1
 
 _EVERY = 20.0  # [s] time between two lines of plain text; shorter work prints no line
 _LONGEST = 2.0  # [s] time in which a command can end by itself after a signal
@@ -25,9 +24,7 @@ _received: list[int] = []
 
 
 @contextmanager
-def progress_bar(
-    text: str, total: float, *, shown: bool = True
-) -> Iterator[Callable[[float], None]]:
+def progress_bar(text: str, total: float, *, shown: bool = True) -> Iterator[OnProgress]:
     """Display the progress of the work `text`, whose amount is `total`; nothing if not `shown`.
 
     Yields:
@@ -47,10 +44,7 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """A function that takes the share of a part of some work, and reports the share of the whole.
-
-    The part begins at the share `begin` of the whole work and ends at the share `end`, 0 to 1.
-    """
+    """A function that takes the share of the part from `begin` to `end` of some work, 0 to 1."""
     return lambda share: on_progress(begin + (end - begin) * share)
 
 
@@ -61,25 +55,20 @@ def _raise_lost_signal() -> None:
 
 
 @contextmanager
-def _bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
+def _bar(text: str, total: float) -> Iterator[OnProgress]:
     # Imported here: it would delay the start of every command.
     from rich import progress
     from rich.console import Console
 
-    columns = (
-        progress.TextColumn("{task.description}"),
-        progress.BarColumn(),
-        progress.TaskProgressColumn(),
-        progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
-    )
+    *usual, remaining = progress.Progress.get_default_columns()
+    columns = *usual, progress.TimeElapsedColumn(), remaining
     with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=total)
         yield lambda done: bar.update(task, completed=done)
 
 
 @contextmanager
-def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
+def _lines(text: str, total: float) -> Iterator[OnProgress]:
     begin = last = monotonic()
 
     def update(done: float) -> None:
@@ -96,13 +85,12 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 def ending_signals_raised() -> Iterator[None]:
     """Raise exceptions for ending signals during the `with`, in the main thread only.
 
-    SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` with 128 + the signal's
-    number. If other code converts the exception into an error that is not a `DbbError`, the
-    exception is raised again at the end. If the work does not end, `_deadline` ends the process.
+    If other code converts the exception into an error that is not a `DbbError`, the exception is
+    raised again at the end. If the work does not end, `_deadline` ends the process.
 
     Raises:
         KeyboardInterrupt: SIGINT (Ctrl-C) has ended the work.
-        SystemExit: SIGTERM or SIGHUP has ended the work.
+        SystemExit: SIGTERM or SIGHUP has ended the work; the status is 128 + the signal's number.
     """
     _received.clear()
     before = {}
@@ -153,8 +141,8 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
     try:
         with guarded(heard, _PATIENCE, numbers) as passed_on:
-            ending = ((os.dup(passed_on), os.dup(heard)), numbers, _LONGEST)
-            threading.Thread(target=_end_late, args=ending, daemon=True).start()
+            sources = os.dup(passed_on), os.dup(heard)
+            threading.Thread(target=_end_late, args=(sources, numbers), daemon=True).start()
             yield
     finally:
         signal.set_wakeup_fd(before)
@@ -162,13 +150,13 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
         os.close(heard)
 
 
-def _end_late(sources: Sequence[int], numbers: Sequence[int], longest: float) -> None:
+def _end_late(sources: Sequence[int], numbers: Sequence[int]) -> None:
     for source in sources:
         with os.fdopen(source, "rb", buffering=0) as signals:
             while number := signals.read(1):
                 if number[0] in numbers:
                     wake_children()
-                    sleep(longest)
+                    sleep(_LONGEST)
                     # The exit functions remove temporary folders; a removal may hang.
                     tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
                     tidying.start()

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from functools import cache
-from importlib.resources import files
 from typing import Any, NamedTuple
 
-from jinja2 import Environment, StrictUndefined, Template
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from app.simulation.trace.metrics import DOOR, FIGURES
 from app.simulation.trace.words import missing, number_text
@@ -30,7 +28,6 @@ _UNITS = {
     "_mps": "m/s",
 }
 """Units by the ending of a key. A longer ending is before an ending that is a part of it."""
-_FIGURES = FIGURES | DOOR
 _STEMS = {
     "base_speed_max": "Largest speed of the base",
     "base_turn_max": "Largest turning speed of the base",
@@ -45,65 +42,43 @@ class Cell(NamedTuple):
     """A cell of a table with notes or a colour."""
 
     text: str
-    notes: Sequence[str] = ()
-    """Lines in small print below the text."""
-    mark: str = ""
-    """Colour of the text: green for `yes`, red for `no`, the usual colour if empty."""
+    notes: Sequence[str] = ()  # lines in small print below the text
+    mark: str = ""  # colour of the text: green for `yes`, red for `no`
 
 
 class Grid(NamedTuple):
     """A table."""
 
-    head: Sequence[str]
-    """Titles of the columns; empty for a table without titles."""
+    head: Sequence[str]  # titles of the columns; empty for a table without titles
     rows: Sequence[Sequence[str | Cell]]
-    numbers: bool = False
-    """Whether the columns after the first have numbers, which stay on one line."""
+    numbers: bool = False  # whether the columns after the first have numbers
 
 
 class Part(NamedTuple):
     """A part of a page; the page shows the fields in this order."""
 
-    title: str = ""
-    """Heading, and alternative text of the picture."""
-    name: str = ""
-    """Anchor to which the top of the page links; empty for a part without a link."""
-    text: Sequence[str] = ()
-    """Paragraphs."""
+    title: str = ""  # heading, and alternative text of the picture
+    name: str = ""  # anchor to which the top of the page links; empty for a part without a link
+    text: Sequence[str] = ()  # paragraphs
     png: bytes | None = None
-    """A picture, which is embedded in the page."""
     tables: Sequence[Grid] = ()
-    points: Sequence[str] = ()
-    """Sentences of a list with bullets."""
-    note: str = ""
-    """A last paragraph, in grey."""
-    sides: Sequence[Part] = ()
-    """Two parts side by side, which have no name and no sides."""
+    points: Sequence[str] = ()  # sentences of a list with bullets
+    note: str = ""  # a last paragraph, in grey
+    sides: Sequence[Part] = ()  # two parts side by side, which have no name and no sides
 
 
 def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
-    """The HTML of a page; characters of markup in the texts are escaped.
-
-    `lead` is a paragraph below the title, before the links to the named parts.
-    """
-    return _template().render(title=title, lead=lead, parts=parts)
-
-
-@cache
-def _template() -> Template:
+    """The HTML of a page with the first paragraph `lead`; markup in the texts is escaped."""
+    how: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        **how, undefined=StrictUndefined, loader=PackageLoader("app", "studies")
     )
     environment.filters["base64"] = lambda png: b64encode(png).decode("ascii")
-    return environment.from_string(files("app.studies").joinpath("page.html.j2").read_text("utf-8"))
+    return environment.get_template("page.html.j2").render(title=title, lead=lead, parts=parts)
 
 
 def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
-    """Two tables of measured numbers; a table without rows is left out.
-
-    The first table has the values of `measured` that are single numbers. The second table has a
-    column for each value that is a mapping, and a row for each key of these mappings.
-    """
+    """Up to two tables: the single numbers of `measured`, and a column for each mapping in it."""
     single = {k: v for k, v in measured.items() if not isinstance(v, Mapping)}
     cases = {k: flattened(v) for k, v in measured.items() if isinstance(v, Mapping)}
     keys = dict.fromkeys(key for case in cases.values() for key in case)
@@ -118,12 +93,10 @@ def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
 
 
 def label(key: str) -> str:
-    """The words for a key of results, and the unit of the key's ending in brackets.
-
-    A figure of a run has its description; other keys have blanks for `_`: `d_m` becomes `d [m]`.
-    """
+    """The words for a key of results, with the unit of its ending: `d_m` becomes `d [m]`."""
     ending, unit = next(((e, u) for e, u in _UNITS.items() if key.endswith(e)), ("", ""))
-    about = _FIGURES[key].about.partition(";")[0].rstrip(".") if key in _FIGURES else ""
+    known = (FIGURES | DOOR).get(key)
+    about = known.about.partition(";")[0].rstrip(".") if known else ""
     stem = next((each for each in _STEMS if key.startswith(each)), "")
     rest = key.removeprefix(stem).removesuffix(ending)
     text = about or (f"{_STEMS[stem]}{rest}" if stem else rest.replace("_", " "))

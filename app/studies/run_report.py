@@ -32,10 +32,7 @@ _LISTED = 5  # [-] largest number of listed columns
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
-
-    Before each picture, `on_progress` gets the share of the pictures that are finished.
-    """
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters."""
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
@@ -79,10 +76,9 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The results of a run by the keys of `dbb run --json`, and further numbers.
+    """The results of `extremes`, and those of a run by the keys of `dbb run --json`.
 
-    These are the duration, the largest speeds of the base, and the largest torque or force of each
-    joint. None replaces values that are not finite, which a log that was edited can have.
+    None replaces values that are not finite, which a log that was edited can have.
     """
     run = _without_infinite(run)
     return _finite({**extremes(run), **metrics(run)})
@@ -102,10 +98,9 @@ def _finite(value: Any) -> Any:
 
 
 def _changes(run: Trace) -> Part:
-    changes = config_changes([s.config for s in run.snapshots])
     rows = [
         (path, getattr(tunables()[path], "unit", "").removeprefix("-"), _value(usual), _value(had))
-        for path, usual, had in changes
+        for path, usual, had in config_changes([s.config for s in run.snapshots])
     ]
     if not rows:
         return Part("Parameters", "parameters", text=["All parameters had the program's defaults."])
@@ -117,8 +112,7 @@ def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
     """Find the parameters that differ from the program's defaults in at least one configuration.
 
     Returns:
-        For each parameter: the path, such as `border.d_b`; the default; and the value, or, if the
-        configurations differ, a list of the different values in order of their first use.
+        For each: the path, such as `border.d_b`; the default; and the value, or a list of values.
     """
     changes = []
     for path, about in tunables().items():
@@ -167,21 +161,19 @@ def base_figure(run: Trace) -> Figure:
     commanded and true velocity of the base.
     """
     figure = style.new_figure(6.4)
-    linear = run.of("base_acceleration").shape[1] - 1  # the last axis is angular
-    grid = figure.subplots(2, linear + 1, sharex=True)
-    names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
-    rates = [(rf"\dot {name}", "m/s²") for name in names] + [(r"\dot\omega", "rad/s²")]
-    speeds = [(name, "m/s") for name in names] + [(r"\omega", "rad/s")]
     acceleration, avoidance = run.of("base_acceleration"), run.of("avoidance_acceleration")
     command, velocity = run.of("base_velocity_command"), run.of("base_velocity")
-    for k, ((rate, rate_unit), (speed, speed_unit)) in enumerate(zip(rates, speeds, strict=True)):
-        above, below = grid[:, k]
+    linear = acceleration.shape[1] - 1  # the last axis is angular
+    grid = figure.subplots(2, linear + 1, sharex=True)
+    names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
+    for k, name in enumerate([*names, r"\omega"]):
+        (above, below), unit = grid[:, k], "m" if k < linear else "rad"
         above.plot(run.t, acceleration[:, k], color=style.PATH, label="commanded by the QP")
         above.plot(run.t, avoidance[:, k], color=style.ACTING, label=r"avoidance, $\beta\,\ddot x$")
-        above.set_ylabel(f"${rate}$ [{rate_unit}]")
+        above.set_ylabel(rf"$\dot {name}$ [{unit}/s²]")
         below.step(run.t, command[:, k], where="post", color=style.SOFT, label="commanded")
         below.plot(run.t, velocity[:, k], color=style.PATH, label="true")
-        below.set_ylabel(f"${speed}$ [{speed_unit}]")
+        below.set_ylabel(f"${name}$ [{unit}/s]")
     for row in grid:
         row[0].legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=2, borderaxespad=0.1)
     _over_time(grid.ravel(), run, bottom=grid[1])
@@ -252,10 +244,7 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Limit the x axes to the times of the run, and shade contacts of the arm with base or itself.
-
-    `bottom` has the axes with a label of the x axis; default: the last of `axes`.
-    """
+    """Limit the x axes to the times of the run, shade contacts, label `bottom` or the last axes."""
     touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
     for ax in axes:
         if run.t[-1] > run.t[0]:
@@ -267,10 +256,7 @@ def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None =
 
 
 def spans(flags: Array, t: Array) -> list[tuple[float, float]]:
-    """Start and end [s] of the intervals in which a flag (N,) is true, at times t (N,) [s].
-
-    An interval ends at the first time at which the flag is false again, or at the last time.
-    """
+    """Start and end [s] of the intervals in which a flag (N,) is true, at times t (N,) [s]."""
     intervals = np.ma.clump_unmasked(np.ma.masked_array(t, ~flags))
     return [(float(t[s.start]), float(t[min(s.stop, len(t) - 1)])) for s in intervals]
 

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]  # finite numbers, texts, booleans and None, by the name of the column
 
-_DECIMALS = 9  # [-] decimals of stored numbers
 _KEPT_EVERY = 10  # [-] number of control steps from one row of a thinned trace to the next
 
 
@@ -24,11 +23,7 @@ def thinned(result: RunResult) -> RunResult:
 
 
 def flattened(results: Mapping[str, Any]) -> Row:
-    """Results with one key for each number: a mapping becomes several keys.
-
-    A unit `_m` or `_s` stays at the end: the entry `lm-lEE` of `min_distance_m` gets the key
-    `min_distance_lm-lEE_m`.
-    """
+    """Results with one key for each number: `a` in `distance_m` has the key `distance_a_m`."""
     row: Row = {}
     for key, value in results.items():
         if isinstance(value, Mapping):
@@ -40,18 +35,16 @@ def flattened(results: Mapping[str, Any]) -> Row:
 
 
 def rounded(value: object) -> object:
-    """A number rounded to nine decimals; other values do not change.
-
-    The last digits of the QP solver's solutions depend on memory addresses, so without rounding the
-    results would depend on the number of processes.
-    """
-    return round(value, _DECIMALS) if isinstance(value, float) else value
+    """A number rounded to nine decimals; other values do not change."""
+    # The last digits of the QP solver's solutions depend on memory addresses, so without rounding
+    # the results would depend on the number of processes.
+    return round(value, 9) if isinstance(value, float) else value
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of equal length as CSV or Parquet, according to the path's ending.
+    """Write columns of equal length as CSV or Parquet, completely or not at all.
 
-    The file is written completely or not at all. None and NaN are empty cells.
+    None and NaN are empty cells.
     """
     import pyarrow as pa
 

@@ -2,8 +2,8 @@
 
 import io
 import logging
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -45,7 +45,6 @@ SCORE_MAP = "viridis"  # low scores are dark, high scores are yellow
 
 WIDTH = 11.0  # [in] default width of a figure
 DPI = 150
-
 _RULES: dict[Any, Any] = {
     "figure.dpi": DPI,
     "savefig.dpi": DPI,
@@ -80,19 +79,13 @@ _RULES: dict[Any, Any] = {
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
 
 
-@contextmanager
-def styled() -> Iterator[None]:
+def styled() -> AbstractContextManager[None]:
     """Apply the style of all figures during the `with`."""
-    with matplotlib.rc_context(_RULES):
-        yield
+    return matplotlib.rc_context(_RULES)
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Make an empty figure with a height and a width [in]; its layout prevents overlaps.
-
-    The figure has no window and is in no list of pyplot, so it needs no display and is freed after
-    its use.
-    """
+    """Make an empty figure with a height and a width [in]; it needs no display and no closing."""
     return Figure(figsize=(width, height), layout="compressed")
 
 
@@ -106,13 +99,10 @@ def png_of(figure: Figure) -> bytes:
 class Picture(NamedTuple):
     """A picture for a page."""
 
-    name: str
-    """Name in commands, files and links."""
+    name: str  # in commands, files and links
     title: str
-    needs: tuple[Any, ...]
-    """The runs whose results the picture shows; empty if it needs no run."""
-    draw: Callable[..., Any]
-    """The function that draws the picture; the function's docstring is the caption."""
+    needs: tuple[Any, ...]  # the runs whose results the picture shows
+    draw: Callable[..., Any]  # the function's docstring is the caption
 
     @property
     def caption(self) -> str:

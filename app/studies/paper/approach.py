@@ -16,27 +16,18 @@ from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
-from app.studies.paper.experiments import (
-    COMPARED,
-    DOOR,
-    DOOR_NONE,
-    FRONT,
-    GUIDING,
-    LATERAL,
-    TRACKING,
-    TRACKING_REPULSIVE,
-    Sources,
-)
+from app.studies.paper import experiments as paper
+from app.studies.paper.experiments import Sources
 
-_TRACKED = {"dbb": TRACKING, "repulsive": TRACKING_REPULSIVE}
-DIRECTIONS = GUIDING["dbb"]
+_TRACKED = {"dbb": paper.TRACKING, "repulsive": paper.TRACKING_REPULSIVE}
+DIRECTIONS = paper.GUIDING["dbb"]
 
 _TIMES = (0.0, 10.0, 20.0, 30.0)  # [s] times of the snapshots of tracking
 _SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] times of the snapshots of guiding, as shares of the run
-_VIEWS = {LATERAL: (0.85, 0.45), FRONT: (0.70, 0.45)}  # [rad] yaw and pitch of the camera
+_VIEWS = {"lateral": (0.85, 0.45), "front": (0.70, 0.45)}  # [rad] yaw and pitch of the camera
 _PAIRS = ("lm-lEE", "lm-l3")
 _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m")
-_DOORS = {"dbb": DOOR, "none": DOOR_NONE}
+_DOORS = {"dbb": paper.DOOR, "none": paper.DOOR_NONE}
 _DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] times of the snapshots, which the paper mentions
 _DOOR_YAW = 2.35  # [rad] angle from the closed door to the camera, on the side of the free edge
 _DOOR_PITCH = 0.55  # [rad] elevation of the camera
@@ -60,30 +51,22 @@ _OF_DOOR = (
 )
 
 
-@style.picture(
-    "fig11", "Figure 11: tracking of a line towards the base", TRACKING, TRACKING_REPULSIVE
-)
+@style.picture("fig11", "Figure 11: tracking of a line towards the base", *_TRACKED.values())
 def figure_11(sources: Sources) -> drawing.Drawing:
     """With the proposed method a force moves the base back, and the end-effector reaches its target
     without a collision. The repulsive method pushes the arm away from the base. This avoids the
     collision, but the end-effector cannot reach the target.
     """
-    strips = [
-        drawing.Strip(
-            name, style.METHOD_NAMES[name], sources.runs[e], _TIMES, _VIEWS[LATERAL], e.aim()
-        )
-        for name, e in _TRACKED.items()
-    ]
-    return drawing.Drawing(
-        drawing.snapshot_figure(sources.model, strips, aim="target and desired motion"),
-        {"": drawing.stacked({strip.name: strip.paths() for strip in strips}, "controller")},
-        sources.results(_TRACKED, _MOTION),
+    strips = []
+    for name, e in _TRACKED.items():
+        look = _TIMES, _VIEWS["lateral"], e.aim()
+        strips.append(drawing.Strip(name, style.METHOD_NAMES[name], sources.runs[e], *look))
+    return drawing.of_strips(
+        sources.model, strips, "controller", _MOTION, aim="target and desired motion"
     )
 
 
-@style.picture(
-    "fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE
-)
+@style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
 def figure_12(sources: Sources) -> drawing.Drawing:
     """(a) When the distances fall below the buffer distance of 0.15 m, the avoidance task of each
     method is inserted continuously with top priority. (b) The repulsive method has a position
@@ -95,37 +78,36 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     figure = style.new_figure(6.4)
     grid = figure.subplots(2, 2, sharex=True)
     grid[0][0].sharey(grid[0][1])
-    for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True)):
+    for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True), start=1):
         drawing.method_lines(ax, parts, column)
-        _distance_panel(ax, sources, f"a{k + 1}", style.PAIR_NAMES[_PAIRS[k]])
+        _distance_panel(ax, sources, f"a{k}", style.PAIR_NAMES[_PAIRS[k - 1]])
     shown = np.concatenate([table[column] for column in distances])
     grid[0][0].set_ylim(min(0.0, float(shown.min())), 1.1 * float(shown.max()))
     error, detail = grid[1]
-    for k, ax in enumerate((error, detail)):
+    texts = "norm of the position error", "the same on a logarithmic scale"
+    for k, (ax, text) in enumerate(zip(grid[1], texts, strict=True), start=1):
         drawing.method_lines(ax, parts, "ee_error_m")
         ax.set_ylabel("position error [m]")
-        text = ("norm of the position error", "the same on a logarithmic scale")[k]
-        style.panel_title(ax, f"b{k + 1}", text)
+        style.panel_title(ax, f"b{k}", text)
     error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 does not touch the axis
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
     for ax in grid.flat:
-        style.time_axis(ax, TRACKING.scenario.duration)
+        style.time_axis(ax, paper.TRACKING.scenario.duration)
     for ax in grid[0]:
         ax.set_xlabel("")
     grid[0][0].legend(loc="lower left")
-    return drawing.Drawing(
-        figure,
-        {"": table},
-        sources.results(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m")),
-        [
-            "The task of the repulsive method prescribes all three components of the closest "
-            "point's acceleration, so the end-effector almost stops at the edge of the buffer."
-        ],
+    remark = (
+        "The task of the repulsive method prescribes all three components of the closest point's "
+        "acceleration, so the end-effector almost stops at the edge of the buffer."
     )
+    measured = sources.results(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m"))
+    return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
-@style.picture("fig13", "Figure 13: guiding of the end-effector towards the base", LATERAL, FRONT)
+@style.picture(
+    "fig13", "Figure 13: guiding of the end-effector towards the base", *DIRECTIONS.values()
+)
 def figure_13(sources: Sources) -> drawing.Drawing:
     """(a) If the end-effector is guided from the lateral direction, a force on the base avoids the
     collision. (b) If it is guided from the front, the base moves back while the arm approaches.
@@ -134,15 +116,13 @@ def figure_13(sources: Sources) -> drawing.Drawing:
     for name, e in DIRECTIONS.items():
         times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
-        strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[e], e.aim()))
-    return drawing.Drawing(
-        drawing.snapshot_figure(sources.model, strips, aim="guiding direction and its end"),
-        {"": drawing.stacked({strip.name: strip.paths() for strip in strips}, "direction")},
-        sources.results(DIRECTIONS, _MOTION),
+        strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[name], e.aim()))
+    return drawing.of_strips(
+        sources.model, strips, "direction", _MOTION, aim="guiding direction and its end"
     )
 
 
-@style.picture("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
+@style.picture("fig14", "Figure 14: distances and activation while guiding", *DIRECTIONS.values())
 def figure_14(sources: Sources) -> drawing.Drawing:
     """When the distance of a pair falls below the buffer distance of 0.15 m, the activation of the
     pair rises, and the avoidance task is inserted continuously.
@@ -165,12 +145,13 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     grid[1][0].set(ylabel=r"activation $\beta$ [–]", ylim=(-0.02, 1.02))
     _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
-    return drawing.Drawing(
-        figure, {"": drawing.stacked(parts, "direction")}, sources.results(DIRECTIONS, keys)
-    )
+    table = drawing.stacked(parts, "direction")
+    return drawing.Drawing(figure, {"": table}, sources.results(DIRECTIONS, keys))
 
 
-@style.picture("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
+@style.picture(
+    "fig15", "Figure 15: desired accelerations of the base while guiding", *paper.COMPARED
+)
 def figure_15(sources: Sources) -> drawing.Drawing:
     """The desired linear (a) and angular (b) accelerations of the base, multiplied by the
     activation, are smooth. They have no chattering or vibration, because the task transition is
@@ -178,14 +159,14 @@ def figure_15(sources: Sources) -> drawing.Drawing:
     """
     runs = {
         f"{name}, {method}": (sources.runs[experiment], method)
-        for method, by_direction in GUIDING.items()
+        for method, by_direction in paper.GUIDING.items()
         for name, experiment in by_direction.items()
     }
     tables = {name: _avoidance_columns(*run) for name, run in runs.items()}
     figure = style.new_figure(6.2)
     grid = figure.subplots(2, 2, sharex="col", sharey="row")
     for k, name in enumerate(DIRECTIONS):
-        parts = {method: tables[f"{name}, {method}"] for method in reversed(GUIDING)}
+        parts = {method: tables[f"{name}, {method}"] for method in reversed(paper.GUIDING)}
         for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
             unit = "mps2" if kind == "linear" else "radps2"
             drawing.method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
@@ -208,19 +189,13 @@ def figure_15(sources: Sources) -> drawing.Drawing:
 
 
 def _smoothness(run: RunResult, method: str) -> dict[str, object]:
-    """Largest changes in a control step, and sign changes, of base accelerations and torques.
-
-    The repulsive method has no base acceleration of avoidance.
-    """
-    keys = (
-        "base_acceleration_jump_max",
-        "base_acceleration_sign_changes",
-        "torque_jump_max_nm",
-        "torque_rate_sign_changes",
-    )
-    if method != "repulsive":
-        keys = ("avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes", *keys)
-    return {key: run.figures[key] for key in keys}
+    """Largest changes in a control step, and sign changes, of base accelerations and torques."""
+    # The repulsive method has no base acceleration of avoidance.
+    kinds = ("base",) if method == "repulsive" else ("avoidance", "base")
+    changes = ("acceleration_jump_max", "acceleration_sign_changes")
+    keys = [f"{kind}_{change}" for kind in kinds for change in changes]
+    torques = ("torque_jump_max_nm", "torque_rate_sign_changes")
+    return {key: run.figures[key] for key in (*keys, *torques)}
 
 
 def _avoidance_columns(run: RunResult, method: str) -> drawing.Table:
@@ -244,12 +219,12 @@ def _legend_below(figure: Figure, ax: Axes) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
 
 
-@style.picture("fig16", "Figure 16: the refrigerator", DOOR)
+@style.picture("fig16", "Figure 16: the refrigerator", paper.DOOR)
 def figure_16(sources: Sources) -> drawing.Drawing:
     """The end-effector is fixed to the door. The door can collide with the mobile base; a
     hyper-ellipsoid is its collision model.
     """
-    run, door = sources.runs[DOOR], _door()
+    run, door = sources.runs[paper.DOOR], _door()
     pose, q_m = run.trace.of("base_pose")[0], run.trace.of("q_m")[0]
     solids, shapes = refrigerator(run, 0), collision_shapes(sources, run)
     start = Camera(np.zeros(3), 6.0, *_door_view(door), 780, 640)
@@ -266,27 +241,21 @@ def figure_16(sources: Sources) -> drawing.Drawing:
     for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
         drawing.show_picture(ax, shot, camera)
         style.panel_title(ax, letter, text)
-    superquadric = door.superquadric(pin.SE3.Identity())
-    table = {
-        "axis": np.array(["thickness", "width", "height"]),
-        "door_m": np.array(door.size),
-        "semi_axis_m": np.array(superquadric.semi_axes_m),
+    body = door.superquadric(pin.SE3.Identity())
+    sides = zip(("thickness", "width", "height"), door.size, body.semi_axes_m, strict=True)
+    measured = {
+        "door_width_m": door.width,
+        "hinge": door.hinge,
+        "hinge_friction_nm": door.friction,
+        "exponent_e1": body.e1,
+        "exponent_e2": body.e2,
     }
-    return drawing.Drawing(
-        figure,
-        {"": table},
-        {
-            "door_width_m": door.width,
-            "hinge": door.hinge,
-            "hinge_friction_nm": door.friction,
-            "exponent_e1": superquadric.e1,
-            "exponent_e2": superquadric.e2,
-        },
-        ["The CSV has the door's sides and the semi-axes of its hyper-ellipsoid."],
-    )
+    table = drawing.table_of(("axis", "door_m", "semi_axis_m"), sides)
+    remark = "The CSV has the door's sides and the semi-axes of its hyper-ellipsoid."
+    return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
-@style.picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
+@style.picture("fig17", "Figure 17: opening a refrigerator", *_DOORS.values())
 def figure_17(sources: Sources) -> drawing.Drawing:
     """(a) With obstacle avoidance the mobile base moves back and turns clockwise while the door
     approaches. (b) Without avoidance the door collides with the mobile base at 30 s.
@@ -296,15 +265,11 @@ def figure_17(sources: Sources) -> drawing.Drawing:
         run = sources.runs[experiment]
         look = {"solids": partial(refrigerator, run), "marks": arc(run)}
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], run, _DOOR_TIMES, view, **look))
-    paths = {strip.name: strip.paths("door_angle_rad") for strip in strips}
-    return drawing.Drawing(
-        drawing.snapshot_figure(sources.model, strips, marks="arc of the door's edge"),
-        {"": drawing.stacked(paths, "controller")},
-        sources.results(_DOORS, _OF_DOOR),
-    )
+    shown = "controller", _OF_DOOR, "door_angle_rad"
+    return drawing.of_strips(sources.model, strips, *shown, marks="arc of the door's edge")
 
 
-@style.picture("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
+@style.picture("fig18", "Figure 18: distance of the door and activation", *_DOORS.values())
 def figure_18(sources: Sources) -> drawing.Drawing:
     """When the distance between door and mobile base falls below the buffer distance, the
     avoidance task is inserted continuously.
@@ -315,18 +280,15 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     distance, activation = figure.subplots(1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         drawing.method_lines(ax, dict(reversed(parts.items())), column)
-        style.time_axis(ax, DOOR.scenario.duration)
+        style.time_axis(ax, paper.DOOR.scenario.duration)
     _distance_panel(distance, sources, "a", "distance between door and base")
     style.level(distance, 0.0, "contact")
     activation.set_ylabel(r"activation $\beta$ [–]")
     style.panel_title(activation, "b", "activation")
     distance.legend(loc="upper right")
-    return drawing.Drawing(
-        figure,
-        {"": drawing.stacked(parts, "controller")},
-        sources.results(_DOORS, _OF_DOOR),
-        ["Without avoidance the activation is computed, but no task is inserted."],
-    )
+    table, measured = drawing.stacked(parts, "controller"), sources.results(_DOORS, _OF_DOOR)
+    remark = "Without avoidance the activation is computed, but no task is inserted."
+    return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
 def refrigerator(run: RunResult, k: int) -> list[Solid]:
@@ -362,7 +324,7 @@ def arc(run: RunResult) -> Array:
 
 
 def _door() -> Door:
-    scenario = DOOR.scenario
+    scenario = paper.DOOR.scenario
     assert isinstance(scenario, RefrigeratorScenario)
     return scenario.door
 

@@ -16,10 +16,8 @@ class Threshold(NamedTuple):
     """A bound of a measured number."""
 
     value: float
-    unit: str
-    """Unit of the value; empty for a plain number."""
-    source: str
-    """The reason for this value."""
+    unit: str  # empty for a plain number
+    source: str  # the reason for this value
 
     def __str__(self) -> str:
         return f"{self.value:g} {self.unit}".strip()
@@ -31,26 +29,20 @@ AVOIDED = Threshold(0.03, "m", "chosen: a visible gap")
 MISSED = Threshold(0.02, "m", "chosen: a tenth of the end-effector's path")
 NEARER = Threshold(0.05, "m", "chosen: a third of the buffer distance")
 MOVED = Threshold(0.05, "m", "chosen: a base motion that is visible in Figure 11")
-TURNED = Threshold(
-    0.02,
-    "rad",
-    "chosen after the first runs: more than 1 degree is a turn; the paper gives no number",
-)
-BETA_STEP = Threshold(
-    0.05,
-    "in 10 ms",
+_TURN = "chosen after the first runs: more than 1 degree is a turn; the paper gives no number"
+TURNED = Threshold(0.02, "rad", _TURN)
+_STEP = (
     "chosen: four times the product of the end-effector's largest speed, the largest slope in "
-    "Figure 10, and 10 ms",
+    "Figure 10, and 10 ms"
 )
+BETA_STEP = Threshold(0.05, "in 10 ms", _STEP)
 _TENTH = "chosen after the first runs: a tenth of the base's limit"
 LINEAR_JUMP = Threshold(0.3, "m/s²", _TENTH)
 ANGULAR_JUMP = Threshold(0.6, "rad/s²", _TENTH)
-SIGN_CHANGES = Threshold(
-    3, "", "chosen after the first runs: one on entering the buffer, one on leaving, one at rest"
-)
-TORQUE_SIGN_CHANGES = Threshold(
-    2, "", "chosen: a torque rises, falls and comes to rest in one approach"
-)
+_SIGNS = "chosen after the first runs: one on entering the buffer, one on leaving, one at rest"
+SIGN_CHANGES = Threshold(3, "", _SIGNS)
+_RISE = "chosen: a torque rises, falls and comes to rest in one approach"
+TORQUE_SIGN_CHANGES = Threshold(2, "", _RISE)
 MET_FROM = Threshold(25.0, "s", "§4.2.3: at 30 s, with a tolerance of 5 s")
 MET_TO = MET_FROM._replace(value=35.0)
 OPENED_BY = Threshold(40.0, "s", "§4.2.3: open at 40 s")
@@ -64,12 +56,9 @@ CONTROL_STEP = Threshold(1000.0, "µs", "§4.1: the arm is controlled at 1 kHz")
 class Finding(NamedTuple):
     """One measurement for a claim."""
 
-    measured: str
-    """A text with the number and the bound."""
+    measured: str  # a text with the number and the bound
     holds: bool
-    """Whether the measurement agrees with the claim."""
-    values: dict[str, float | None]
-    """The measured numbers; keys end in the unit. None replaces a missing or infinite number."""
+    values: dict[str, float | None]  # keys end in the unit; None for a missing or infinite number
     limits: tuple[Threshold, ...] = ()
 
 
@@ -85,18 +74,16 @@ def compare(
 
     The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
     """
-    limits = tuple(limit for limit in (low, high) if limit is not None)
-    if low is not None and high is not None:
+    limits = tuple(limit for limit in (low, high) if limit)
+    bounds = f"at {'least' if low else 'most'} {limits[0]}"
+    if low and high:
         bounds = f"{low.value:g} to {high}"
-    else:
-        bounds = f"at {'most' if low is None else 'least'} {limits[0]}"
     if value is None or not np.isfinite(value):
         return Finding(f"{text}: never (required: {bounds})", False, {key: None}, limits)
-    holds = (low is None or value >= low.value) and (high is None or value <= high.value)
+    holds = (not low or value >= low.value) and (not high or value <= high.value)
     number = f"{value:.3g} {limits[0].unit}".strip()
-    return Finding(
-        f"{text} {number} (required: {bounds})", bool(holds), {key: float(value)}, limits
-    )
+    text = f"{text} {number} (required: {bounds})"
+    return Finding(text, bool(holds), {key: float(value)}, limits)
 
 
 Findings = Iterable[Finding]  # a claim holds if all of its findings hold
@@ -106,16 +93,14 @@ class Claim(NamedTuple):
     """A claim of the paper."""
 
     section: str
-    figure: str
-    """Name of the figure with which `dbb reproduce` judges the claim."""
-    paper: str
-    """The claim in this project's words."""
+    figure: str  # name of the figure with which `dbb reproduce` judges the claim
+    paper: str  # the claim in this project's words
     needs: tuple[Experiment, ...]
-    measure: Callable[[Sources], Findings]
+    measure: Callable[..., Findings]  # of the sources, and of the run of each needed experiment
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """Measure the claim; return its entry in `metrics.json`."""
-        findings = list(self.measure(sources))
+        findings = list(self.measure(sources, *(sources.runs[e] for e in self.needs)))
         limits = dict.fromkeys(limit for finding in findings for limit in finding.limits)
         return {
             "section": self.section,
@@ -139,13 +124,13 @@ def claims_of(figures: Iterable[str]) -> list[Claim]:
 
 def claim(
     section: str, figure: str, *needs: Experiment
-) -> Callable[[Callable[[Sources], Findings]], Claim]:
+) -> Callable[[Callable[..., Findings]], Claim]:
     """Decorator that adds a claim to `CLAIMS`, and replaces the function by the `Claim`.
 
     The function makes the measurements; the function's docstring is the text of the claim.
     """
 
-    def add(measure: Callable[[Sources], Findings]) -> Claim:
+    def add(measure: Callable[..., Findings]) -> Claim:
         CLAIMS.append(Claim(section, figure, docstring_of(measure), needs, measure))
         return CLAIMS[-1]
 
@@ -164,14 +149,16 @@ def beta_step(run: RunResult) -> float:
     return max(float(np.abs(np.diff(beta)).max()) for beta in betas)
 
 
+def _figure(run: RunResult, text: str, key: str, of: str = "", **bounds: Threshold) -> Finding:
+    return compare(text, of + key, run.figures[key], **bounds)
+
+
 def _clear(run: RunResult, low: Threshold = CLEAR, of: str = "") -> Finding:
-    distance = run.figures["min_clearance_m"]
-    return compare("smallest distance", f"{of}min_clearance_m", distance, low=low)
+    return _figure(run, "smallest distance", "min_clearance_m", of, low=low)
 
 
 def _error(run: RunResult, of: str = "", **bound: Threshold) -> Finding:
-    error = run.figures["ee_error_final_m"]
-    return compare("final error", f"{of}ee_error_final_m", error, **bound)
+    return _figure(run, "final error", "ee_error_final_m", of, **bound)
 
 
 def _back(run: RunResult, text: str = "base moves back") -> Finding:
@@ -182,11 +169,10 @@ def _moved(run: RunResult, text: str = "base moves", of: str = "") -> Finding:
     return compare(text, f"{of}base_moves_m", run.figures["base_displacement_m"], low=MOVED)
 
 
-def _smooth(s: Sources, directions: dict[str, Experiment]) -> Findings:
-    for name, e in directions.items():
-        figures = s.runs[e].figures
-        jump = figures["avoidance_acceleration_jump_max"]
-        signs = max(figures["avoidance_acceleration_sign_changes"].values())
+def _smooth(*runs: RunResult) -> Findings:
+    for name, run in zip(paper.GUIDING["dbb"], runs, strict=True):
+        jump = run.figures["avoidance_acceleration_jump_max"]
+        signs = max(run.figures["avoidance_acceleration_sign_changes"].values())
         text, linear = f"{name}: largest change in a control step", jump["linear_mps2"]
         yield compare(text, f"{name}_jump_mps2", linear, high=LINEAR_JUMP)
         yield compare("and", f"{name}_jump_radps2", jump["angular_radps2"], high=ANGULAR_JUMP)
@@ -203,70 +189,66 @@ DIRECTIONS = {
 
 
 @claim("4.2.1", "fig12", paper.TRACKING)
-def reached(s: Sources) -> Findings:
+def reached(_: Sources, run: RunResult) -> Findings:
     """With the proposed method the end-effector reaches its target without a position error, and a
     collision is avoided.
     """
-    run = s.runs[paper.TRACKING]
     return _error(run, high=REACHED), _clear(run)
 
 
 @claim("4.2.1", "fig11", paper.TRACKING)
-def moved_back(s: Sources) -> Findings:
+def moved_back(_: Sources, run: RunResult) -> Findings:
     """A force moves the base back as the end-effector approaches."""
-    yield _back(s.runs[paper.TRACKING])
+    yield _back(run)
 
 
 @claim("4.2.1", "fig12", paper.TRACKING_REPULSIVE)
-def not_reached(s: Sources) -> Findings:
+def not_reached(_: Sources, run: RunResult) -> Findings:
     """The repulsive method avoids the collision, but the end-effector cannot reach its target."""
-    run = s.runs[paper.TRACKING_REPULSIVE]
     return _clear(run, AVOIDED), _error(run, low=MISSED)
 
 
 @claim("4.2.1", "fig12", paper.TRACKING, paper.TRACKING_NONE)
-def needed(s: Sources) -> Findings:
+def needed(_: Sources, *runs: RunResult) -> Findings:
     """The avoidance is needed: the motion approaches the base."""
-    with_it, without = (
-        s.runs[e].figures["min_clearance_m"] for e in (paper.TRACKING, paper.TRACKING_NONE)
-    )
+    with_it, without = (run.figures["min_clearance_m"] for run in runs)
     text = "without avoidance the smallest distance is smaller by"
     yield compare(text, "nearer_m", with_it - without, low=NEARER)
 
 
 @claim("4.2.2", "fig13", paper.LATERAL)
-def guided_laterally(s: Sources) -> Findings:
+def guided_laterally(_: Sources, run: RunResult) -> Findings:
     """Guided from the lateral direction, the robot avoids the collision by a force on its base."""
-    return _clear(s.runs[paper.LATERAL]), _moved(s.runs[paper.LATERAL])
+    return _clear(run), _moved(run)
 
 
 @claim("4.2.2", "fig13", paper.FRONT)
-def guided_from_the_front(s: Sources) -> Findings:
+def guided_from_the_front(_: Sources, run: RunResult) -> Findings:
     """Guided from the front, the robot avoids the collision."""
-    return _clear(s.runs[paper.FRONT]), _moved(s.runs[paper.FRONT])
+    return _clear(run), _moved(run)
 
 
 @claim("4.2.2", "fig13", paper.FRONT)
-def guided_back(s: Sources) -> Findings:
+def guided_back(_: Sources, run: RunResult) -> Findings:
     """Guided from the front, the base moves back."""
-    yield _back(s.runs[paper.FRONT])
+    yield _back(run)
 
 
-@claim("4.2.2", "fig14", paper.LATERAL, paper.FRONT)
-def continuous(s: Sources) -> Findings:
+@claim("4.2.2", "fig14", *paper.GUIDING["dbb"].values())
+def continuous(_: Sources, *runs: RunResult) -> Findings:
     """The activation rises while the distance falls, and the task is inserted continuously."""
-    for name, e in paper.GUIDING["dbb"].items():
+    for name, run in zip(paper.GUIDING["dbb"], runs, strict=True):
         text, key = f"{name}: largest change", f"{name}_beta_step"
-        yield compare(text, key, beta_step(s.runs[e]), high=BETA_STEP)
+        yield compare(text, key, beta_step(run), high=BETA_STEP)
 
 
 @claim("4.2.2", "fig13", *DIRECTIONS.values())
-def from_any_direction(s: Sources) -> Findings:
+def from_any_direction(_: Sources, *runs: RunResult) -> Findings:
     """Collisions are avoided for every direction of approach, including the wheel axis, along which
     the base cannot move.
     """
-    for name, experiment in DIRECTIONS.items():
-        run, of = s.runs[experiment], name.replace(", ", "_").replace(" ", "_") + "_"
+    for (name, experiment), run in zip(DIRECTIONS.items(), runs, strict=True):
+        of = name.replace(", ", "_").replace(" ", "_") + "_"
         yield _moved(run, f"{name}: base moves", of)
         yield _clear(run, of=of)
         if experiment.scenario.name == "tracking":  # no person guides
@@ -274,90 +256,83 @@ def from_any_direction(s: Sources) -> Findings:
 
 
 @claim("4.2.1", "departures", paper.AS_PRINTED[0])
-def reached_as_printed(s: Sources) -> Findings:
+def reached_as_printed(_: Sources, run: RunResult) -> Findings:
     """The controller with the printed (26) to (29) moves the base back, and the end-effector
     reaches its target.
     """
-    run = s.runs[paper.AS_PRINTED[0]]
     return _error(run, high=REACHED), _clear(run, AVOIDED), _back(run)
 
 
 @claim("4.2.2", "departures", *paper.AS_PRINTED[2:])
-def guided_as_printed(s: Sources) -> Findings:
+def guided_as_printed(_: Sources, *runs: RunResult) -> Findings:
     """During guiding, the controller with the printed (26) to (29) avoids collisions by a force on
     the base.
     """
-    for name, experiment in zip(("lateral", "front"), paper.AS_PRINTED[2:], strict=True):
-        run = s.runs[experiment]
+    for name, run in zip(paper.GUIDING["dbb"], runs, strict=True):
         yield _clear(run, AVOIDED, f"{name}_")
         yield _moved(run, f"{name}: base moves", f"{name}_")
 
 
 @claim("4.2.3", "fig18", paper.DOOR_NONE)
-def door_met(s: Sources) -> Findings:
+def door_met(_: Sources, run: RunResult) -> Findings:
     """Without avoidance the door collides with the base at 30 s."""
-    met = s.runs[paper.DOOR_NONE].figures["door_met_base_s"]
-    yield compare("door meets the base at", "door_met_base_s", met, low=MET_FROM, high=MET_TO)
+    yield _figure(run, "door meets the base at", "door_met_base_s", low=MET_FROM, high=MET_TO)
 
 
 @claim("4.2.3", "fig18", paper.DOOR)
-def door_avoided(s: Sources) -> Findings:
+def door_avoided(_: Sources, run: RunResult) -> Findings:
     """With avoidance the door never collides."""
-    figures = s.runs[paper.DOOR].figures
-    met, distance = figures["door_met_base_s"], figures["door_min_distance_m"]
+    met = run.figures["door_met_base_s"]
     met_at = "never" if met is None else f"at {met:.3g} s"
     yield Finding(f"door meets the base: {met_at}", met is None, {})
-    yield compare("smallest distance", "door_min_distance_m", distance, low=AVOIDED)
+    yield _figure(run, "smallest distance", "door_min_distance_m", low=AVOIDED)
 
 
 @claim("4.2.3", "fig17", paper.DOOR)
-def door_opened(s: Sources) -> Findings:
+def door_opened(_: Sources, run: RunResult) -> Findings:
     """The door is opened completely at 40 s."""
-    opened = s.runs[paper.DOOR].figures["door_opened_80deg_at_s"]
+    opened = run.figures["door_opened_80deg_at_s"]
     yield compare("80° open at", "door_opened_80deg_at_s", opened, high=OPENED_BY)
 
 
 @claim("4.2.3", "fig17", paper.DOOR)
-def base_backs_off(s: Sources) -> Findings:
+def base_backs_off(_: Sources, run: RunResult) -> Findings:
     """The base moves back and turns clockwise, beginning at 20 s."""
-    run = s.runs[paper.DOOR]
-    begins, yaw = run.figures["base_back_off_s"], run.trace.of("base_pose")[:, 2]
-    text, key = "base begins to move at", "base_back_off_s"
-    yield compare(text, key, begins, low=BACKS_FROM, high=BACKS_TO)
+    yaw = run.trace.of("base_pose")[:, 2]
+    yield _figure(run, "base begins to move at", "base_back_off_s", low=BACKS_FROM, high=BACKS_TO)
     yield _back(run, "moves back")
     yield compare("turns clockwise by", "clockwise_rad", yaw[0] - yaw.min(), low=TURNED)
 
 
 @claim("4.2.3", "fig17", paper.DOOR)
-def incomplete_knowledge(s: Sources) -> Findings:
+def incomplete_knowledge(_: Sources, run: RunResult) -> Findings:
     """The adaptive controller opens the door with incomplete knowledge, by an estimate of the
     door's radial direction.
     """
-    figures = s.runs[paper.DOOR].figures
-    error, force = figures["radial_error_at_5s_rad"], figures["hand_force_max_n"]
+    error = run.figures["radial_error_at_5s_rad"]
     text, size = "error of the radial direction after 5 s", None if error is None else abs(error)
     yield compare(text, "radial_error_rad", size, high=RADIAL_ERROR)
-    yield compare("largest force of the end-effector", "hand_force_max_n", force, high=DOOR_FORCE)
+    yield _figure(run, "largest force of the end-effector", "hand_force_max_n", high=DOOR_FORCE)
 
 
 @claim("4.3", "fig15", *paper.GUIDING["points"].values())
-def smooth_on_points(s: Sources) -> Findings:
+def smooth_on_points(_: Sources, *runs: RunResult) -> Findings:
     """The desired accelerations of the base are smooth. (This row has a border of points, as in
     the paper.)
     """
-    return _smooth(s, paper.GUIDING["points"])
+    return _smooth(*runs)
 
 
-@claim("4.3", "fig15", paper.LATERAL, paper.FRONT)
-def smooth_on_the_surface(s: Sources) -> Findings:
+@claim("4.3", "fig15", *paper.GUIDING["dbb"].values())
+def smooth_on_the_surface(_: Sources, *runs: RunResult) -> Findings:
     """The desired accelerations of the base are smooth. (This row has the border as a continuous
     surface, the default of this project.)
     """
-    return _smooth(s, paper.GUIDING["dbb"])
+    return _smooth(*runs)
 
 
 @claim("4.3", "fig15", *paper.COMPARED)
-def smoother_than_repulsive(s: Sources) -> Findings:
+def smoother_than_repulsive(s: Sources, *_: RunResult) -> Findings:
     """The joint torques do not chatter; those of the repulsive method do."""
     own, repulsive = (
         max(s.runs[e].figures["torque_rate_sign_changes"] for e in paper.GUIDING[method].values())
@@ -370,24 +345,24 @@ def smoother_than_repulsive(s: Sources) -> Findings:
 
 
 @claim("4.3", "density", paper.LATERAL)
-def trade_off(s: Sources) -> Findings:
+def trade_off(s: Sources, _: RunResult) -> Findings:
     """A denser border makes the acting point more continuous, at a higher cost."""
     table = density.trade_off(s)
-    jump, cost, count = (table[k][:-1] for k in ("jump_max_m", "find_p50_us", "points"))
+    *jump, surface = table["jump_max_m"].tolist()
+    cost, count = (table[k][:-1].tolist() for k in ("find_p50_us", "points"))
     text = ", ".join(
         f"{n} points: {1e3 * j:.0f} mm, {c:.0f} µs"
         for n, j, c in zip(count, jump, cost, strict=True)
     )
-    surface = float(table["jump_max_m"][-1])
     yield Finding(
         f"largest jump and median time of a search: {text}; jump on the surface: "
         f"{1e3 * surface:.0f} mm",
-        bool(jump[-1] < jump[0] and cost[-1] > cost[0]),
+        jump[-1] < jump[0] and cost[-1] > cost[0],
         {
-            "jump_sparse_m": float(jump[0]),
-            "jump_dense_m": float(jump[-1]),
-            "find_sparse_us": float(cost[0]),
-            "find_dense_us": float(cost[-1]),
+            "jump_sparse_m": jump[0],
+            "jump_dense_m": jump[-1],
+            "find_sparse_us": cost[0],
+            "find_dense_us": cost[-1],
             "jump_surface_m": surface,
         },
     )

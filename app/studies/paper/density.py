@@ -69,11 +69,11 @@ def figure_density(sources: Sources) -> drawing.Drawing:
 
 @cache
 def trade_off(sources: Sources) -> drawing.Table:
-    """Jumps of p_act and time of a search, for each number of points; the last row: the surface."""
+    """Jumps of p_act and time of a search, for each number of points and, last, the surface."""
     path, whole = path_in_buffer(sources), len(sources.border)
     counts = [n for n in COUNTS if n < whole] + [whole]
-    finders = [("points", n, sources.points(thinned(sources.border, n))) for n in counts]
-    finders.append(("surface", whole, sources.surface))
+    finders = [("points", n, sources.finder(thinned(sources.border, n))) for n in counts]
+    finders.append(("surface", whole, sources.finder()))
     rows = [(kind, n, *jump_and_cost(sources, finder, path)) for kind, n, finder in finders]
     return drawing.table_of(("border", "points", *_MEASURED), rows)
 
@@ -85,12 +85,10 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
     The run is not in parallel with other runs, because the durations of its steps are measured.
     """
     experiment = GUIDING["points"]["lateral"]
-    clouds = {
-        pair.name: thinned_cloud(
-            sources.data.clouds[pair.name], min(1.0, PAPERS_COUNT / len(sources.border_of(pair)))
-        )
-        for pair in sources.data.pairs.mobile
-    }
+    clouds = {}
+    for pair in sources.data.pairs.mobile:
+        share = min(1.0, PAPERS_COUNT / len(sources.border_of(pair)))
+        clouds[pair.name] = thinned_cloud(sources.data.clouds[pair.name], share)
     data = replace(sources.data, clouds=clouds)
     return run_from_spec(experiment, sources.model, data).figures
 
@@ -98,7 +96,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
     """A fixed random share of a cloud's points."""
     chosen = _chosen(len(cloud), round(share * len(cloud)))
-    return Cloud(cloud.pair, cloud.points[chosen], cloud.distances[chosen])
+    return replace(cloud, points=cloud.points[chosen], distances=cloud.distances[chosen])
 
 
 def thinned(border: Border, count: int) -> Border:
@@ -112,10 +110,7 @@ def _chosen(total: int, count: int) -> Array:
 
 
 def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
-    """The closest points of base and end-effector at each step in the buffer (lateral guiding).
-
-    The joint positions are interpolated between the rows of the run.
-    """
+    """The closest points of base and end-effector at each step in the buffer (lateral guiding)."""
     run = sources.runs[LATERAL].trace
     fine = np.arange(run.t[0], run.t[-1], DT)
     q_m = np.column_stack([np.interp(fine, run.t, q) for q in run.of("q_m").T])
@@ -144,10 +139,12 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     moves. With more points the jumps are smaller and the search takes longer.
     """
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
-    finders = {"points": sources.points(points), "surface": sources.surface}
+    finders = {"points": sources.finder(points), "surface": sources.finder()}
     coarse, fine = (smooth_path_in_buffer(sources, dt) for dt in (DT, DT / FINER))
-    found = {kind: acting_path(sources, finder, *coarse) for kind, finder in finders.items()}
-    finer = {kind: acting_path(sources, finder, *fine) for kind, finder in finders.items()}
+    found, finer = (
+        {kind: acting_path(sources, finder, *path) for kind, finder in finders.items()}
+        for path in (coarse, fine)
+    )
     figure = style.new_figure(4.6)
     plan, steps = figure.subplots(1, 2, width_ratios=(1, 1.35))
     style.panel_title(plan, "", "the acting point from above")
@@ -186,10 +183,9 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
     """Times (N,) [s] with a step `dt` [s], and closest points of base and end-effector at them.
 
-    The run is the lateral guiding. The times cover the longest interval in which the end-effector
-    is in the buffer of the base, cut to `LONGEST` [s]. The points are on a spline through the
-    closest points of the recorded rows. Points from the collision library at each step would have
-    errors of about 0.3 mm, which is more than the motion in a step.
+    The times cover the longest interval of the lateral guiding in the buffer of the base, cut to
+    `LONGEST` [s]. The points are on a spline through those of the recorded rows: points from the
+    collision library have errors of about 0.3 mm, which is more than the motion in a step.
     """
     run = sources.runs[LATERAL].trace
     outside = sources.distances(LATERAL) >= sources.config.border.d_b
@@ -209,11 +205,9 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """Table with a row for each time (N,) [s] of a path.
+    """A table of a path: time (N,) [s], closest point p_b, acting point, and base acceleration.
 
-    The columns are the time, the closest point p_b on the end-effector, the acting point, the
-    distance between the acting points of this row and the previous row (NaN in the first row), and
-    the base acceleration that the force causes.
+    `p_act_step_m` is the distance from the acting point of the previous row, NaN in the first row.
     """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
@@ -236,25 +230,21 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Largest changes of the acting point and of the base's acceleration between successive rows of
-    the path, for the borders `points` and `surface`; for the acting point also on the finer path.
-    """
+    """Largest changes between successive rows, for each border, and their ratios."""
     result: dict[str, Any] = {}
+    units = {"mps2": "base_a_mps2", "radps2": "base_aw_radps2"}
     for kind, along in found.items():
         largest, shrunk = (float(np.nanmax(p["p_act_step_m"])) for p in (along, finer[kind]))
-        linear, angular = (
-            float(np.abs(np.diff(along[axis])).max()) for axis in ("base_a_mps2", "base_aw_radps2")
-        )
-        result[kind] = {
-            "step_max_m": largest,
-            "step_max_finer_m": shrunk,
-            "finer_ratio": largest / shrunk,
-            "acceleration_step_max_mps2": linear,
-            "acceleration_step_max_radps2": angular,
-        }
-    points, surface, step = result["points"], result["surface"], "acceleration_step_max_"
+        sizes = {"step_max_m": largest, "step_max_finer_m": shrunk, "finer_ratio": largest / shrunk}
+        for unit, column in units.items():
+            change = np.abs(np.diff(along[column])).max()
+            sizes[f"acceleration_step_max_{unit}"] = float(change)
+        result[kind] = sizes
     result["points_over_surface"] = {
-        f"{name}_ratio": points[step + unit] / surface[step + unit]
-        for name, unit in (("linear", "mps2"), ("angular", "radps2"))
+        f"{name}_ratio": result["points"][key] / result["surface"][key]
+        for name, key in (
+            ("linear", "acceleration_step_max_mps2"),
+            ("angular", "acceleration_step_max_radps2"),
+        )
     }
     return result

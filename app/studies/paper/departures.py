@@ -1,10 +1,7 @@
-"""Departures from equations (26)-(29), measured for the paper's form and for the project's form.
-
-Some rows compare the solutions q̈ of both forms at equal states, other rows compare runs. Smaller
-numbers are better.
-"""
+"""Departures from equations (26)-(29), measured for the paper's form and for the project's form."""
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,13 +15,7 @@ from app.robot.state import at_rest
 from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
-from app.studies.paper.experiments import (
-    AS_PRINTED,
-    LATERAL,
-    TRACKING,
-    WHEEL_AXIS,
-    Sources,
-)
+from app.studies.paper.experiments import AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS, Sources
 
 _STATES = 40  # [-] number of postures of the lateral guiding
 _ENTERS = 1e-9  # [-] β of a newly inserted row
@@ -32,14 +23,10 @@ _SMALLEST = 1e-9  # smallest drawn number, because the axis is logarithmic
 _FAR = 1.0  # [m] distance of an unreachable target
 _LINE, _HALVINGS = 100, 20  # [-] number of postures on a line, and of halvings of a step
 
-
 Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 """A function that computes q̈ (n,) from a control step, the diagonal of B (k,) [-] and the gains."""
-
-
-Departure = tuple[str, str, float, float]
-"""The equation and the departure; the key of the measured number, which ends in the unit; the
-number of the paper's form; the number of the project's form."""
+Departure = tuple[Any, ...]
+"""Equation and departure, key of the number, and the number in the paper's form and here."""
 
 
 @style.picture(
@@ -62,19 +49,14 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
     ax.set_yticks(places, [f"{place}\n{key}" for place, key, *_ in rows])
     ax.legend(loc="lower right")
     measured = {key: {"printed": printed, "here": here} for _, key, printed, here in rows}
-    return drawing.Drawing(
-        figure,
-        {"": table},
-        measured,
-        ["Smaller numbers are better. `docs/departures.md` has the reason for each departure."],
-    )
+    remark = "Smaller numbers are better. `docs/departures.md` has the reason for each departure."
+    return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
 def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """Compute the first control step of the robot at rest at a posture (n_m,).
+    """The first control step at rest at a posture (n_m,); the next step overwrites the result.
 
-    The reference is at rest, `error` [m] above the end-effector's pose. The controller's next step
-    overwrites the result.
+    The reference is at rest, `error` [m] above the end-effector's pose.
     """
     model = controller.state.model
     measured = at_rest(model, q_m)
@@ -86,10 +68,7 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the controller `hqp`, with the diagonal of B (k,); NaN if a level has no solution.
-
-    The function stores the diagonal in the step `w`.
-    """
+    """q̈ (n,) of the controller `hqp`; NaN if a level has no solution. B (k,) is stored in `w`."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
@@ -111,10 +90,9 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B (k,) with activations of the base's rows and of one pair within the arm.
+    """The diagonal of B (k,): `base` for the base's rows, `link` for one pair within the arm.
 
-    `base` is the activation of the base's rows, `link` that of the pair; `pair` is the index of the
-    pair among the pairs within the arm. All other entries are zero.
+    `pair` is the index of the pair among those within the arm. All other entries are zero.
     """
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
@@ -127,9 +105,9 @@ def nearest_pair(w: ControlStep) -> int:
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] norm of the difference between q̈ of (29) and of (26) at B = 0.
+    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0, for the reference on the left side, as printed.
 
-    The reference of (29) is on the left side, as printed. T_sca has only the base's rows.
+    T_sca has only the base's rows.
     """
     below = hqp.tasks_below(w, gains)
     qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
@@ -151,13 +129,10 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
     w = step_at_rest(controller, postures(sources)[0], _FAR)
     demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
     jumps = [jump(sources, controller, solve) for solve in SOLVERS]
-    for place, key, (theirs, ours) in (
-        ("(26) strict levels", "jump_radps2", jumps),
-        ("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", demands),
-        ("(29) reference on the left", "off_at_zero_radps2", (max(left), 0.0)),
-        ("(29) a row enters", "torque_jump_nm", np.nanmax(enters, axis=0).tolist()),
-    ):
-        yield place, key, theirs, ours
+    yield "(26) strict levels", "jump_radps2", *jumps
+    yield "(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *demands
+    yield "(29) reference on the left", "off_at_zero_radps2", max(left), 0.0
+    yield "(29) a row enters", "torque_jump_nm", *np.nanmax(enters, axis=0).tolist()
 
 
 def postures(sources: Sources) -> list[Array]:
@@ -171,9 +146,8 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
     The base's rows and the row of a pair within the arm are fully active, so that with T_2 there
-    are as many rows as axes. The step of the line with the largest change of q̈ is halved
-    repeatedly. The change of a continuous q̈ then tends to 0, but a jump remains. If there is no
-    solution, q̈ counts as 0.
+    are as many rows as axes. The step with the largest change of q̈ is halved repeatedly, so that
+    only a jump remains. If there is no solution, q̈ counts as 0.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
@@ -198,8 +172,8 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
 
 
 def _of_runs(sources: Sources) -> Iterator[Departure]:
-    for place, key, theirs, ours in (
-        ("(29) base as commanded", "ee_error_max_m", AS_PRINTED[0], TRACKING),
-        ("(29) the base's rows fix its motion", "ee_error_final_m", AS_PRINTED[1], WHEEL_AXIS),
+    for place, key, pair in (
+        ("(29) base as commanded", "ee_error_max_m", (AS_PRINTED[0], TRACKING)),
+        ("(29) the base's rows fix its motion", "ee_error_final_m", (AS_PRINTED[1], WHEEL_AXIS)),
     ):
-        yield place, key, sources.runs[theirs].figures[key], sources.runs[ours].figures[key]
+        yield place, key, *(sources.runs[run].figures[key] for run in pair)

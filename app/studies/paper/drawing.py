@@ -40,8 +40,7 @@ class Drawing:
     """A reproduced figure of the paper."""
 
     figure: Figure
-    tables: dict[str, Table]
-    """The plotted data, by the suffix of the CSV file's name; one suffix is empty."""
+    tables: dict[str, Table]  # the plotted data, by the suffix of the CSV file's name or ""
     measured: dict[str, Any] = field(default_factory=dict)
     """Measured numbers by key, or one such mapping for each case; keys end in the unit."""
     remarks: Sequence[str] = ()
@@ -60,7 +59,7 @@ class Drawing:
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:
     """One table from tables with the same columns, with the tables' names in the column `kind`."""
-    names = np.concatenate([np.full(len(next(iter(p.values()))), n) for n, p in parts.items()])
+    names = np.repeat([*parts], [len(next(iter(part.values()))) for part in parts.values()])
     columns = next(iter(parts.values()))
     return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
 
@@ -83,10 +82,7 @@ def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) ->
 
 
 def base_corners(model: RobotModel) -> Array:
-    """(8, 3) [m] corners of a box around l_m in the base's frame, from the floor to l_m's top.
-
-    The four corners on the floor are first.
-    """
+    """(8, 3) [m] corners of a box around l_m in the base's frame, first the four on the floor."""
     body = MobileBody(model)
     low, high = body.lower, body.upper
     plan = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
@@ -107,9 +103,9 @@ def base_in_plan(ax: Axes, model: RobotModel) -> None:
 
 
 def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:
-    """Limit axes that show points (N, 2) or (N, 3) [m] from above to a square around the points.
+    """Limit axes in plan to a square around points (N, 2) or (N, 3) [m], and a margin [m].
 
-    The side of the square, without the margin [m], is at least `smallest` [m].
+    The side of the square, without the margin, is at least `smallest` [m].
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     half = max(smallest, float((high - low).max())) / 2 + margin
@@ -123,10 +119,7 @@ def framed(
     points: Iterable[Array] = (),
     tallest: float = np.inf,
 ) -> Camera:
-    """A camera with the same direction that shows meshes and points (N, 3) [m].
-
-    Parts above the height `tallest` [m] may be outside the picture.
-    """
+    """A camera with the same direction that shows meshes and points (N, 3) up to `tallest` [m]."""
     shown = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
     shown[:, 2] = np.minimum(shown[:, 2], tallest)
     return camera._replace(target=shown.mean(axis=0)).framing(shown, 0.05)
@@ -136,39 +129,36 @@ def framed(
 class Strip:
     """A row of snapshots of one run, with the paths of base and end-effector."""
 
-    name: str
-    """Name of the run in the CSV file."""
+    name: str  # name of the run in the CSV file
     text: str
     run: RunResult
-    times: Sequence[float]
-    """[s] times of the snapshots."""
-    view: tuple[float, float]
-    """[rad] yaw and pitch of the camera."""
-    aim: Array | None = None
-    """(2, 3) [m] start and end of the end-effector's desired path, in the world, or None."""
-    solids: Callable[[int], Sequence[Solid]] = lambda _: ()
-    """Function that returns additional objects for a row of the run."""
-    marks: Array | None = None
-    """(N, 3) [m] a line on the floor, such as a door's arc, or None."""
+    times: Sequence[float]  # [s] times of the snapshots
+    view: tuple[float, float]  # [rad] yaw and pitch of the camera
+    aim: Array | None = None  # (2, 3) [m] ends of the end-effector's desired path, in the world
+    solids: Callable[[int], Sequence[Solid]] = lambda _: ()  # more objects in a row of the run
+    marks: Array | None = None  # (N, 3) [m] a line on the floor, such as a door's arc
 
-    def paths(self, *columns: str, every: int = 10) -> Table:
-        """A table of time, pose of the base, position of the end-effector, and further columns.
-
-        The table has each `every`-th row of the run.
-        """
+    def paths(self, *columns: str) -> Table:
+        """Time, pose of the base, position of the end-effector, `columns`, in each tenth row."""
         run = self.run.trace
         table = {name: run[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
         table |= points_table(run.of("p_ee"), "hand_") | {name: run[name] for name in columns}
-        return {name: column[::every] for name, column in table.items()}
+        return {name: column[::10] for name, column in table.items()}
 
 
-def snapshot_figure(
-    model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
-) -> Figure:
-    """Draw at most six rows of four snapshots, with the letters (a), (b) and so on.
+def of_strips(
+    model: RobotModel,
+    strips: Sequence[Strip],
+    kind: str,
+    results: Sequence[str],
+    *columns: str,
+    aim: str = "",
+    marks: str = "",
+) -> Drawing:
+    """A drawing of rows of four snapshots, with the runs' paths and `columns`, and some results.
 
-    `aim` and `marks` are the legend's texts for the arrows of `Strip.aim` and the lines of
-    `Strip.marks`; an empty text has no entry.
+    The column `kind` of the table has the names of the strips. `aim` and `marks` are the legend's
+    texts for the arrows of `Strip.aim` and the lines of `Strip.marks`; an empty text has no entry.
     """
     height = len(strips) * (style.WIDTH / _COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)
@@ -190,7 +180,9 @@ def snapshot_figure(
         keys.append(Line2D([], [], color=style.TARGET, linestyle=":", label=marks))
     place = {"loc": "outside lower center", "ncols": len(keys), "handlelength": 2.2}
     figure.legend(handles=keys, fontsize=10, **place)
-    return figure
+    paths = {strip.name: strip.paths(*columns) for strip in strips}
+    measured = {strip.name: {key: strip.run.figures[key] for key in results} for strip in strips}
+    return Drawing(figure, {"": stacked(paths, kind)}, measured)
 
 
 def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
@@ -245,8 +237,8 @@ def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> Non
     """Draw an arrow, which the layout ignores, from x and y of one point to x and y of another."""
     look = {"linewidth": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14, **look}
     head: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, **look}
-    head_at, tail_at = (end[0], end[1]), (start[0], start[1])
-    ax.annotate("", head_at, tail_at, zorder=5, arrowprops=head).set_in_layout(False)
+    ends: Any = end[:2], start[:2]
+    ax.annotate("", *ends, zorder=5, arrowprops=head).set_in_layout(False)
 
 
 def _on_floor(ax: Axes, picture: Picture, corners: Array, **line: Any) -> None:

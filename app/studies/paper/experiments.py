@@ -36,10 +36,7 @@ class Experiment(RunSpec):
 
     @classmethod
     def of(cls, scenario: str, controller: str, **line: Point) -> Self:
-        """The run of a scenario, by the names of scenario and controller.
-
-        The keyword arguments `start` and `move` (3,) [m] replace those of a scenario on a line.
-        """
+        """The run of a scenario; `start` and `move` (3,) [m] replace those of a line."""
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), Config(), controller)
 
     @property
@@ -76,9 +73,7 @@ GUIDING = {
 """The guiding runs, by the method and the direction; `points` is `dbb` on a border of points."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
 """The runs of Figure 15."""
-AS_PRINTED = tuple(
-    each._replace(controller="hqp") for each in (TRACKING, WHEEL_AXIS, LATERAL, FRONT)
-)
+AS_PRINTED = tuple(e._replace(controller="hqp") for e in (TRACKING, WHEEL_AXIS, LATERAL, FRONT))
 """Runs of the controller as printed in the paper."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
@@ -121,14 +116,12 @@ class Sources:
         config = self.config.border
         return construct_dbb(self.data.clouds[pair.name], config.d_b, config.eps)
 
-    @cached_property
-    def surface(self) -> ActingPointFinder:
-        """Algorithm 3 on the border as a continuous surface, as in the controller."""
-        return ActingPointFinder(BorderSearch(self.offset.table), self.field)
+    def finder(self, *border: Border) -> ActingPointFinder:
+        """Algorithm 3 on a border of points of the end-effector, as printed in the paper.
 
-    def points(self, border: Border) -> ActingPointFinder:
-        """Algorithm 3 on a border of points for the end-effector, as printed in the paper."""
-        return ActingPointFinder(BorderSearch(self.offset.table, [border]), self.field)
+        Without an argument the border is the continuous surface, as in the controller.
+        """
+        return ActingPointFinder(BorderSearch(self.offset.table, list(border)), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
@@ -185,9 +178,6 @@ def run_experiments(
     """Run each experiment once with the same seed, in up to `processes` parallel processes.
 
     After each result, longest run first, `on_progress` gets the simulated time [s] so far.
-
-    Raises:
-        UnreachableError: The arm cannot reach the start of an experiment.
     """
     # Longest first, so that all processes end at about the same time.
     todo = sorted(set(experiments), key=lambda e: (-e.scenario.duration, e.name))

@@ -8,7 +8,7 @@ from typing import Any
 
 from app.errors import check_name
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
-from app.studies.paper import acting, approach, density, departures, offline
+from app.studies.paper import approach, density, departures, method
 from app.studies.paper.claims import Threshold, claims_of
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import ROBOT, Experiment, duration, load_sources, run_experiments
@@ -18,7 +18,7 @@ from app.system import write_whole
 
 FIGURES = {
     name: figure
-    for module in (offline, acting, approach, density, departures)
+    for module in (method, approach, density, departures)
     for name, figure in pictures_in(vars(module)).items()
 }
 """The figures in the order of the paper, by their names."""
@@ -26,11 +26,7 @@ _DRAWING = 5.0  # [s] simulated time whose computation takes about as long as dr
 
 
 def chosen(names: Iterable[str]) -> list[str]:
-    """The names without repetition, in the order of the paper; all figures if there are no names.
-
-    Raises:
-        UnknownNameError: A name does not exist; the message lists the names.
-    """
+    """The names without repetition, in the order of the paper; all names if there are none."""
     selected = set(names)
     for name in sorted(selected):
         check_name("figure", name, FIGURES)
@@ -63,9 +59,6 @@ def reproduce(
 
     Returns:
         The content of `metrics.json`.
-
-    Raises:
-        DbbError: A run is not possible.
     """
     begin, experiments = perf_counter(), experiments_for(names)
     sources = load_sources()  # samples a missing border before the processes start
@@ -90,7 +83,7 @@ def reproduce(
     claims = [claim.judge(sources) for claim in claims_of(names)]
     about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
     write_whole(out / "index.html", paper_page(parts, claims, about))
-    hold = _number_that_hold(claims)
+    hold = sum(claim["holds"] for claim in claims)
     result = {
         "robot": ROBOT,
         "seed": seed,
@@ -108,30 +101,22 @@ def reproduce(
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
     """The HTML of `index.html`, with results of `Claim.judge` and a sentence `about` the runs."""
-    tally = f"{_number_that_hold(claims)} of {len(claims)} claims hold here. " if claims else ""
     lead = (
         "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "
-        f"simulation. {tally}{about}"
+        "simulation. "
     )
-    last = [_claims_part(claims)] if claims else []
-    return page_html("The paper's experiments, reproduced", lead, [*figures, *last])
-
-
-def _number_that_hold(claims: Sequence[Mapping[str, Any]]) -> int:
-    return sum(bool(claim["holds"]) for claim in claims)
+    parts = [*figures]
+    if claims:
+        lead += f"{sum(claim['holds'] for claim in claims)} of {len(claims)} claims hold here. "
+        parts.append(_claims_part(claims))
+    return page_html("The paper's experiments, reproduced", lead + about, parts)
 
 
 def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Part:
-    """The part of the report's page with one figure, the paper's statement and our measurement.
-
-    `files` are the paths from `Drawing.write`.
-    """
-    measured = Part(
-        "Measured here",
-        tables=measured_grids(drawing.measured),
-        points=drawing.remarks,
-        note=", ".join(path.name for path in files),
-    )
+    """The part of the page with one figure; `files` are the paths from `Drawing.write`."""
+    names = ", ".join(path.name for path in files)
+    grids = measured_grids(drawing.measured)
+    measured = Part("Measured here", tables=grids, points=drawing.remarks, note=names)
     paper = Part("The paper states", text=[figure.caption])
     return Part(figure.title, figure.name, png=files[0].read_bytes(), sides=(paper, measured))
 

@@ -1,12 +1,12 @@
 """A case of a study: the random draw, the run, and the row of a table with both.
 
-A draw depends only on the study's parameters and the number of the case. The end-effector starts on
-a ray from a target point in the base, in any direction of the sphere. Robot, controller, plant and
-the random quantities determine the run.
+The end-effector starts on a ray from a target point in the base, in any direction of the sphere.
 """
 
 import math
+import re
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -24,19 +24,11 @@ from app.simulation.run import run_from_spec
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.start import StartSolver
 from app.strict import Array
-from app.studies.pulls.parameters import (
-    FAULTS,
-    LOGARITHMIC,
-    PARAMETERS,
-    Interval,
-    StudyParameters,
-    StudyRange,
-)
+from app.studies.pulls.parameters import FAULTS, PARAMETERS, Interval, StudyParameters, StudyRange
 from app.studies.runs import Row, flattened, rounded
 from app.studies.sweep.plan import exit_distance, point_of
 
-TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
-"""Results of a run that depend on the machine, which a study does not store."""
+TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")  # they depend on the machine
 _ENDINGS = {"-": "", "s": "_s", "rad": "_rad", "m/s": "_mps", "N": "_n", "N/m": "_npm", "kg": "_kg"}
 COLUMNS = {
     "speed": "speed_mps",
@@ -48,8 +40,7 @@ COLUMNS = {
     "fault_at": "fault_at_s",
 }
 """The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in
-`LineScenario`. The columns of release and new grasp are None if the event does not happen.
-`fault_at_s` is a time, not a share of the pull."""
+`LineScenario`; None if the event does not happen. `fault_at_s` is a time, not a share."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
 _NOT_STORED = {
     *("scenario", "controller", "robot", "seed", "duration_s", "physics"),  # equal to the inputs
@@ -90,27 +81,19 @@ class StudySources(NamedTuple):
 
     model: RobotModel
     data: BorderData
-    lower: Array
-    """(3,) [m] lower corner, on the floor, of a box around the mobile base, in the base's frame."""
-    upper: Array
-    """(3,) [m] upper corner of the box."""
-    shoulder: Array
-    """(3,) [m] the arm's second joint (the shoulder) in the base's frame."""
-    near: float
-    """[m] smallest distance of a start from the shoulder."""
-    far: float
-    """[m] largest distance of a start from the shoulder."""
+    lower: Array  # (3,) [m] lower corner, on the floor, of a box around the base, in its frame
+    upper: Array  # (3,) [m] upper corner of the box
+    shoulder: Array  # (3,) [m] the arm's second joint, in the base's frame
+    near: float  # [m] smallest distance of a start from the shoulder
+    far: float  # [m] largest distance of a start from the shoulder
 
 
 class Start(NamedTuple):
     """The start of a case, in the base's frame."""
 
-    sector: str
-    """One of `SECTORS`."""
-    p: Array
-    """(3,) [m] position of the end-effector."""
-    aim: Array
-    """(3,) [m] target point inside the base."""
+    sector: str  # one of `SECTORS`
+    p: Array  # (3,) [m] position of the end-effector
+    aim: Array  # (3,) [m] target point inside the base
 
     @property
     def outwards(self) -> Array:
@@ -121,12 +104,7 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load the data of a robot, once in each process.
-
-    Raises:
-        UnknownNameError: The robot does not exist.
-        AssetError: The robot's URDF or a mesh is missing.
-    """
+    """Load the data of a robot, once in each process; raises the errors of `load_robot`."""
     model = RobotModel(load_robot(robot))
     body = MobileBody(model)
     lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
@@ -139,8 +117,7 @@ def draw_start(
     """Draw a start in a range of heights [m], where the arm has every pair outside its buffer.
 
     Returns:
-        The start, the arm's joint positions (n_m,) at the start, and the number of starts that were
-        drawn before and rejected.
+        The start, the arm's joint positions (n_m,), and the number of rejected starts.
 
     Raises:
         StudyError: The arm reaches none of the drawn starts.
@@ -154,12 +131,9 @@ def draw_start(
         start, seed = place(sector, sources, rng), int(rng.integers(2**32))
         distance = float(np.linalg.norm(start.p - sources.shoulder))
         high = heights[0] <= start.p[2] <= heights[1]
-        if not (high and sources.near <= distance <= sources.far):
-            continue
-        try:
-            return start, solver.solve(point_of(start.p), seed=seed, tries=_SEARCHES), redraws
-        except UnreachableError:
-            continue
+        if high and sources.near <= distance <= sources.far:
+            with suppress(UnreachableError):
+                return start, solver.solve(point_of(start.p), seed=seed, tries=_SEARCHES), redraws
     raise StudyError(
         f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts with its "
         f"end-effector {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
@@ -201,8 +175,7 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
     """The fields `shoulder`, `near` and `far` of `StudySources`.
 
     The distances come from random postures in which the end-effector points outwards and not far
-    upwards, as at the starts that the start solver finds. Without such a posture, `near` is 0 and
-    `far` is infinite.
+    upwards, as at the starts that the start solver finds; 0 and infinity without such a posture.
     """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
@@ -225,8 +198,7 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
 def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
     """Draw the random quantities of a case, by the columns of the study's table.
 
-    Each case has its own streams of random numbers. Therefore it depends only on the parameters and
-    the number of the case, and not on other cases.
+    They depend only on the parameters and the number, because a case has its own random streams.
 
     Raises:
         StudyError: The arm reaches no start in the range of heights.
@@ -236,15 +208,13 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
         for key in ((number,), (number, 1))
     )
     ranges = parameters.ranges
-    speed = draw_value("speed", ranges, rng)
-    drawn: dict[str, float | None] = {
-        n: draw_value(n, ranges, rng) for n in PARAMETERS if n not in _LATER
-    }
+    first = ("speed", *(name for name in PARAMETERS if name not in _LATER))
+    drawn: dict[str, Any] = {name: ranges.draw(name, rng) for name in first}
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along = _draw_move(start, rng)
-    move, duration, moving = _timed(move, speed, ranges.duration)
+    move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
     release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
-    drawn |= {"speed": speed, "duration": duration, "moving": moving}
+    drawn |= {"duration": duration, "moving": moving}
     drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
     drawn |= _draw_faults(ranges, duration * moving, others)
     return {
@@ -259,19 +229,11 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     }
 
 
-def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float:
-    """Draw the value of a quantity with a name in `StudyRange`."""
-    low, high = getattr(ranges, name)
-    if name not in LOGARITHMIC:
-        return float(rng.uniform(low, high))
-    return float(np.clip(math.exp(rng.uniform(math.log(low), math.log(high))), low, high))
-
-
 def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
     """Draw the displacement (3,) [m] of a pull, and whether it is along the base.
 
-    The other pulls lead towards the target, and end there or after 0.6 m. A pull along the base is
-    perpendicular to the line to the target, or up to 45° towards the target.
+    Other pulls end at the target or after 0.6 m. A pull along the base is perpendicular to the line
+    to the target, or up to 45° towards the target.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
     across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
@@ -286,8 +248,7 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """The displacement (3,) [m] of a pull, shortened if the pull would take too long; the duration
-    [s] of the run; and the ratio [-] of the pull's duration to the run's duration.
+    """The shortened displacement (3,) [m] of a pull, the run's duration [s], the pull's share.
 
     `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
     rest of 1 s after the pull, or of a quarter of `longest` if that is shorter.
@@ -301,24 +262,21 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
 
 
 def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
-    """Draw the payload, the faults (at most three), and the time `fault_at` [s] of their beginning.
+    """Draw payload, at most three faults, and `fault_at` [s], for a pull of `pulling` [s].
 
-    `pulling` [s] is the duration of the pull. Absent faults have the parameters' defaults.
+    Absent faults have the parameters' defaults.
     """
-    drawn = {name: draw_value(name, ranges, rng) for name in _LATER}
+    drawn = {name: ranges.draw(name, rng) for name in _LATER}
     count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
     for name in rng.permutation(list(FAULTS))[count:]:
         drawn[name] = parameter(PARAMETERS[name]).default
-    return drawn | {"fault_at": draw_value("fault_at", ranges, rng) * pulling}
+    return drawn | {"fault_at": ranges.draw("fault_at", rng) * pulling}
 
 
 def _draw_release(
     ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
 ) -> tuple[float | None, float | None]:
-    """Draw the times [s] of release and new grasp; None if the event does not happen.
-
-    `duration` [s] is that of the run, and `moving` [-] is the share of the pull in it.
-    """
+    """Draw the times [s] of release and new grasp; None if the event does not happen."""
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
     release = duration * moving * rng.uniform(*_RELEASE)
     regrasp = release + duration * (1.0 - moving) * rng.uniform(*_FREE)
@@ -326,12 +284,7 @@ def _draw_release(
 
 
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
-    """The run of a case, from the random quantities in its row.
-
-    Executing this run raises a `TargetError` if the robot's arm does not have as many joints as the
-    row.
-    """
-    joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
+    """The run of a case, from the random quantities in its row."""
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
     drawn["disturbance.begins"] = row[COLUMNS["fault_at"]]
     drawn["disturbance.time_stamps"] = "yes" if parameters.time_stamps else "no"
@@ -339,7 +292,7 @@ def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
     scenario = RANDOM_PULL.changed(
         start=tuple(row[f"start_{axis}_m"] for axis in "xyz"),
         move=tuple(row[f"move_{axis}_m"] for axis in "xyz"),
-        q_m=tuple(row[f"q{i}_rad"] for i in range(1, joints + 1)),
+        q_m=tuple(row[key] for key in row if re.fullmatch(r"q\d+_rad", key)),
         **{name: row[COLUMNS[name]] for name in _OF_LINE},
     )
     run = scenario, config, parameters.controller, parameters.physics, row["seed"]
@@ -349,9 +302,8 @@ def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
 def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: BorderData) -> Row:
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
-    If the run stops with an error, `error` in the row is the reason, and the row has no results.
-    If the run completes, `error` is None; `nan` is then true if a torque, a pose of the base or a
-    result is not finite.
+    If the run stops with an error, `error` is the reason, and the row has no results. Otherwise
+    `nan` is true if a torque, a pose of the base or a result is not finite.
 
     Raises:
         AssetError: The robot's files are missing.
@@ -374,10 +326,7 @@ def stopped(drawn: Row, reason: str) -> Row:
 
 
 def met_base(row: Row) -> bool:
-    """Whether the arm touched the base in the plant, or their convex bodies met.
-
-    The convex bodies enclose the links, so they can meet without a contact.
-    """
+    """Whether the arm touched the base, or their convex bodies, which enclose the links, met."""
     return bool(row.get("contacts")) or _at_most_zero(row.get("min_clearance_m"))
 
 
@@ -393,11 +342,7 @@ def entered_buffer(row: Row, d_b: float) -> bool:
 
 
 def failed(row: Row) -> bool:
-    """Whether a case failed.
-
-    The reasons are a contact of the arm with the base or itself, an overlap of their convex bodies,
-    a control step with the fallback command, a NaN, and an error, but not a contact with the floor.
-    """
+    """Whether the arm met the base or itself, or the run had a fallback command, NaN or error."""
     broken = row["nan"] or row["error"] or row.get("solver_failures")
     return bool(broken) or met_base(row) or met_itself(row)
 

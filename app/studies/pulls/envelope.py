@@ -16,12 +16,10 @@ from app.studies.pulls.case import COLUMNS, entered_buffer, failed
 from app.studies.pulls.parameters import PARAMETERS, Interval, StudyRange
 from app.studies.runs import Row
 
-STATED = Path(__file__).with_name("envelope.toml")
-"""The file with the envelope that the project states, and the source of this envelope."""
+STATED = Path(__file__).with_name("envelope.toml")  # the envelope that the project states
 
 MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a case against it
-FORCE = "hand_force_clear_max_n"
-"""Column with the person's largest force until two bodies were first nearer than `NEAR`."""
+FORCE = "hand_force_clear_max_n"  # largest force until two bodies were first nearer than `NEAR`
 _CONFIDENCE = 0.95  # [-] confidence of the bound of a failure rate
 
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
@@ -34,18 +32,12 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
     do not matter. The force of a case is that of `exerted`.
     """
 
-    force: NonNegative
-    """[N] largest force F* of a case in the envelope; 0 means that no case is inside."""
-    speed: Interval
-    """[m/s] largest speed of the person's hand."""
+    force: NonNegative  # [N] largest force F* of a case inside; with 0, no case is inside
+    speed: Interval  # [m/s] largest speed of the person's hand
 
     @classmethod
     def stated(cls) -> Self:
-        """The envelope that the project states, from `STATED`.
-
-        Raises:
-            StudyError: The file is missing or damaged.
-        """
+        """The envelope that the project states; a `StudyError` if its file is damaged."""
         try:
             content = from_toml(STATED.read_text(encoding="utf-8"))
             return cls.model_validate(content["envelope"])
@@ -55,9 +47,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             raise StudyError(f"{STATED}: the envelope cannot be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """The parts of a study's ranges that are inside the envelope.
-
-        The range of the spring's limit, `hand_f_max`, then ends at most at F*.
+        """The parts of a study's ranges inside the envelope; `hand_f_max` ends at most at F*.
 
         Raises:
             StudyError: A range has no part inside the envelope.
@@ -85,10 +75,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
 
 
 def exerted(row: Row) -> float:
-    """[N] the person's largest force in a case until two bodies were first nearer than 10 mm.
-
-    For a run that stopped with an error, it is the limit of the person's spring.
-    """
+    """[N] the force `FORCE` of a case; the limit of the spring if the run stopped with an error."""
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 
@@ -110,20 +97,17 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
 
 
 def tally(rows: Sequence[Row]) -> dict[str, Any]:
-    """Number of cases, number of failed cases, and the upper 95 % bound of the share that fails.
-
-    A case that came nearer than 10 mm, but has not failed, does not count as failed.
-    """
+    """Number of cases, number of failed cases, and the upper 95 % bound of the share that fails."""
     failures = sum(map(failed, rows))
     bound = rate_bound(failures, len(rows))
     return {"cases": len(rows), "failed": failures, "rate_bound_95": bound}
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of those cases that are inside an envelope that was fitted to other cases.
+    """The tally of the cases inside an envelope that was fitted to other cases.
 
-    The envelope of the odd cases selects even cases, and the envelope of the even cases selects odd
-    ones. In an envelope that is fitted to the same cases no case would have failed.
+    The envelope of the odd cases selects even cases, and vice versa. In an envelope that is fitted
+    to the same cases no case would have failed.
     """
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
@@ -133,10 +117,7 @@ def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
 
 
 def rate_bound(failures: int, cases: int) -> float:
-    """[-] upper 95 % bound of a failure rate (Clopper and Pearson); 1 without cases.
-
-    Without a failure it is about 3 divided by the number of cases.
-    """
+    """[-] upper 95 % bound of a failure rate (Clopper and Pearson); 1 without cases."""
     from scipy.stats import beta
 
     if failures >= cases:

@@ -1,9 +1,11 @@
 """The parameters of a study: robot, controller, plant, and intervals of the random quantities."""
 
 import hashlib
+import math
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
@@ -21,8 +23,7 @@ FAULTS = {
     "unknown_load": "load",
     "stated_period": "period",
 }
-"""The faults of a case: disturbances that the controller must report. The value is the name under
-which the controller reports the fault, one of `app.control.readings.FAULTS`."""
+"""The faults of a case, each with the name of the controller's report in `readings.FAULTS`."""
 
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
@@ -38,8 +39,7 @@ PARAMETERS = {
 }
 """Paths of the parameters in the configuration that have random values, by the quantity's name."""
 
-LOGARITHMIC = ("hand_stiffness",)
-"""Names of the quantities whose logarithm is uniformly distributed."""
+LOGARITHMIC = ("hand_stiffness",)  # quantities whose logarithm is uniformly distributed
 
 _BOUNDS = {
     "speed": (0.01, 1.5, "m/s"),
@@ -50,8 +50,7 @@ _BOUNDS = {
     "released": (0.0, 1.0, ""),
     "regrasped": (0.0, 1.0, ""),
 }
-"""Smallest valid value, largest valid value and unit of the quantities that are not parameters of
-the configuration."""
+"""Valid range and unit of the quantities that are not parameters of the configuration."""
 
 
 class StudyRange(Strict):
@@ -114,9 +113,7 @@ class StudyRange(Strict):
         """Raise a `ConfigError` that names the option of `dbb study` and its valid values."""
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
-            if name in _BOUNDS:
-                bounds = _BOUNDS[name]
-            else:
+            if (bounds := _BOUNDS.get(name)) is None:
                 known = parameter(PARAMETERS[name])
                 bounds = known.low, known.high, known.unit
             ends = value if isinstance(value, tuple) else (value,)
@@ -126,29 +123,31 @@ class StudyRange(Strict):
                 raise ConfigError(f"{option}: LOW {ends[0]:g} is above HIGH {ends[-1]:g}")
         return self
 
+    def draw(self, name: str, rng: np.random.Generator) -> float:
+        """Draw a value in the interval `name`."""
+        low, high = getattr(self, name)
+        if name not in LOGARITHMIC:
+            return float(rng.uniform(low, high))
+        return float(np.clip(math.exp(rng.uniform(math.log(low), math.log(high))), low, high))
+
 
 class StudyParameters(Strict):
     """The parameters that determine each case of a study, without the number of cases."""
 
-    seed: int = 0
-    """Seed of the random quantities. The quantities of case k depend only on the seed, k, the robot
-    and the ranges."""
+    seed: int = 0  # the random quantities of case k depend only on seed, k, robot and ranges
     robot: str = "husky_panda"
     controller: str = "dbb"
     physics: str = Field(default_factory=default_plant)
     ranges: StudyRange = StudyRange()
-    inside: bool = False
-    """Whether to narrow the ranges to the envelope that the project states."""
-    time_stamps: bool = False
-    """Whether the readings have time stamps, and each control step has the time of a clock."""
+    inside: bool = False  # whether to narrow the ranges to the envelope that the project states
+    time_stamps: bool = False  # whether readings and control steps have the time of a clock
 
 
 @cache
 def code_digest() -> str:
     """A digest, 16 hexadecimal digits, of the program's Python files.
 
-    Remote workers must have the same digest, and so must a study that is continued. The files of
-    the robot and the versions of libraries are not included.
+    Remote workers and a continued study must have the same digest.
     """
     root, digest = Path(__file__).parents[2], hashlib.blake2b(digest_size=8)
     for path in sorted(root.rglob("*.py")):

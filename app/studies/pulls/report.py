@@ -8,27 +8,21 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from app.config import parameter
 from app.simulation.trace.words import number_text
 from app.studies.page import Grid, Part, label, page_html
+from app.studies.pulls import envelope as fit
 from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, met_itself
-from app.studies.pulls.envelope import (
-    FORCE,
-    Envelope,
-    exerted,
-    fit_envelope,
-    tally,
-    tally_by_halves,
-)
+from app.studies.pulls.envelope import FORCE, Envelope, exerted, tally
 from app.studies.pulls.parameters import FAULTS, PARAMETERS, StudyParameters
 from app.studies.runs import Row
 from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
 
-_FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)
-"""[N] limits of the intervals of force in a table."""
+_FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] limits of intervals
 _DISTRIBUTED = (
     "hand_force_max_n",
     "hand_force_clear_max_n",
@@ -42,8 +36,7 @@ _DISTRIBUTED = (
 )
 """Results whose quantiles are in the summary."""
 _QUANTILES = (0.0, 0.01, 0.05, 0.5, 0.95, 1.0)
-Events = Mapping[str, Callable[[Row], object]]
-"""Functions that decide whether a case has an event, by the name of the event."""
+Events = Mapping[str, Callable[[Row], object]]  # by name: whether a case has the event
 _INCIDENTS: Events = {
     "contact": lambda row: row.get("contacts"),
     "bodies_overlap": met_base,
@@ -91,11 +84,8 @@ _BEYOND = 1.15  # [-] end of the force axis relative to the largest force
 def summary_of(
     rows: Sequence[Row], parameters: StudyParameters, d_b: float
 ) -> tuple[dict[str, Any], Envelope]:
-    """Return the summary for `study.json`, and the envelope that `fit_envelope` finds.
-
-    `rows` must not be empty. `d_b` [m] is the buffer distance of the robot.
-    """
-    stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
+    """The summary of at least one row for `study.json`, and the fitted envelope; `d_b` is in m."""
+    stated, fitted = Envelope.stated(), fit.fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
     whole, entered = tally(rows), partial(entered_buffer, d_b=d_b)
     events = {**_INCIDENTS, "failed": failed, "entered_buffer": entered}
@@ -119,7 +109,7 @@ def summary_of(
         "envelope": {
             **fitted.model_dump(mode="json"),
             "inside": tally([row for row in rows if fitted.holds(row)]),
-            "inside_by_halves": tally_by_halves(rows, parameters.ranges),
+            "inside_by_halves": fit.tally_by_halves(rows, parameters.ranges),
         },
         "stated_envelope": {
             "inside": tally(within),
@@ -134,8 +124,7 @@ def summary_of(
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
     """Count the cases with a fault, those with a report of it, and those with a timely report.
 
-    A wrong `stated_period` acts from the start of the run, the other faults act from `fault_at_s`.
-    A report before this time is no report of the fault.
+    A report before the fault acts is no report of the fault.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -160,13 +149,11 @@ def _of_force(rows: Sequence[Row], low: float, high: float, events: Events) -> d
 
 
 def _counts_and_distance(rows: Sequence[Row], events: Events) -> dict[str, Any]:
-    """Number of cases, number of cases with each event, and the smallest distance."""
     smallest = min(_known(rows, "min_clearance_m"), default=None)
     return {"cases": len(rows), **_counts(rows, events), "least_clearance_m": smallest}
 
 
 def _counts(rows: Sequence[Row], events: Events) -> dict[str, int]:
-    """Number of cases with each event; a case may have several events."""
     return {name: sum(bool(happened(row)) for row in rows) for name, happened in events.items()}
 
 
@@ -193,25 +180,21 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
     low, high = envelope.speed
     axes.fill_between((low, high), envelope.force, color=_SHADE, zorder=0)
     axes.hlines(envelope.force, low, high, color=INK, linewidth=2, zorder=3)
+
+    def scatter(shown: list[Row], **style: Any) -> PathCollection:
+        return axes.scatter(
+            [row["speed_mps"] for row in shown], [row[FORCE] for row in shown], **style
+        )
+
     good = [row for row in known if not failed(row)]
-    points = axes.scatter(
-        [row["speed_mps"] for row in good],
-        [row[FORCE] for row in good],
-        c=[row["min_clearance_m"] for row in good],
-        cmap="viridis",
-        norm=Normalize(*_CLEARANCES),
-        s=16,
-        linewidths=0.4,
-        edgecolors="white",
-        zorder=4,
-    )
-    figure.colorbar(
-        points, ax=axes, extend="max", pad=0.01, label="smallest distance, arm to base [m]"
-    )
+    colours = {"c": [row["min_clearance_m"] for row in good], "cmap": "viridis"}
+    look = {"norm": Normalize(*_CLEARANCES), "s": 16, "linewidths": 0.4, "edgecolors": "white"}
+    points = scatter(good, **colours, **look, zorder=4)
+    text = "smallest distance, arm to base [m]"
+    figure.colorbar(points, ax=axes, extend="max", pad=0.01, label=text)
     for name, (rule, style) in _MARKS.items():
         bad = [row for row in known if failed(row) and rule(row)]
-        places = [row["speed_mps"] for row in bad], [row[FORCE] for row in bad]
-        axes.scatter(*places, zorder=5, label=name, **style)
+        scatter(bad, zorder=5, label=name, **style)
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set(xlabel="speed of the person's hand [m/s]", xlim=(low - 0.02, high + 0.02))
     axes.set_ylabel("largest force before a distance of 10 mm [N]")
@@ -325,8 +308,14 @@ def report_html(
 
 
 def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
-    """The results of the cases as a text, and as a table by the exerted force, for a report."""
-    return Part(text=_verdict(summary)), _forces(summary)
+    """The results of the cases as a text, and as a table by the exerted force."""
+    forces = {}
+    for counts in summary["by_force"]:
+        low, high = counts["from_n"], counts["to_n"]
+        name = f"from {low:g}" if high is None else f"{low:g} to {high:g}"
+        forces[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
+    table = _counted("By the exerted force", "force before 10 mm [N]", forces)
+    return Part(text=_verdict(summary)), table
 
 
 def _lead(parameters: StudyParameters) -> str:
@@ -402,17 +391,7 @@ def _envelope(fitted: Envelope) -> Part:
     both = [fitted.model_dump(), Envelope.stated().model_dump()]
     body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
     head = ["largest force, intervals [SI units]", "fitted to these cases", "the project states"]
-    grid = Grid(head, body, numbers=True)
-    return Part("The envelope", tables=[grid])
-
-
-def _forces(summary: Mapping[str, Any]) -> Part:
-    found = {}
-    for counts in summary["by_force"]:
-        low, high = counts["from_n"], counts["to_n"]
-        name = f"from {low:g}" if high is None else f"{low:g} to {high:g}"
-        found[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
-    return _counted("By the exerted force", "force before 10 mm [N]", found)
+    return Part("The envelope", tables=[Grid(head, body, numbers=True)])
 
 
 def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
@@ -423,10 +402,9 @@ def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> 
 
 
 def _failures(rows: Sequence[Row]) -> Part:
-    bad = [row for row in rows if failed(row)]
+    bad = sorted(filter(failed, rows), key=exerted)
     if not bad:
         return Part("Failures", text=["No case failed."])
-    bad.sort(key=exerted)
     body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
     cut = len(bad) > _MAX_FAILURES
     more = f" The table has {_MAX_FAILURES} of {len(bad)} failures." if cut else ""

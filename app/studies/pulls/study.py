@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from app.errors import StudyError
 from app.jobs.bounded import SMALL
@@ -29,9 +29,6 @@ from app.system import claim, write_whole
 
 if TYPE_CHECKING:
     from distributed import Client
-
-Job = TypeVar("Job")
-Result = TypeVar("Result")
 
 _AT_ONCE = 1000  # number of cases that are sent to the workers together, to limit the memory
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
@@ -50,10 +47,9 @@ def study(
 ) -> dict[str, Any]:
     """Run the missing cases of a study, and write its results into an existing folder.
 
-    The cases have the numbers from 0 to `cases` - 1; those without a stored result run. The results
-    of further stored cases are ignored. The cases run on the workers of the dask scheduler with the
-    address `scheduler`; without one, they run in processes of this machine. `on_progress` gets the
-    number of cases with a stored result.
+    The cases have the numbers from 0 to `cases` - 1; further stored cases are ignored. They run on
+    the workers of the dask scheduler with the address `scheduler`; without one, in processes of
+    this machine. `on_progress` gets the number of cases with a stored result.
 
     Returns:
         The content of `study.json`.
@@ -71,10 +67,11 @@ def study(
         todo = [number for number in range(cases) if number not in journal.rows]
         stored = cases - len(todo)
         on_progress(stored)
-        if todo:
-            _do(todo, parameters, scheduler, processes, journal, stored, on_progress)
-        rows = [journal.rows[number] for number in range(cases)]
-        return _write(rows, parameters, out)
+        with closing(_rows(todo, parameters, scheduler, processes)) as rows:
+            for done, row in enumerate(rows, stored + 1):
+                journal.add(row)
+                on_progress(done)
+        return _write([journal.rows[number] for number in range(cases)], parameters, out)
 
 
 def identity_of(parameters: StudyParameters) -> dict[str, Any]:
@@ -82,19 +79,12 @@ def identity_of(parameters: StudyParameters) -> dict[str, Any]:
     return {**parameters.model_dump(mode="json"), "code": code_digest()}
 
 
-def _do(
-    todo: Sequence[int],
-    parameters: StudyParameters,
-    scheduler: str | None,
-    processes: int,
-    journal: Journal,
-    done: int,
-    on_progress: Callable[[float], None],
-) -> None:
-    """Run the cases with the numbers `todo`, and add each result to the journal.
-
-    `on_progress` gets the number of stored results; `done` of them are stored before the call.
-    """
+def _rows(
+    todo: Sequence[int], parameters: StudyParameters, scheduler: str | None, processes: int
+) -> Generator[Row, None, None]:
+    """Run the cases with the numbers `todo`, and yield their rows."""
+    if not todo:
+        return
     load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
@@ -102,10 +92,7 @@ def _do(
     with workers:
         for begin in range(0, len(todo), _AT_ONCE):
             numbers = todo[begin : begin + _AT_ONCE]
-            for row in workers.map(partial(_row, parameters), numbers, lost=lost):
-                journal.add(row)
-                done += 1
-                on_progress(done)
+            yield from workers.map(partial(_row, parameters), numbers, lost=lost)
 
 
 def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -> Row:
@@ -133,55 +120,44 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
         write_whole(out / f"{name}.png", png)
     page = report_html(rows, parameters, summary, envelope, pictures)
     write_whole(out / "report.html", page)
-    source = {
-        "seed": parameters.seed,
-        "controller": parameters.controller,
-        "physics": parameters.physics,
-        "code": code_digest(),
-        "cases": len(rows),
-        "failed": summary["failed"],
-    }
+    identity = identity_of(parameters)
+    source = {name: identity[name] for name in ("seed", "controller", "physics", "code")}
+    source |= {name: summary[name] for name in ("cases", "failed")}
     for name in ("inside", "inside_by_halves"):
         source |= {f"{name}_{key}": value for key, value in summary["envelope"][name].items()}
     write_whole(out / "envelope.toml", as_toml(envelope, source))
-    result = {"parameters": identity_of(parameters), **summary}
+    result = {"parameters": identity, **summary}
     write_json(out / "study.json", result)
     return result
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file for each failed case, which `dbb run --case` reads; remove other such files."""
+    """Write a file for each failed case, which `dbb run --case` reads; remove earlier files."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
-    kept = set()
-    for row in filter(case.failed, rows):
-        run, path = case.spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
-        write_whole(path, RunCase.of(run).text())
-        kept.add(path)
-    for path in set(folder.glob("case-*.json")) - kept:
+    for path in folder.glob("case-*.json"):
         path.unlink()
+    for row in filter(case.failed, rows):
+        text = RunCase.of(case.spec_of(row, parameters)).text()
+        write_whole(folder / f"case-{row['case']:05d}.json", text)
 
 
 class Journal(AbstractContextManager["Journal"]):
-    """The stored rows of a study, by the number of the case.
+    """The stored rows of a study.
 
     Each row is one line of JSON, which is on the disk before `add` returns. If the last line is
     incomplete, because the writing process was killed, the line is removed: the case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open or start the journal in an existing folder; use it in a `with`.
-
-        `identity` has the data that identify the study, as JSON.
+        """Open or start the journal of the study with this identity in an existing folder.
 
         Raises:
-            StudyError: The folder has another study, another process uses the folder, or the data
-                in the folder are damaged.
+            StudyError: The folder has another study or damaged data, or is in use.
         """
-        self.rows: dict[int, Row] = {}
-        """Rows by the number of the case."""
+        self.rows: dict[int, Row] = {}  # by the number of the case
         self._folder = folder
         self._file = (folder / _LINES).open("a+b")
         try:
@@ -251,20 +227,17 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     parts = []
     for key in sorted({*kept, *wanted}):
         there, here = kept.get(key), wanted.get(key)
-        if there == here:
-            continue
         if isinstance(there, dict) and isinstance(here, dict):
             parts.append(_difference(there, here))
-        else:
+        elif there != here:
             parts.append(f"{key.replace('_', ' ')}: {there}, not {here}")
-    return "; ".join(parts)
+    return "; ".join(filter(None, parts))
 
 
 class Cluster(AbstractContextManager["Cluster"]):
     """Runs jobs on the workers of a dask scheduler, as `app.jobs.pool.Workers` does in processes.
 
-    Use it in a `with`, which does not end the scheduler. The certificates for `tls://` addresses
-    come from dask's configuration.
+    The certificates for `tls://` addresses come from dask's configuration.
     """
 
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
@@ -273,8 +246,7 @@ class Cluster(AbstractContextManager["Cluster"]):
         Each job calls `make_context`, which must cache the data that the jobs share.
 
         Raises:
-            StudyError: No scheduler answers, the scheduler has no workers, or the workers have
-                other code.
+            StudyError: No scheduler answers, or it has no workers with the same code.
         """
         # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
         from distributed import Client
@@ -300,12 +272,8 @@ class Cluster(AbstractContextManager["Cluster"]):
         self._client.close()
 
     def map(
-        self,
-        function: Callable[[Any, Job], Result],
-        jobs: Sequence[Job],
-        *,
-        lost: Callable[[Job], Result],
-    ) -> Iterator[Result]:
+        self, function: Callable[..., Row], jobs: Sequence[int], *, lost: Callable[[int], Row]
+    ) -> Iterator[Row]:
         """Execute the jobs, and yield the results in the order in which the jobs end.
 
         If the worker's process ends in each attempt at a job, `lost` makes the result.
@@ -324,14 +292,12 @@ class Cluster(AbstractContextManager["Cluster"]):
             yield result
 
 
-def _run(
-    function: Callable[[Any, Job], Result], make_context: Callable[[], Any], job: Job
-) -> Result:
+def _run(function: Callable[..., Row], make_context: Callable[[], Any], job: int) -> Row:
     return function(make_context(), job)
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Check that a cluster has workers, and that their code is the code of this process."""
+    """Check that a cluster has workers with the code of this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib import colormaps, patheffects
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, PowerNorm
@@ -39,28 +39,19 @@ _DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 class Quantity(NamedTuple):
     """A quantity that the maps show."""
 
-    key: str
-    """Key in the rows of paths."""
+    key: str  # key in the rows of paths
     title: str
-    """Label with its unit."""
-    scale: Normalize
-    """Scale of the values [m or s]."""
-    limit: float | None
-    """[m or s] boundary between good and bad values; None if all values are good."""
-    marks: tuple[tuple[float, str], ...]
-    """Values that are drawn as circles, with their texts."""
+    scale: Normalize  # of the values [m or s]
+    limit: float | None  # [m or s] boundary of good values; None if all values are good
+    marks: tuple[tuple[float, str], ...]  # values that are drawn as circles, with their texts
     more_is_better: bool = False
-    """Whether values above the limit are good."""
 
     def share(self, value: float) -> float:
         """[-] position of a value on the scale, clipped to 0 to 1."""
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan at which the bar of a value ends.
-
-        If larger values are better, each value below the limit has the radius of the limit.
-        """
+        """[m] radius in plan at which the bar of a value ends; that of the limit if it is bad."""
         if self.more_is_better and self.limit is not None:
             value = max(value, self.limit)
         return _INNER + (_OUTER - _INNER) * max(self.share(value), _MIN_BAR)
@@ -84,14 +75,11 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance, and time.
-
-    The scales of distance and time reach from 0 to the largest value of all rows; an overlap counts
-    as 0. The scale of the error is fixed.
-    """
+    """Final error, smallest distance and time, the last two with scales from 0 to their maximum."""
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
+    distances = CLEARANCE_LIMIT, widest / 2, widest
     return (
         Quantity(
             "ee_error_final_m",
@@ -105,11 +93,7 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
             "smallest distance to the base",
             PowerNorm(0.5, 0.0, widest, clip=True),
             CLEARANCE_LIMIT,
-            (
-                (CLEARANCE_LIMIT, f"{CLEARANCE_LIMIT:g} m"),
-                (widest / 2, f"{widest / 2:.3g} m"),
-                (widest, f"{widest:.3g} m"),
-            ),
+            tuple((distance, f"{distance:.3g} m") for distance in distances),
             more_is_better=True,
         ),
         Quantity(
@@ -125,9 +109,8 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
     """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
 
-    There is a column of panels for each controller, with a row for the final error, the smallest
-    distance and the time until the error is within 1 mm. For a single controller the three panels
-    are side by side.
+    There is a column of panels for each controller, with a row for each of `quantities`; the three
+    panels of a single controller are side by side.
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
@@ -210,10 +193,7 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
 def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
-    """Make a figure, and its panels, each with the controller and the quantity that it shows.
-
-    The scales of the quantities depend on all `rows`; `panel` is the height [in] of a panel.
-    """
+    """Make a figure, and panels of the height `panel` [in], each with controller and quantity."""
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
     wide, high = (3, 1) if single else (len(names), 3)
@@ -222,11 +202,10 @@ def _panels(
     figure.suptitle(title[0].upper() + title[1:], x=0.01, ha="left", fontsize=13)
     grid = figure.subplots(high, wide, squeeze=False, subplot_kw={"projection": projection})
     panels = []
-    for i, quantity in enumerate(shown):
-        for j, (name, label) in enumerate(zip(names, labels, strict=True)):
-            ax, text = (grid[0, i] if single else grid[i, j]), quantity.title
-            ax.set_title(f"{label}\n{text}" if i == 0 and not single else text, fontsize=11)
-            panels.append((ax, name, quantity))
+    for (i, j), ax in np.ndenumerate(grid.T if single else grid):
+        text = shown[i].title
+        ax.set_title(f"{labels[j]}\n{text}" if i == 0 and not single else text, fontsize=11)
+        panels.append((ax, names[j], shown[i]))
     return figure, panels
 
 
@@ -240,18 +219,14 @@ def _legend(figure: Figure, *, axis: bool) -> None:
     ]
     if axis:
         text = "along the wheel axis, x of $p_b$ = 0, ±1, ±10, ±50 mm"
-        dot = Line2D([], [], label=text, color=_WITHIN, markeredgecolor=INK, **_DOT)
-        handles.append(dot)
+        handles.append(Line2D([], [], label=text, color=_WITHIN, markeredgecolor=INK, **_DOT))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5)
 
 
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Draw the base's outline in a style, the wheel axis, and the arm's mount.
-
-    `axis` is y of the wheel axis's ends [m]; the mount is a circle with the radius `mount` [m].
-    """
+    """Draw the base's outline, the wheel axis between two y [m], the mount with a radius [m]."""
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
     place = {"transform": style.pop("transform", ax.transData)}
@@ -305,6 +280,5 @@ def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
 
 
 def _smallest_step(rows: Sequence[Row], key: str) -> float:
-    """[m] smallest difference between two values of a column; 1 without different values."""
-    values = sorted({float(row[key]) for row in rows})
-    return min((b - a for a, b in pairwise(values)), default=1.0)
+    """[m] smallest difference between two values of a column, at most 1."""
+    return float(np.diff(np.unique([row[key] for row in rows])).min(initial=1.0))

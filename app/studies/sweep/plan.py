@@ -52,15 +52,13 @@ class Approach:
     kind: Kind
     """"side": horizontal, towards the middle of the base's box; "wheel_axis": parallel to the wheel
     axis; "above": vertical, downwards."""
-    height: float = 0.0
-    """[m] height of the end-effector's origin, for horizontal paths."""
+    height: float = 0.0  # [m] height of the end-effector's origin, for horizontal paths
     direction_deg: float = 0.0
-    """[deg] direction from the middle of the base's box to the start of a horizontal path,
-    counter-clockwise from the front; 90 or 270 for `wheel_axis`."""
+    """[deg] direction from the base to the start of a horizontal path, counter-clockwise from the
+    front; 90 or 270 for `wheel_axis`."""
     offset: float = 0.0
     """[m] x of p_b, the arm's point nearest to the base, at the start, for `wheel_axis`."""
-    place: tuple[float, float] = (0.0, 0.0)
-    """[m] x and y of the end-effector's origin, for `above`."""
+    place: tuple[float, float] = (0.0, 0.0)  # [m] x and y of the end-effector, for `above`
 
     @property
     def inwards(self) -> Array:
@@ -109,10 +107,7 @@ def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
 
 
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
-    """Paths of the kind `above`, at the points of a grid with a largest spacing [m].
-
-    The grid reaches from corner to corner, `lower` and `upper` (2,) [m], of the base's footprint.
-    """
+    """Paths of the kind `above`, on a grid between two corners (2,) with a largest spacing [m]."""
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
     xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True))
     for x, y in product(xs, ys):
@@ -164,13 +159,7 @@ class SweepPlan:
     config: Config = field(default_factory=Config)
 
     def __post_init__(self) -> None:
-        """Check all values.
-
-        Raises:
-            ConfigError: A number is out of its range, or an option has no value; the message names
-                the option.
-            UnknownNameError: A controller or the plant does not exist.
-        """
+        """Check all values; raises a `ConfigError` or an `UnknownNameError`."""
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         chosen_plant(self.physics)
@@ -191,19 +180,17 @@ class SweepPlan:
     @property
     def distance(self) -> float:
         """[m] desired distance between arm and base at the start."""
-        if self.start_distance is not None:
-            return self.start_distance
-        return self.config.border.d_b + CLEAR
+        usual = self.config.border.d_b + CLEAR
+        return usual if self.start_distance is None else self.start_distance
 
     def approaches(self, model: RobotModel) -> list[Approach]:
         """All paths; each is for all speeds and controllers."""
         from app.border.mobile import MobileBody
 
-        found = list(ring(self.heights, self.step))
+        found, body = list(ring(self.heights, self.step)), MobileBody(model)
         if self.wheel_axis:
             found += wheel_axis(self.heights)
         if self.above:
-            body = MobileBody(model)
             found += from_above(body.lower[:2], body.upper[:2], self.above_spacing)
         return found
 
@@ -233,13 +220,8 @@ class Start(NamedTuple):
     """The start of a path; without a start only `approach` and `reason` have a meaning."""
 
     approach: Approach
-    q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] joint positions of the arm."""
-    p_ee: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] position of the end-effector's origin in the world; the base is at the origin."""
-    p_b: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] the arm's closest point to the base, in the world."""
-    clearance: float = 0.0
-    """[m] distance of the closest point from the base."""
-    reason: str = ""
-    """The reason why there is no start; empty if there is one."""
+    q_m: tuple[float, ...] = ()  # (n_m,) [rad or m] joint positions of the arm
+    p_ee: Point = (0.0, 0.0, 0.0)  # (3,) [m] the end-effector's origin; the base is at the origin
+    p_b: Point = (0.0, 0.0, 0.0)  # (3,) [m] the arm's closest point to the base
+    clearance: float = 0.0  # [m] distance of the closest point from the base
+    reason: str = ""  # the reason why there is no start; empty if there is one

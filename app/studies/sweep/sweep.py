@@ -1,11 +1,8 @@
-"""A sweep: paths of the end-effector towards the base from all directions, with each controller.
-
-The files are `sweep.json`, `sweep.csv`, a map for each height and speed, and, with paths from
-above, a map of these for each speed.
-"""
+"""A sweep: paths of the end-effector towards the base from all directions, with each controller."""
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby, islice, product, tee
@@ -95,7 +92,7 @@ class StartFinder:
     """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
-        """Prepare the search for a robot, its border data and a buffer distance `d_b` [m]."""
+        """Prepare the search for a buffer distance `d_b` [m]."""
         self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
         self._state = RobotState(model)
@@ -108,8 +105,8 @@ class StartFinder:
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
         """Find the start of a path, or the reasons why there is none.
 
-        If the arm cannot reach the desired `distance` [m] between arm and base on the path's line,
-        the start has the distance at which the search ended.
+        If the arm cannot reach the desired `distance` [m] from the base on the path's line, the
+        start has the distance at which the search ended.
         """
         refused: Counter[str] = Counter()
         for posture in islice(self._postures(approach, seed), _MAX_POSTURES):
@@ -160,35 +157,28 @@ class StartFinder:
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move the end-effector along the path's line towards the desired distance [m].
-
-        The result is the position (3,) [m] of the end-effector, and the joint positions (n_m,).
-        """
+        """Move the end-effector (3,) [m] and the joints (n_m,) towards the desired distance [m]."""
         excess = self._closest(q_m).d - distance
         step, moved = np.sign(excess) * _SLIDE, 0.0
         while abs(excess) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
             if moved > _FARTHEST_SLIDE:
                 break
             p_new = p_ee + step * approach.inwards
-            try:
+            with suppress(UnreachableError):
                 q_new = self._solver.slide(point_of(p_new), q_m)
-            except UnreachableError:
-                step /= 2
-                continue
-            new_excess = self._closest(q_new).d - distance
-            if new_excess * excess < 0:  # the step was too long
-                step /= 2
-                continue
-            p_ee, q_m, excess, moved = p_new, q_new, new_excess, moved + abs(step)
+                new_excess = self._closest(q_new).d - distance
+                if new_excess * excess >= 0:
+                    p_ee, q_m, excess, moved = p_new, q_new, new_excess, moved + abs(step)
+                    continue
+            step /= 2  # out of reach, or beyond the distance
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
         """Find joint positions (n_m,) for which p_b has the coordinate x [m] in the base's frame.
 
-        p_b is the arm's closest point to the base. The search starts at `q_m` (n_m,) with the
-        end-effector at `p_ee` (3,) [m]. While the error of p_b is large, the search shifts the
-        end-effector along the base's x axis, and computes the joint positions by inverse
-        kinematics. A small error is corrected by a step of the joint positions, which is finer.
+        The search starts at `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m]. While the error
+        of p_b, the arm's closest point to the base, is large, it shifts the end-effector along the
+        base's x axis. A small error is corrected by a step of the joint positions, which is finer.
 
         Raises:
             UnreachableError: The search has found no such posture.
@@ -234,8 +224,7 @@ def load(robot: str, d_b: float) -> StartFinder:
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
     """Run all paths of a plan, and return the content of `sweep.json`, whose keys end in the unit.
 
-    Each start is searched once for all controllers and speeds. The result, except for `elapsed_s`,
-    does not depend on the number of processes.
+    Except for `elapsed_s` it does not depend on the number of processes.
     """
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
@@ -314,9 +303,8 @@ def arrival(t: Array, errors: Array) -> float | None:
 def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
     """Whether a path was successful.
 
-    This means: a final error of at most `error_limit` [m], a smallest distance between arm and base
-    of at least 0.03 m, no contact of the arm with the base or itself, and no step with the fallback
-    command.
+    The final error is at most `error_limit` [m], and the smallest distance between arm and base at
+    least 0.03 m, without contact of the arm with base or itself, and without fallback command.
     """
     clearance = results["min_clearance_m"]
     flaws = (results[key] for key in ("contacts", "arm_contacts", "solver_failures"))
@@ -326,17 +314,12 @@ def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
 
 def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]) -> Row:
     """Summaries by controller and by the key of `LISTS`, for the kinds of paths in the plan."""
-    by_kind = {kind: [start for start in starts if start.approach.kind == kind] for kind in LISTS}
-    return {
-        controller: {
-            LISTS[kind]: _summary(
-                by_kind[kind], [row for row in rows[kind] if row["controller"] == controller]
-            )
-            for kind in LISTS
-            if by_kind[kind]
-        }
-        for controller in plan.controllers
-    }
+    result: Row = {controller: {} for controller in plan.controllers}
+    for (controller, found), (kind, key) in product(result.items(), LISTS.items()):
+        if own := [start for start in starts if start.approach.kind == kind]:
+            of_it = [row for row in rows[kind] if row["controller"] == controller]
+            found[key] = _summary(own, of_it)
+    return result
 
 
 def _summary(starts: list[Start], rows: list[Row]) -> Row:
