@@ -222,7 +222,7 @@ def test_values_beyond_the_axes_are_drawn_at_their_ends():
 
 @pytest.mark.parametrize(
     ("report_s", "counts"),
-    [(None, (1, 0, 0)), (0.9, (1, 0, 0)), (1.1, (1, 1, 1)), (2.0, (1, 1, 0))],
+    [(None, (1, 0, 0)), (0.9, (1, 0, 0)), (0.9995, (1, 1, 1)), (1.1, (1, 1, 1)), (2.0, (1, 1, 0))],
 )
 def test_a_report_counts_only_after_the_fault_begins(report_s, counts):
     events = {"kind": "side", "redraws": 0, "release_at_s": None, "regrasp_at_s": None}

@@ -51,6 +51,13 @@ PULLS = ("--cases", "690", "--seed", "17", "--hand-f-max", "30", "100", *EXACT)
 """Options of the study of pulls with up to 100 N."""
 ENVELOPE = ("--cases", "20000", "--seed", "1", "--hand-f-max", "30", "50", *EXACT)
 """Options of the study from which the stated envelope is fitted; it takes two hours."""
+FAULTY = (
+    *("--cases", "2000", "--seed", "5", "--hand-f-max", "5", "36", "--duration", "5"),
+    *("--base-delay", "0", "0", "--mass-error", "0", "0", "--slip", "0", "0", "--faulty", "1"),
+    *("--v-max", "0.5", "0.5", "--hand-mass", "0", "0", "--payload", "0", "0"),
+    *("--encoder-noise", "0", "0.0003"),
+)
+"""Options of the study of random faults."""
 
 
 TRUST = {
@@ -378,6 +385,28 @@ def study_table(found: Figures) -> str:
     return grid(["limit of the spring", "force before 10 mm", *columns], rows)
 
 
+def faults_table(found: Figures) -> str:
+    """A row per outcome and per fault; a column per study: with and without time stamps."""
+    studies = list(found.values())
+    rows = [
+        [title, *(f"{study[key]:,}" for study in studies)]
+        for key, title in (
+            ("cases", "runs"),
+            ("contact", "contact of arm and base"),
+            ("bodies_overlap", "convex bodies of arm and base met"),
+            ("without_readings", "no usable reading for 0.1 s"),
+            ("too_fast", "a joint above 1.05 of its speed limit, no torque at its limit"),
+            ("too_fast_without_floor_contact", "of these, without a contact with the floor"),
+            ("too_fast_with_readings", "of these, with a usable reading at least each 0.1 s"),
+        )
+    ]
+    for name in studies[0]["faults"]:
+        counts = [study["faults"][name] for study in studies]
+        cells = (f"{each['within_200_ms']:,} of {each['cases']:,}" for each in counts)
+        rows.append([f"`{name}` reported by its name within 0.2 s", *cells])
+    return grid(["outcome", *(name.replace("_", " ") for name in found)], rows)
+
+
 def gallery_table(found: Figures) -> str:
     """A row per robot: its content and the results of its checks, or the reason of the refusal."""
     rows = []
@@ -424,6 +453,12 @@ def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
     """The displayed numbers."""
     keys = ("cases", "failed", "failed_rate_bound_95", "entered_buffer_share", "by_force")
     return {key: printed[key] for key in keys}
+
+
+def keep_faults(printed: dict[str, Any]) -> dict[str, Any]:
+    """The displayed numbers."""
+    keys = ("cases", "contact", "bodies_overlap", "without_readings", "faults")
+    return {key: printed[key] for key in printed if key in keys or key.startswith("too_fast")}
 
 
 def keep_all(printed: dict[str, Any]) -> dict[str, Any]:
@@ -614,6 +649,17 @@ SETS: dict[str, ResultSet] = {
         },
         keep_study,
         study_table,
+    ),
+    "faults": ResultSet(
+        {
+            "without_time_stamps": ("app", "study", *FAULTY, "--out", "out/results/f0", "--json"),
+            "with_time_stamps": (
+                *("app", "study", *FAULTY, "--time-stamps"),
+                *("--out", "out/results/f1", "--json"),
+            ),
+        },
+        keep_faults,
+        faults_table,
     ),
     "reach": ResultSet(
         {body: ("app", "reach", "--body", body, "--json") for body in ("lEE", "l3")},

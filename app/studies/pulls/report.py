@@ -13,6 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from app.config import parameter
+from app.simulation.session import DT
 from app.simulation.trace.words import number_text
 from app.studies.page import Grid, Part, label, page_html
 from app.studies.pulls import envelope as fit
@@ -47,6 +48,17 @@ _INCIDENTS: Events = {
     "nan": lambda row: row["nan"],
     "error": lambda row: row["error"],
 }
+_FAULTY: Events = {
+    "without_readings": lambda row: row.get("fault_stale_s") is not None,
+    "too_fast": lambda row: _is_too_fast(row),
+    "too_fast_without_floor_contact": lambda row: _is_too_fast(row) and not row["floor_contacts"],
+    "too_fast_with_readings": lambda row: (
+        _is_too_fast(row) and not row["floor_contacts"] and row.get("fault_stale_s") is None
+    ),
+}
+"""Outcomes of faulty readings. A case is too fast if a joint exceeds `_FASTEST` times its speed limit
+while no torque is at its limit."""
+_FASTEST = 1.05  # [-] largest tolerated speed of a joint, relative to its limit
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _MAX_FAILURES = 200  # [-] largest number of rows in the table of failures
@@ -95,6 +107,7 @@ def summary_of(
         "failed": whole["failed"],
         "failed_rate_bound_95": whole["rate_bound_95"],
         **_counts(rows, _INCIDENTS),
+        **_counts(rows, _FAULTY),
         "redraws": sum(row["redraws"] for row in rows),
         "entered_buffer_share": sum(map(entered, rows)) / len(rows),
         "released": sum(row["release_at_s"] is not None for row in rows),
@@ -121,10 +134,14 @@ def summary_of(
     return summary, fitted
 
 
+def _is_too_fast(row: Row) -> bool:
+    return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
+
+
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
     """Count the cases with a fault, those with a report of it, and those with a timely report.
 
-    A report before the fault acts is no report of the fault.
+    A fault begins at a control step. A report before the fault acts is no report of the fault.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -133,7 +150,7 @@ def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
         for row in faulty
         if row.get(f"fault_{report}_s") is not None
     ]
-    reported, timely = (sum(0.0 <= each <= last for each in delays) for last in (math.inf, _SOON))
+    reported, timely = (sum(-DT < each <= last for each in delays) for last in (math.inf, _SOON))
     return {"cases": len(faulty), "reported": reported, "within_200_ms": timely}
 
 
