@@ -56,8 +56,8 @@ _FAULTY: Events = {
         _is_too_fast(row) and not row["floor_contacts"] and row.get("fault_stale_s") is None
     ),
 }
-"""Outcomes of faulty readings. A case is too fast if a joint exceeds `_FASTEST` times its speed limit
-while no torque is at its limit."""
+"""Outcomes of faulty readings. A case is too fast if a joint exceeds `_FASTEST` times its speed
+limit while no torque is at its limit."""
 _FASTEST = 1.05  # [-] largest tolerated speed of a joint, relative to its limit
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
