@@ -67,11 +67,9 @@ class View:
         "Fewer triangles, points and pictures per second, no shadows; the default without a GPU",
         first=False,
     )
-    plots: set[str] = field(default_factory=set)
-    """Titles of the shown plots."""
+    plots: set[str] = field(default_factory=set)  # titles of the shown plots
 
     def toggle_dark(self) -> None:
-        """Switch between the dark and the light theme."""
         self.dark = not self.dark
 
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:

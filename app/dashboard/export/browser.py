@@ -60,8 +60,7 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 def browser_path(bundled: str) -> str | None:
     """Return the path of a browser, or None for playwright's own browser at `bundled`.
 
-    If the environment variable `DBB_BROWSER` names a browser, this browser is used. If not, an
-    installed browser is used, and without one playwright's own browser.
+    The environment variable `DBB_BROWSER` precedes an installed browser, which precedes this one.
 
     Raises:
         BrowserError: There is no browser, or the environment variable names a missing file.
@@ -118,11 +117,10 @@ def chromium() -> Iterator[Browser]:
 def new_context(
     browser: Browser, size: tuple[int, int], *, honest: bool = False, touch: bool = False
 ) -> BrowserContext:
-    """Make a browser context, whose pages have `size` (width, height) [px] and the helpers
-    `dbbPage`.
+    """Make a browser context; its pages have `size` (width, height) [px] and the helpers `dbbPage`.
 
-    An `honest` page reports that it draws in software; other pages hide this, so that they get full
-    detail. With `touch`, the pages have a touch screen.
+    Only an `honest` page reports that it draws in software; others get full detail. With `touch`,
+    the pages have a touch screen.
     """
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch

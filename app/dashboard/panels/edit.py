@@ -1,7 +1,4 @@
-"""Folder "Edit this robot": changes of convex bodies, monitored pairs and ready posture.
-
-Callbacks store the changes; the drawing thread shows them.
-"""
+"""Folder "Edit this robot": changes of convex bodies, monitored pairs and ready posture."""
 
 from html import escape
 from itertools import combinations
@@ -200,12 +197,12 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape with the `half_extents` `half` (3,) [m].
 
-    The radius of a round shape follows the axis that changes most: of all three axes for a sphere,
-    of the two cross axes for a cylinder or a capsule.
+    The radius of a sphere follows the axis that changes most, that of a cylinder or a capsule the
+    cross axis that changes most.
     """
     factor = half / half_extents(shape)
-    axis = int(np.argmax(np.abs(np.log(factor[:2]))))
-    radius = round(float(half[axis]), _DIGITS)
+    across = factor if isinstance(shape, shapes.Sphere) else factor[:2]
+    radius = round(float(half[np.abs(np.log(across)).argmax()]), _DIGITS)
     match shape:
         case shapes.Box():
             changed: dict[str, Any] = {"size_m": _three(2 * half)}
@@ -216,8 +213,7 @@ def resized(shape: Shape, half: Array) -> Shape:
         case shapes.ConvexMesh():
             changed = {"scale": _three(factor * shape.scale)}
         case shapes.Sphere():
-            axis = int(np.argmax(np.abs(np.log(factor))))
-            changed = {"radius_m": round(float(half[axis]), _DIGITS)}
+            changed = {"radius_m": radius}
         case shapes.Cylinder():
             changed = {"radius_m": radius, "length_m": round(float(2 * half[2]), _DIGITS)}
         case shapes.Capsule():

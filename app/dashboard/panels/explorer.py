@@ -28,7 +28,6 @@ class ExplorerPanel(Panel):
     """Sliders of base and arm; while they are in use, the page shows their posture."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Create the closed folder."""
         super().__init__(viewer)
         self.posture: Posture | None = None
         """The posture that the page shows; None while the sliders are not in use."""
@@ -60,7 +59,6 @@ class ExplorerPanel(Panel):
         """Return the snapshot to draw: the response to the posture, or `shown` without a posture.
 
         Posing ends if the simulation continues or restarts, or if the viewer goes to the past.
-        Called by the drawing thread.
         """
         posture = self.posture
         if posture is None:
@@ -85,7 +83,6 @@ class ExplorerPanel(Panel):
         return explorer.respond(posture, newest)
 
     def update(self, moment: Moment) -> None:
-        """Show the readings of the posture, or an introduction."""
         if self.posture is None:
             self._text.content = small(
                 "Pause the simulation, then move joints, base and end-effector: the readings are "
@@ -133,7 +130,7 @@ class ExplorerPanel(Panel):
             self._show(on=False)
 
     def _read(self) -> None:
-        """Read the posture from the sliders; each value is clipped to the range of its slider."""
+        """Read the posture from the sliders, within their ranges."""
         with self._lock:
             if self.posture is None:
                 return
@@ -157,10 +154,10 @@ class ExplorerPanel(Panel):
 def posture_html(
     shown: Snapshot, acceleration: Sequence[float], error: float, spoken: Mapping[str, str]
 ) -> str:
-    """Return the response `shown` to a posture: distances, β, forces, acceleration of the base.
+    """Return the response `shown` to a posture as HTML.
 
-    `acceleration` [m/s², m/s², rad/s²] is forward, to the left and counterclockwise; `error` [m] is
-    the distance of the end-effector from its requested position; `spoken` has words for the pairs.
+    `acceleration` [m/s², m/s², rad/s²] of the base is forward, left and counterclockwise; `error`
+    [m] is the distance of the end-effector from its requested position.
     """
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
     rows = [row(*(cell(name, RIGHT) for name in ("", "distance d", "activation β", "force f")))]

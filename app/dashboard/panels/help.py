@@ -63,8 +63,7 @@ class Card(NamedTuple):
     title: str
     text: str
     buttons: tuple[str, ...]
-    place: str = ""
-    """Tab that the card explains and opens."""
+    place: str = ""  # tab that the card explains and opens
 
 
 _NO_CARD = Card("", "", ())
@@ -127,10 +126,8 @@ CARDS = {
         "Compare",
     ),
 }
-"""Cards by the guide's state.
-
-The first three have the same first buttons: a card can change while the viewer is about to click.
-"""
+"""Cards by the guide's state. The first three have the same first buttons: a card can change while
+the viewer is about to click."""
 SEEN = "dbb-tour-seen"
 """Key in the browser's storage after the first visit; later visits start without the guide."""
 
@@ -139,13 +136,11 @@ class Shortcut(NamedTuple):
     """A command of the list of commands (`Ctrl K`)."""
 
     label: str
-    key: Any
-    """The key that executes the command too, or None."""
+    key: Any  # the key that executes the command too, or None
     action: Callable[[], None]
 
 
 def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
-    """Add commands to a viewer's list of commands."""
     for shortcut in shortcuts:
         command = gui.add_command(shortcut.label, hotkey=shortcut.key)
         command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))
@@ -191,7 +186,6 @@ class Guide(Panel):
                 raise
 
     def leave_demonstration(self) -> None:
-        """Close the card of the repeated demonstration, if it is shown."""
         with self._lock:
             if self.state == "demo":
                 self.go("")
@@ -210,10 +204,10 @@ class Guide(Panel):
             self._channel.tell("open", card.place)
 
     def _press(self, label: str) -> None:
-        """Handle a click on a button of the card.
+        """Handle a click on a button of the card; ignore a label that the card does not have.
 
-        Ignore a label that the card does not have. Without a card, the labels of the demonstration
-        count, because the same click has just closed its card (`leave_demonstration`).
+        Without a card, the labels of the demonstration count: the same click has just closed its
+        card.
         """
         with self._lock:
             card = CARDS.get(self.state)
@@ -229,7 +223,6 @@ class Guide(Panel):
                 self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
 
     def _show(self) -> None:
-        """Show the subject of a step of the tour."""
         if self.state == "tour 5":
             self._play()
         elif self.state == "tour 4":

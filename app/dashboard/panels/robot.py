@@ -91,7 +91,6 @@ class RobotPanel(Panel):
         self._switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _show_report(self, event: viser.GuiEvent) -> None:
-        """Open the robot's report over the page, with a button to save the report."""
         chosen, client = self._chosen(), event.client
         name = chosen.name if chosen else ""
         path = robot_folder(name) / "report.html"
@@ -127,7 +126,6 @@ class NewRobotPanel(Panel):
     """Folder "Your own robot": upload of a zip, questions about its URDF, and progress."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Create the folder; all viewers share the upload and the build."""
         super().__init__(viewer)
         gui, build = self._gui, viewer.shared.robot_build
         self._build, self._package = build, None
@@ -166,7 +164,7 @@ class NewRobotPanel(Panel):
         self.uploads.disabled = progress is not None
 
     def request(self) -> Request:
-        """Return the request for a robot from the fields; fields that do not apply are ignored.
+        """Return the request for a robot from the fields that apply.
 
         Raises:
             ConfigError: There is no upload, a field is invalid, or fields contradict each other.
@@ -176,20 +174,17 @@ class NewRobotPanel(Panel):
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
         folder = new_folder(value["out"])
-        left, right = (
-            value[name] if self._suits(name) and value[name] != FIND else ""
-            for name in ("left", "right")
-        )
-        if bool(left) != bool(right):
+        asked = {name: value[name] for name in value if self._suits(name)}
+        left, right = (asked.get(name, FIND) for name in ("left", "right"))
+        if (left == FIND) != (right == FIND):
             raise ConfigError("choose both wheels, or detect both")
-        asked = [n for n in value if n in BOUNDS and self._suits(n) and value[n]]
-        numbers: dict[str, Any] = {name: float(value[name]) for name in asked}
+        numbers: dict[str, Any] = {n: float(x) for n, x in asked.items() if n in BOUNDS and x}
         request = Request(
             str(package.archive),
             value["base"],
             value["tip"],
             folder,
-            wheels=(left, right) if left else None,
+            wheels=None if left == FIND else (left, right),
             kind=value["kind"],
             assume_inertia=value["assume_inertia"],
             file=value["file"],
@@ -243,7 +238,6 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
 
 
 def report_html(page: str) -> str:
-    """Return a frame with a report that executes no scripts, because the robot may be untrusted."""
     return _REPORT.format(escape(page))
 
 

@@ -1,10 +1,9 @@
 """Tabs "Run", "Lab" and "Compare": scenario, readings, and other controllers."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from itertools import zip_longest
-from typing import Any
 
 import viser
 
@@ -48,6 +47,7 @@ METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
 INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
+_NUMBER = RIGHT, ONE_LINE
 _STARTS = "A scenario starts at once. A pull of the end-effector ends it."
 _SCORES = (
     ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
@@ -168,9 +168,9 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return the table of scores with a column for each robot, the main robot first.
+    """Return the table of scores, the main robot first, with marks at the best values.
 
-    A robot with a contact or an overlap cannot have the best value of a row.
+    A robot with a contact or an overlap cannot have a best value.
     """
     if not scores:
         return small("No comparison is running.", FAINT)
@@ -180,28 +180,19 @@ def scores_html(scores: tuple[Score, ...]) -> str:
         for score, colour in zip(scores, colours, strict=False)
     )
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
-    valid = [end == "no contact" for end in ends]
     texts = [end if end == "no contact" else state_chip("contact", end) for end in ends]
     rows = [row(cell("outcome", FAINT), *(cell(text, RIGHT) for text in texts))]
     for label, name, text, best in _SCORES:
         values = [getattr(score, name) for score in scores]
-        rows.append(row(cell(label, FAINT), *_marked(values, text, best, valid)))
+        valid = [v for v, end in zip(values, ends, strict=True) if end == "no contact"]
+        first = text(best(valid)) if best and len(set(map(text, valid))) > 1 else None
+        signs = ("✓ " if text(v) == first and v in valid else "" for v in values)
+        cells = (
+            cell(sign + text(v), RIGHT, ONE_LINE) for sign, v in zip(signs, values, strict=True)
+        )
+        rows.append(row(cell(label, FAINT), *cells))
     look = "font-size:.8em;line-height:1.7;padding:.3em .7em;border-collapse:separate"
     return table((row(cell(), *heads), *rows), f"{look};border-spacing:.6em 0")
-
-
-def _marked(
-    values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
-) -> list[str]:
-    """Return the cells of a row; `best` selects the value to mark if valid values differ."""
-    texts = [text(value) for value in values]
-    candidates = [value for value, good in zip(values, valid, strict=True) if good]
-    compared = best and len(set(map(text, candidates))) > 1
-    first = text(best(candidates)) if compared else None
-    return [
-        cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
-        for each, good in zip(texts, valid, strict=True)
-    ]
 
 
 def _distance(d: float) -> str:
@@ -266,15 +257,11 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
 
 
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
-    """Return the state of the simulation as rows of a table, in the verdict's colours.
-
-    A row "buffer" exists only if d_b was too small in the last 3 s; it has the required d_b.
-    """
     state = "paused" if snapshot.paused else "running"
     pull, bound = f"{pulled(snapshot):.1f} N", snapshot.force_bound
     pull += "" if math.isnan(bound) else f" (limits hold up to {bound:.0f} N)"
     *linear, w = snapshot.base_velocity
-    speed = ", ".join(words.signed(v) for v in linear)
+    speed = ", ".join(map(words.signed, linear))
     contact: State = "contact" if verdict.touching else "clear"
     rows: list[tuple[str, str, State]] = [
         ("time", f"{snapshot.t:.1f} s", "clear"),
@@ -291,7 +278,6 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
 
 
 def machine_rows(snapshot: Snapshot) -> list[str]:
-    """Return the load of the machine as rows of a table; values beyond a limit are coloured."""
     late = min(snapshot.overruns / max(round(snapshot.t / DT), 1), 1.0)
     rows = [
         ("real-time factor", f"{snapshot.realtime_factor:.2f}", is_slow(snapshot)),
@@ -299,8 +285,10 @@ def machine_rows(snapshot: Snapshot) -> list[str]:
         ("late steps", f"{100.0 * late:.1f} %", late > LATE),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
     ]
-    shown = ((name, text.replace("nan", "–"), bad) for name, text, bad in rows)
-    return [_status_row(name, text, "contact" if bad else "clear") for name, text, bad in shown]
+    return [
+        _status_row(name, text.replace("nan", "–"), "contact" if bad else "clear")
+        for name, text, bad in rows
+    ]
 
 
 def _status_row(label: str, value: str, state: State) -> str:
@@ -310,17 +298,10 @@ def _status_row(label: str, value: str, state: State) -> str:
 def pairs_html(
     snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str] | None = None
 ) -> str:
-    """Return a table of distances and activations of all pairs, in the order of the snapshot.
-
-    `spoken` has words for pairs, by default their names. A hint under the pointer explains a row.
-    """
-    head = row(
-        cell(),
-        cell("link pair"),
-        cell("distance [mm]", RIGHT, ONE_LINE, span=2),
-        cell("activation β", RIGHT, ONE_LINE, "padding-left:1em"),
-        style=FAINT,
-    )
+    """Return a table of all pairs; `spoken` has words for them, by default their names."""
+    distance = cell("distance [mm]", RIGHT, ONE_LINE, span=2)
+    beta = cell("activation β", RIGHT, ONE_LINE, "padding-left:1em")
+    head = row(cell(), cell("link pair"), distance, beta, style=FAINT)
     known = spoken or {pair.name: pair.name for pair in snapshot.pairs}
     order = list(known)  # also that of the colours in the plots
     rows = (
@@ -331,7 +312,6 @@ def pairs_html(
 
 
 def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) -> str:
-    """Return the row of a pair with the colour number `i`."""
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),

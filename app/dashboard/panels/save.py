@@ -100,7 +100,6 @@ class SavePanel(Panel):
         event.client.send_file_download(name, case.text().encode(), save_immediately=True)
 
     def _size(self) -> tuple[int, int]:
-        """Return the chosen width and height [px]."""
         for name, box in self._sizes.items():
             check_range(name, box.value, *SIZES[name][:2], "px")
         return int(self._sizes["width"].value), int(self._sizes["height"].value)
@@ -110,12 +109,7 @@ class SavePanel(Panel):
         return png(captioned(self._scene(*self._size()), shown, look, named=True, posed=posed))
 
     def _scene(self, width: int, height: int) -> Image.Image:
-        """Return the scene from the viewer's browser, in a size [px].
-
-        Raises:
-            Cancelled: The viewer has cancelled the file.
-            BrowserError: The browser returns no picture of this size.
-        """
+        """Return the scene from the viewer's browser, in a size [px]."""
         executor = ThreadPoolExecutor(1)
         future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
         executor.shutdown(wait=False)
@@ -134,8 +128,8 @@ class SavePanel(Panel):
     def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
         """Return the file that `write(report, trace, path, *more)` creates in its own process.
 
-        The libraries of logs and films use much memory, and a process returns all of it. The report
-        of a scenario ends with the scenario, because later rows would change its final values.
+        A process returns the memory of the libraries. The report of a scenario ends with the
+        scenario, because later rows would change its final values.
         """
         snapshots = self._viewer.timeline.interval()
         if write is write_report:
@@ -148,7 +142,6 @@ class SavePanel(Panel):
             return path.read_bytes()
 
     def _film(self) -> bytes:
-        """Return a film of the interval, which a process with its own browser creates."""
         view = cast("Side", self._film_from.value)
         look = Look(*self._size(), view=view, light=not self._viewer.view.dark)
         return self._of_interval(self._film_name(), write_film_of, look)
@@ -158,7 +151,6 @@ class SavePanel(Panel):
 
 
 def png(picture: Image.Image) -> bytes:
-    """Return a picture as a PNG file."""
     file = BytesIO()
     picture.save(file, "PNG")
     return file.getvalue()

@@ -43,7 +43,13 @@ class TuningPanel(Panel):
         for section in sections():
             paths = tuple(each.path for each in section.tunables)
             self._add_folder(section.title, paths, expand=section.name == _OPEN)
-        self._add_file()
+        with self._gui.add_folder("File"):
+            hint = "Name of the file, without .toml"
+            self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
+            hint = "A TOML file for the option --config of dbb run, serve and sweep"
+            self.button("Save", self._save, viser.Icon.DOWNLOAD, hint=hint)
+            hint = "A TOML file; parameters that are not in the file get their defaults"
+            self.upload("Load", self._load, color="gray", mime_type=".toml", hint=hint)
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
@@ -61,15 +67,6 @@ class TuningPanel(Panel):
         if not self._tuning.changes:
             raise ConfigError("nothing to reset: all parameters have their defaults")
         self._tuning.reset()
-
-    def _add_file(self) -> None:
-        with self._gui.add_folder("File"):
-            hint = "Name of the file, without .toml"
-            self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
-            hint = "A TOML file for the option --config of dbb run, serve and sweep"
-            self.button("Save", self._save, viser.Icon.DOWNLOAD, hint=hint)
-            hint = "A TOML file; parameters that are not in the file get their defaults"
-            self.upload("Load", self._load, color="gray", mime_type=".toml", hint=hint)
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
         folder = self._gui.add_folder(title, expand_by_default=expand)
@@ -122,12 +119,10 @@ def file_name(name: str) -> str:
 class ParameterWidget(Panel):
     """Widget of one parameter; for a range of several powers of ten, also a logarithmic slider.
 
-    A refused value changes nothing: its sender gets a message, and the widget is reset. A typed
-    value arrives when it is complete.
+    A refused value changes nothing: its sender gets a message, and the widget is reset.
     """
 
     def __init__(self, viewer: Viewer, path: str) -> None:
-        """Add the widgets of the parameter `path` to the open container."""
         super().__init__(viewer)
         self.about = tunable(path)
         self.is_marked = False

@@ -22,7 +22,8 @@ class ViewPanel(Panel):
                 hint = f"Reachable points at the buffer distance from the base: P_i of {pair}, (3)"
                 spoken = viewer.shared.spoken[pair]
                 choice = gui.add_dropdown(spoken, CHOICES, initial_value=quantity, hint=hint)
-                self.on_update(choice, partial(self._colour, pair))
+                assign = partial(self._view.borders.__setitem__, pair)
+                self.on_update(choice, lambda event, assign=assign: assign(event.target.value))
             self._add(BORDER)
         with gui.add_folder(LAYERS):
             self._add(LAYERS)
@@ -36,14 +37,12 @@ class ViewPanel(Panel):
                 self.on_update(box, partial(self._plot, title))
 
     def update(self, moment: Moment) -> None:
-        """Show choices that were made by a key or in another panel."""
         for field, widget in self._widgets.items():
             self.follow(widget, getattr(self._view, field))
         for title, box in self._plots.items():
             self.follow(box, title in self._view.plots)
 
     def _add(self, folder: str) -> None:
-        """Add the widgets of all fields of a folder."""
         for each in fields(View):
             about = each.metadata
             if about.get("folder") != folder:
@@ -53,13 +52,8 @@ class ViewPanel(Panel):
             value = getattr(self._view, each.name)
             widget = add(about["label"], *choices, initial_value=value, hint=about["hint"])
             self._widgets[each.name] = widget
-            self.on_update(widget, partial(self._assign, each.name))
-
-    def _assign(self, field: str, event: Any) -> None:
-        setattr(self._view, field, event.target.value)
-
-    def _colour(self, pair: str, event: Any) -> None:
-        self._view.borders[pair] = event.target.value
+            assign = partial(setattr, self._view, each.name)
+            self.on_update(widget, lambda event, assign=assign: assign(event.target.value))
 
     def _plot(self, title: str, event: Any) -> None:
         plots = self._view.plots

@@ -38,7 +38,6 @@ class SceneData:
         clouds: Mapping[str, Cloud],
         parts: RobotParts | None = None,
     ) -> None:
-        """Load the data; `loop` has published a snapshot. By default, load the `parts` too."""
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
         """Source of the snapshots; the robot; P_i of each pair of L_m, by the pair's name."""
@@ -93,8 +92,8 @@ class RobotScene:
     ) -> None:
         """Send all meshes, below the node `root`, which moves with the base.
 
-        The robot is a ghost if `ghost` has a colour: translucent, in this colour, without convex
-        bodies. With `light`, the visual meshes have few faces.
+        A robot with a `ghost` colour is translucent and has no convex bodies. With `light`, the
+        visual meshes have few faces.
         """
         self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
         self.root = scene.add_frame(root, show_axes=False)
@@ -120,7 +119,6 @@ class RobotScene:
         ]
 
     def show(self, *, meshes: bool, bodies: bool) -> None:
-        """Show or hide the meshes and the convex bodies."""
         for _, handle in self.links:
             handle.visible = meshes
         for handle in self._bodies:
@@ -129,8 +127,7 @@ class RobotScene:
     def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
         """Move the frames; viser sends only frames that have moved.
 
-        `base_pose` (3,) is x, y [m] and heading [rad] in the world; the other arguments are those
-        of `LinkPoses.update`.
+        `base_pose` (3,) is x, y [m] and heading [rad] in the world.
         """
         x, y, phi = base_pose
         root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
@@ -194,11 +191,9 @@ class Scene:
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
         """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
 
-        The lens determines the positions of labels and the point under the pointer. Borders are
-        drawn by `border.update`; this takes milliseconds, and `atomic` would delay all messages.
-
-        Returns:
-            The verdict on the snapshot, in whose colours the lines are drawn.
+        Returns the verdict, in whose colours the lines are drawn. The lens determines the positions
+        of labels and the point under the pointer. `border.update` draws borders: it takes
+        milliseconds, and `atomic` would delay all messages.
         """
         view = self._view
         dark, light = view.dark, view.light  # the viewer can change them meanwhile
@@ -227,10 +222,7 @@ class Scene:
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
         scene.configure_environment_map(None)
         scene.add_light_hemisphere(
-            "/lights/sky",
-            sky_color=(255, 255, 255),
-            ground_color=(120, 125, 135),
-            intensity=1.2,
+            "/lights/sky", sky_color=(255, 255, 255), ground_color=(120, 125, 135), intensity=1.2
         )
         dark = self._dark
         scene.add_grid(
