@@ -143,11 +143,10 @@ class OffscreenScene:
 
     def outline(self, base_pose: np.ndarray) -> None:
         """Draw the base's outline at a pose (3,) [m, m, rad] on the floor."""
-        base = [body for body in self._data.parts.bodies if not body.joint]
-        around = np.vstack([body.corners() for body in base])
-        (low_x, low_y), (high_x, high_y) = around.min(axis=0)[:2], around.max(axis=0)[:2]
-        xs, ys = (low_x, high_x, high_x, low_x), (low_y, low_y, high_y, high_y)
-        corners = in_world(base_pose, np.column_stack([xs, ys, np.full(4, _LIFT)]))
+        around = np.vstack([body.corners() for body in self._data.parts.bodies if not body.joint])
+        (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
+        corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
+        corners = in_world(base_pose, corners)
         self._server.scene.add_line_segments(
             "/start",
             np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),

@@ -1,6 +1,5 @@
 """Folder "Joint sliders": the controller's response to a posture while the simulation is paused."""
 
-from collections.abc import Mapping, Sequence
 from functools import partial
 from threading import RLock
 from typing import Any
@@ -89,9 +88,18 @@ class ExplorerPanel(Panel):
                 "the controller's response."
             )
             return
-        shown, axes = moment.shown, self._shared.model.description.base.axes
-        acceleration = planar(axes, shown.base_acceleration)
-        self._text.content = posture_html(shown, acceleration, self._error, self._shared.spoken)
+        shown, head = moment.shown, ("", "distance d", "activation β", "force f")
+        forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
+        rows = [row(*(cell(name, RIGHT) for name in head))]
+        for pair in shown.pairs:
+            force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
+            texts = (cell(x, RIGHT) for x in (millimetres(pair.d), f"{pair.beta:.2f}", force))
+            rows.append(row(cell(self._shared.spoken[pair.name]), *texts))
+        axes, error = self._shared.model.description.base.axes, self._error
+        way = words.acceleration(*planar(axes, shown.base_acceleration))
+        far = f"<br>The end-effector is {millimetres(error)} off its target."
+        text = f"{table(rows)}base acceleration: {way}{far if error > CLOSE else ''}"
+        self._text.content = small(text)
 
     def _slider(self, label: str, low: float, high: float, step: float, unit: str) -> Any:
         first = min(max(0.0, low), high)
@@ -149,21 +157,3 @@ class ExplorerPanel(Panel):
         self._begin.visible = not on
         for handle in (*self._sliders, self._start, self._leave):
             handle.visible = on
-
-
-def posture_html(
-    shown: Snapshot, acceleration: Sequence[float], error: float, spoken: Mapping[str, str]
-) -> str:
-    """Return the response `shown` to a posture as HTML.
-
-    `acceleration` [m/s², m/s², rad/s²] of the base is forward, left and counterclockwise; `error`
-    [m] is the distance of the end-effector from its requested position.
-    """
-    forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
-    rows = [row(*(cell(name, RIGHT) for name in ("", "distance d", "activation β", "force f")))]
-    for pair in shown.pairs:
-        force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
-        texts = millimetres(pair.d), f"{pair.beta:.2f}", force
-        rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
-    far = f"<br>The end-effector is {millimetres(error)} off its target." if error > CLOSE else ""
-    return small(f"{table(rows)}base acceleration: {words.acceleration(*acceleration)}{far}")

@@ -8,7 +8,6 @@ import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.errors import DbbError
 from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.scenarios import scenario_of
 from app.simulation.scenarios.line import LineScenario
@@ -172,18 +171,20 @@ class Guide(Panel):
                 self._end(anew=before == "demo" or state == "pull")
 
     def watch(self, state: str) -> None:
-        """Play the demonstration, and show the card "watch" or "demo".
+        """Show a card, and play the demonstration on a robot and on a ghost without avoidance.
 
         Raises:
             UnreachableError: The robot has no line for this scenario.
         """
         with self._lock:
-            before, self.state = self.state, state
-            try:
-                self._play()
-            except DbbError:
-                self.state = before
-                raise
+            scenario = scenario_of(self._shared.model.description, SHOWN)
+            if isinstance(scenario, LineScenario):
+                x, y, z = (FARTHER * part for part in scenario.move)
+                scenario = scenario.changed(move=(x, y, z))
+            self.state = state
+            self._shared.loop.send(Compare(("none",)))
+            self._shared.loop.send(Play(scenario))
+            self._compares = True
 
     def leave_demonstration(self) -> None:
         with self._lock:
@@ -224,21 +225,11 @@ class Guide(Panel):
 
     def _show(self) -> None:
         if self.state == "tour 5":
-            self._play()
+            self.watch(self.state)
         elif self.state == "tour 4":
             self._viewer.timeline.step(-3.0)
         else:
             self._viewer.play(SHOWN)
-
-    def _play(self) -> None:
-        """Play the demonstration on a robot and on a ghost without avoidance."""
-        scenario = scenario_of(self._shared.model.description, SHOWN)
-        if isinstance(scenario, LineScenario):
-            x, y, z = (FARTHER * part for part in scenario.move)
-            scenario = scenario.changed(move=(x, y, z))
-        self._shared.loop.send(Compare(("none",)))
-        self._shared.loop.send(Play(scenario))
-        self._compares = True
 
     def _end(self, *, anew: bool) -> None:
         """Remove the ghost; with `anew`, put a robot that no viewer holds at the free start."""

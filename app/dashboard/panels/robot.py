@@ -130,18 +130,16 @@ class NewRobotPanel(Panel):
         gui, build = self._gui, viewer.shared.robot_build
         self._build, self._package = build, None
         self._shown_urdf = ""
+        about = (
+            f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
+            f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; "
+            "nothing is executed. The robot's description, border and report are saved in<br>"
+            f"<code>{escape(str(user_robots()[0]))}</code>"
+        )
         with gui.add_folder("Your own robot", expand_by_default=False):
-            gui.add_html(
-                small(
-                    f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
-                    f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro "
-                    "first; nothing is executed. The robot's description, border and report are "
-                    f"saved in<br><code>{escape(str(user_robots()[0]))}</code>"
-                )
-            )
-            self.uploads = self.upload(
-                "Upload a zip", self._receive, mime_type=".zip,application/zip"
-            )
+            gui.add_html(small(about))
+            kind = ".zip,application/zip"
+            self.uploads = self.upload("Upload a zip", self._receive, mime_type=kind)
             self.status = JobStatus(viewer, build, lambda: outcome_html(build))
             self.fields = {name: _field(gui, name) for name in _QUESTIONS}
             create, icon = lambda _: build.build(self.request()), viser.Icon.HAMMER
@@ -227,14 +225,13 @@ class NewRobotPanel(Panel):
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
     """Describe a robot; `here` means that it is in use. Name the reason if it cannot be used."""
-    lines = [f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}"]
-    if here:
-        lines.append("In use.")
-    if entry.own:
-        lines.append("Your own robot.")
-    if entry.problem is not None:
-        lines.append(problem(entry.problem))
-    return small("<br>".join(lines))
+    lines = (
+        f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
+        "In use." if here else "",
+        "Your own robot." if entry.own else "",
+        "" if entry.problem is None else problem(entry.problem),
+    )
+    return small("<br>".join(filter(None, lines)))
 
 
 def report_html(page: str) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from itertools import zip_longest
+from itertools import compress, zip_longest
 
 import viser
 
@@ -35,7 +35,7 @@ from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart,
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.session import DT
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import PairReading, Score, Snapshot
+from app.simulation.trace.snapshot import Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice without a scenario
@@ -47,7 +47,6 @@ METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
 INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
-_NUMBER = RIGHT, ONE_LINE
 _STARTS = "A scenario starts at once. A pull of the end-effector ends it."
 _SCORES = (
     ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
@@ -152,8 +151,12 @@ class ComparePanel(Panel):
             if names != self._chosen():
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
-        outcomes = compared_html(moment.shown, self._shared.course.name)
-        self._scores.content = outcomes + scores_html(moment.shown.scores)
+        shown, last, outcomes = moment.shown, self._shared.course.name, ""
+        if shown.scores:
+            ended = f"{last}, at its end" if last else "So far"
+            when = f"{shown.scenario}, until {shown.t:.1f} s" if shown.scenario else ended
+            outcomes = small(f"{when}<br>{outcomes_html(shown.scores)}")
+        self._scores.content = outcomes + scores_html(shown.scores)
 
     def _choose(self) -> None:
         names = {title: name for name, title in METHOD_TITLES.items()}
@@ -180,15 +183,17 @@ def scores_html(scores: tuple[Score, ...]) -> str:
         for score, colour in zip(scores, colours, strict=False)
     )
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
+    valid = [end == "no contact" for end in ends]
     texts = [end if end == "no contact" else state_chip("contact", end) for end in ends]
     rows = [row(cell("outcome", FAINT), *(cell(text, RIGHT) for text in texts))]
     for label, name, text, best in _SCORES:
         values = [getattr(score, name) for score in scores]
-        valid = [v for v, end in zip(values, ends, strict=True) if end == "no contact"]
-        first = text(best(valid)) if best and len(set(map(text, valid))) > 1 else None
-        signs = ("✓ " if text(v) == first and v in valid else "" for v in values)
+        compared = list(compress(values, valid))
+        differ = len(set(map(text, compared))) > 1
+        first = text(best(compared)) if best and differ else None
         cells = (
-            cell(sign + text(v), RIGHT, ONE_LINE) for sign, v in zip(signs, values, strict=True)
+            cell(f"✓ {text(v)}" if good and text(v) == first else text(v), RIGHT, ONE_LINE)
+            for v, good in zip(values, valid, strict=True)
         )
         rows.append(row(cell(label, FAINT), *cells))
     look = "font-size:.8em;line-height:1.7;padding:.3em .7em;border-collapse:separate"
@@ -199,15 +204,6 @@ def _distance(d: float) -> str:
     """Return a distance [m] in millimetres, on the colour of contact if it is negative."""
     text = millimetres(d)[:-3]
     return text if d >= 0.0 else state_chip("contact", text)
-
-
-def compared_html(shown: Snapshot, last: str) -> str:
-    """Return each robot's outcome under the name of the running or the `last` scenario."""
-    if not shown.scores:
-        return ""
-    ended = f"{last}, at its end" if last else "So far"
-    when = f"{shown.scenario}, until {shown.t:.1f} s" if shown.scenario else ended
-    return small(f"{when}<br>{outcomes_html(shown.scores)}")
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
@@ -304,20 +300,16 @@ def pairs_html(
     head = row(cell(), cell("link pair"), distance, beta, style=FAINT)
     known = spoken or {pair.name: pair.name for pair in snapshot.pairs}
     order = list(known)  # also that of the colours in the plots
+    about = "signed distance d of its convex bodies, negative where they overlap; the mark is d_b ="
     rows = (
-        _pair_row(order.index(pair.name), pair, state, snapshot.d_b, known[pair.name])
+        row(
+            cell(mark("●", SERIES[order.index(pair.name) % len(SERIES)])),
+            cell(known[pair.name], ONE_LINE),
+            cell(distance_bar(pair.d, snapshot.d_b, state), "width:26%;padding-left:.4em"),
+            cell(_distance(pair.d), RIGHT),
+            cell(f"{pair.beta:.2f}", RIGHT),
+            hint=f"{pair.name}: {about} {millimetres(snapshot.d_b)}; activation β is 0 at d_b",
+        )
         for pair, state in zip(snapshot.pairs, verdict.pairs, strict=True)
     )
     return table((head, *rows), f"{_SIZE};line-height:1.65;padding:.3em .7em")
-
-
-def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) -> str:
-    return row(
-        cell(mark("●", SERIES[i % len(SERIES)])),
-        cell(name, ONE_LINE),
-        cell(distance_bar(pair.d, d_b, state), "width:26%;padding-left:.4em"),
-        cell(_distance(pair.d), RIGHT),
-        cell(f"{pair.beta:.2f}", RIGHT),
-        hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "
-        f"the mark is d_b = {millimetres(d_b)}; activation β is 0 at d_b",
-    )

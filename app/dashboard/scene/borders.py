@@ -136,9 +136,9 @@ def subsample(total: int, most: int) -> Array:
 class _Drawn(NamedTuple):
     """State of a pair's border in the scene; without a node if it is hidden or has no points."""
 
-    request: tuple[object, ...]  # values on which the drawing depends
     cloud: ColouredCloud | None = None
     node: viser.PointCloudHandle | None = None
+    request: tuple[object, ...] = ()  # values on which the drawing depends
 
 
 class DrawnBorders:
@@ -158,30 +158,28 @@ class DrawnBorders:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each border whose quantity, d_b, ε, shown part or detail has changed; return whether
-        any.
+        """Draw each changed border; return whether there is one, so that `legends` is new.
 
         This takes milliseconds: call it outside of `atomic`, which delays all messages.
         """
         changed = False
         for pair, quantity in view.borders.items():
             request = (quantity, view.whole_border, view.light, border.d_b, border.eps)
-            before = self._drawn.get(pair, _Drawn(()))
+            before = self._drawn.get(pair, _Drawn())
             if before.request != request:
-                self._drawn[pair] = _Drawn(request, *self._draw(pair, quantity, view, border))
-                if before.node is not None and self._drawn[pair].node is None:
+                drawn = self._draw(pair, quantity, view, border)
+                if before.node is not None and drawn.node is None:
                     before.node.remove()
+                self._drawn[pair] = drawn._replace(request=request)
                 changed = True
         return changed
 
-    def _draw(
-        self, pair: str, quantity: str, view: View, config: BorderConfig
-    ) -> tuple[ColouredCloud, viser.PointCloudHandle] | tuple[()]:
+    def _draw(self, pair: str, quantity: str, view: View, config: BorderConfig) -> _Drawn:
         if quantity == HIDDEN:
-            return ()
+            return _Drawn()
         found = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
         if found is None:
-            return ()
+            return _Drawn()
         most, size = (LIGHT_POINTS, LIGHT_SIZE) if view.light else (MAX_POINTS, POINT_SIZE)
         keep = subsample(len(found.points), most)
         legend = found.legend._replace(drawn=len(keep))
@@ -195,10 +193,10 @@ class DrawnBorders:
             point_shape="circle",
             precision="float32",
         )
-        return cloud, node
+        return _Drawn(cloud, node)
 
-    def draw_probe(self, canvas: Canvas, snapshot: Snapshot, top: float, lens: Lens | None) -> None:
-        """Draw the probe under the pointer, if any, with an arrow above the base's `top` [m]."""
+    def draw_probe(self, canvas: Canvas, snapshot: Snapshot, lens: Lens | None) -> None:
+        """Draw the probe at the border's point under the pointer, if there is one."""
         pointer = self.pointer  # the thread that receives messages can change it
         if not pointer or lens is None:
             return
@@ -211,7 +209,7 @@ class DrawnBorders:
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)
         canvas.lines(f"{ROOT}/probe/step", [np.array([probe.p, probe.p_act])], ACTING, 2.0)
         canvas.label("/probe/text", in_world(snapshot.base_pose, probe.p), minus(probe.text))
-        axes = self._model.description.base.axes
+        axes, top = self._model.description.base.axes, self._borders.top
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, axes, top)
 
     def draw_slice(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
@@ -231,7 +229,7 @@ class DrawnBorders:
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
         """Return the probe at the drawn point under the `pointer` [px] nearest to the camera."""
         nearest, found = np.inf, None
-        for pair, (_, cloud, _) in self._drawn.items():
+        for pair, (cloud, _, _) in self._drawn.items():
             if cloud is None:
                 continue
             points = in_world(snapshot.base_pose, cloud.points)

@@ -128,8 +128,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) of the base above its `top` [m], as children of the scene node
-    `node`.
+    """Draw an acceleration (n_b,) of the base above its `top` [m], below the scene node `node`.
 
     The linear part is a straight arrow, the angular part ω̇ an arc with a head.
     """

@@ -1,6 +1,8 @@
 """Scene: the robot and all layers, and the drawing of a snapshot."""
 
 from collections.abc import Mapping
+from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -45,12 +47,10 @@ class SceneData:
         """Name of the pair of base and door, which exists in scenarios with a door."""
         pairs = [pair for pair in first.pairs if pair.name != self.of_door]
         self.pairs = [pair.name for pair in pairs]
-        """Names of all link pairs, in the order of the snapshots."""
         self.mobile = [pair.name for pair in pairs if pair.mobile]
-        """Names of the pairs of arm and base."""
+        """Names of all link pairs, in the order of the snapshots; of the pairs of arm and base."""
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
-        """Names of the pairs in words."""
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {
@@ -210,7 +210,7 @@ class Scene:
         verdict = judge(snapshot, self._data.spoken)
         with self.canvas.picture(texts=texts, lens=lens, t=snapshot.t):
             self._draw_layers(snapshot, verdict)
-            self.border.draw_probe(self.canvas, snapshot, self._data.borders.top, lens)
+            self.border.draw_probe(self.canvas, snapshot, lens)
         return verdict
 
     def _light_up(self) -> None:
@@ -261,14 +261,11 @@ class Scene:
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
         """Move the ghosts; hide absent ghosts, and links that coincide with the robot's."""
-        for i, ghost in enumerate(snapshot.ghosts):
-            if i == len(self._ghosts):
-                colour = GHOSTS[i % len(GHOSTS)]
-                robot = RobotScene(
-                    self._scene, self._data.parts, f"/ghost_{i}", ghost=colour, light=self._light
-                )
-                self._ghosts.append(robot)
-            self._ghosts[i].update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
-            self._ghosts[i].hide_links_near(self.robot)
-        for i, robot in enumerate(self._ghosts):
-            robot.root.visible = i < len(snapshot.ghosts)
+        for i in range(len(self._ghosts), len(snapshot.ghosts)):
+            look: Any = {"ghost": GHOSTS[i % len(GHOSTS)], "light": self._light}
+            self._ghosts.append(RobotScene(self._scene, self._data.parts, f"/ghost_{i}", **look))
+        for robot, ghost in zip_longest(self._ghosts, snapshot.ghosts):
+            robot.root.visible = ghost is not None
+            if ghost is not None:
+                robot.update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
+                robot.hide_links_near(self.robot)
