@@ -67,8 +67,7 @@ class Job:
     """Whether a job leaves objects of a former robot behind."""
 
     def __init__(self) -> None:
-        self.progress: Progress | None = None
-        """Progress of the running job, or None."""
+        self.progress: Progress | None = None  # of the running job
         self.problem = ""
         """Error message of the last job; empty if it succeeded or still runs."""
         self._cancelled = threading.Event()

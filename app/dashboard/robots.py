@@ -112,8 +112,7 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
-        The new robot gets the present controller, and its defaults with `changes` if it can start
-        so.
+        The new robot has the present controller, and `changes` if it can start with them.
 
         Raises:
             ConfigError: The robot does not exist or cannot be used, or another switch is running.

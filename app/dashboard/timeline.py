@@ -74,8 +74,7 @@ class Timeline:
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Stop the running replay, or start one at the shown snapshot, or `AGAIN` before the
-        newest.
+        """Stop the running replay, or start one; at the newest snapshot, it starts `AGAIN` earlier.
 
         Raises:
             ConfigError: The speed is not within `REPLAY`.

@@ -13,7 +13,7 @@ from app.config_file import decode_config, save_config
 from app.dashboard.markup import banner
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
-from app.parameters import Choice, Parameter
+from app.parameters import Choice
 from app.simulation.trace.snapshot import Snapshot
 
 DECIMALS = 6  # [-] decimals of a number box
@@ -128,8 +128,7 @@ class ParameterWidget(Panel):
         self.is_marked = False
         """Whether the value differs from its default; set before each update."""
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
-        value = self._tuning.config.value(path)
-        self.handle, self.exponent = _widgets(self._gui, self.about, self._title, value)
+        self.handle, self.exponent = self._widgets(self._tuning.config.value(path))
         """The widget, and the slider of the value's decimal logarithm or None."""
         for handle in filter(None, (self.handle, self.exponent)):
             self.on_update(handle, self._set)
@@ -149,25 +148,23 @@ class ParameterWidget(Panel):
             value = self._tuning.config.value(self.about.path)
             event.target.value = _power_of(value) if is_power else value
 
-
-def _widgets(
-    gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str
-) -> tuple[Any, Any]:
-    """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
-    exponent = None
-    if isinstance(about, Choice):
-        handle = gui.add_dropdown(title, about.choices, initial_value=str(value), hint=about.help)
+    def _widgets(self, value: float | str) -> tuple[Any, Any]:
+        """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
+        gui, about, title, exponent = self._gui, self.about, self._title, None
+        if isinstance(about, Choice):
+            look: dict[str, Any] = {"initial_value": str(value), "hint": about.help}
+            return gui.add_dropdown(title, about.choices, **look), exponent
+        low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
+        if about.log:
+            handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=hint)
+            label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
+            look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
+            exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
+        else:
+            step = slider_step(low, high)
+            handle = gui.add_slider(title, low, high, step, float(value), hint=hint)
+        handle.precision = DECIMALS
         return handle, exponent
-    low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
-    if about.log:
-        handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=hint)
-        label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
-        look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
-        exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
-    else:
-        handle = gui.add_slider(title, low, high, slider_step(low, high), float(value), hint=hint)
-    handle.precision = DECIMALS
-    return handle, exponent
 
 
 def _value_of(power: float) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
-from app.dashboard.view import BORDER, CHOICES, LAYERS, PAGE, View
+from app.dashboard.view import BORDER, CHOICES, LABELS, LAYERS, PAGE, View
 
 
 class ViewPanel(Panel):
@@ -22,8 +22,7 @@ class ViewPanel(Panel):
                 hint = f"Reachable points at the buffer distance from the base: P_i of {pair}, (3)"
                 spoken = viewer.shared.spoken[pair]
                 choice = gui.add_dropdown(spoken, CHOICES, initial_value=quantity, hint=hint)
-                assign = partial(self._view.borders.__setitem__, pair)
-                self.on_update(choice, lambda event, assign=assign: assign(event.target.value))
+                self.on_update(choice, partial(self._colour, pair))
             self._add(BORDER)
         with gui.add_folder(LAYERS):
             self._add(LAYERS)
@@ -47,13 +46,20 @@ class ViewPanel(Panel):
             about = each.metadata
             if about.get("folder") != folder:
                 continue
-            choices: tuple[Any, ...] = (about["choices"],) if about["choices"] else ()
-            add: Any = self._gui.add_dropdown if choices else self._gui.add_checkbox
             value = getattr(self._view, each.name)
-            widget = add(about["label"], *choices, initial_value=value, hint=about["hint"])
+            look: Any = {"initial_value": value, "hint": about["hint"]}
+            if isinstance(value, bool):
+                widget: Any = self._gui.add_checkbox(about["label"], **look)
+            else:
+                widget = self._gui.add_dropdown(about["label"], LABELS, **look)
             self._widgets[each.name] = widget
-            assign = partial(setattr, self._view, each.name)
-            self.on_update(widget, lambda event, assign=assign: assign(event.target.value))
+            self.on_update(widget, partial(self._assign, each.name))
+
+    def _assign(self, field: str, event: Any) -> None:
+        setattr(self._view, field, event.target.value)
+
+    def _colour(self, pair: str, event: Any) -> None:
+        self._view.borders[pair] = event.target.value
 
     def _plot(self, title: str, event: Any) -> None:
         plots = self._view.plots

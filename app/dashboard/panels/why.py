@@ -27,7 +27,6 @@ UNDISTURBED = (0.05, 0.2)
 BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
-_TURN_HINT = "component across n from (12) and (13), Figure 7c"
 _BODY = "font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em"
 _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("base avoidance", "rows of the base in T_sca, (16)", ("base",)),
@@ -303,11 +302,15 @@ def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
 def _force_rows(why: Explanation) -> list[str]:
     """Return rows for the resultant force, its two parts, and the base's accelerations."""
     n_b, f = len(why.axes), _push(why)
+    away, turn = (
+        (_total(why, part, 2), _total(why, f"{part}_acceleration", n_b))
+        for part in ("away", "turn")
+    )
     towards = f"{words.direction(*f)}, {words.angle(*f)}" if math.hypot(*f) > 0.05 else _NONE
     rows = [_row("direction", "angle from the base's forward axis", towards, span=1 + n_b)]
     for label, hint, force, acceleration in (
-        ("away from the arm", "component along −n, Figure 7b", *_parts(why, "away")),
-        ("towards higher score", _TURN_HINT, *_parts(why, "turn")),
+        ("away from the arm", "component along −n, Figure 7b", *away),
+        ("towards higher score", "component across n from (12) and (13), Figure 7c", *turn),
         ("sum", "(15)", f, why.base_avoidance),
     ):
         values = [f"{math.hypot(*force):.0f}", *map(words.signed, acceleration)]
@@ -367,11 +370,6 @@ def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] =
 def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
     cells = (cell(value, RIGHT, ONE_LINE, span=span) for value in values)
     return row(cell(label, FAINT, ONE_LINE), *cells, hint=hint)
-
-
-def _parts(why: Explanation, part: str) -> tuple[list[float], list[float]]:
-    """Return the sums of a part of the forces and of the base's accelerations by it."""
-    return _total(why, part, 2), _total(why, f"{part}_acceleration", len(why.axes))
 
 
 def _total(why: Explanation, part: str, n: int) -> list[float]:

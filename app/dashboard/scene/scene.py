@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from itertools import zip_longest
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -261,9 +260,10 @@ class Scene:
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
         """Move the ghosts; hide absent ghosts, and links that coincide with the robot's."""
+        scene, parts, light = self._scene, self._data.parts, self._light
         for i in range(len(self._ghosts), len(snapshot.ghosts)):
-            look: Any = {"ghost": GHOSTS[i % len(GHOSTS)], "light": self._light}
-            self._ghosts.append(RobotScene(self._scene, self._data.parts, f"/ghost_{i}", **look))
+            colour = GHOSTS[i % len(GHOSTS)]
+            self._ghosts.append(RobotScene(scene, parts, f"/ghost_{i}", ghost=colour, light=light))
         for robot, ghost in zip_longest(self._ghosts, snapshot.ghosts):
             robot.root.visible = ghost is not None
             if ghost is not None:
