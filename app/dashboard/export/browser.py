@@ -9,13 +9,13 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from app.errors import BrowserError
 from app.system import temporary_folder
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, Playwright
+    from playwright.sync_api import Browser, BrowserContext, Playwright, ViewportSize
 
 VARIABLE = "DBB_BROWSER"  # environment variable that names the browser to use
 
@@ -115,19 +115,16 @@ def chromium() -> Iterator[Browser]:
 
 
 def new_context(
-    browser: Browser, size: tuple[int, int], *, honest: bool = False, touch: bool = False
+    browser: Browser, size: tuple[int, int], *scripts: str, **more: Any
 ) -> BrowserContext:
-    """Make a browser context; its pages have `size` (width, height) [px] and the helpers `dbbPage`.
+    """Make a browser context for pages of `size` (width, height) [px] with the helpers `dbbPage`.
 
-    Only an `honest` page reports that it draws in software; others get full detail. With `touch`,
-    the pages have a touch screen.
+    The pages run `scripts` first. `more` has further arguments of playwright's `new_context`.
     """
-    context = browser.new_context(
-        viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch
-    )
-    if honest:
-        context.add_init_script("self.dbbHonest = true;")
-    context.add_init_script(_HELPERS)
+    viewport: ViewportSize = {"width": size[0], "height": size[1]}
+    context = browser.new_context(viewport=viewport, reduced_motion="reduce", **more)
+    for script in (*scripts, _HELPERS):
+        context.add_init_script(script)
     return context
 
 
