@@ -62,11 +62,10 @@ class Explorer:
         return replace(self._response, **{name: getattr(snapshot, name) for name in about})
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
-        """Find a posture with the end-effector at `place` (3,) [m] in the world.
+        """Find a posture with the end-effector at `place` (3,) [m] in the world, and its error [m].
 
         The search starts from `posture`. The base stays, and the end-effector's z axis keeps its
-        direction if the position is then reachable. Returns the closest posture, and its distance
-        [m] from `place`.
+        direction if the position is then reachable.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

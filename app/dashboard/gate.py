@@ -345,7 +345,8 @@ class Uploads:
     def begin(self, transfer: str, size: int, parts: int) -> None:
         """Register an announced file of `size` [bytes] in `parts`; an empty file has no parts.
 
-        Raises `RefusedError` if file or number of parts are impossible, or too many are unfinished.
+        Raises:
+            RefusedError: The file or the number of parts is impossible, or too many are unfinished.
         """
         if size > self._largest:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")

@@ -146,8 +146,7 @@ class SharedState(SceneData):
     ) -> None:
         """Load the shared data; most arguments are those of `serve_dashboard`.
 
-        From `before`, the state of another robot, the history of parameters and the jobs are
-        reused.
+        The state `before`, of another robot, passes on the history of parameters and the jobs.
         """
         super().__init__(loop, model, clouds, parts)
         self.case = case

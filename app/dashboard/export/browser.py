@@ -60,7 +60,7 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 def browser_path(bundled: str) -> str | None:
     """Return the path of a browser, or None for playwright's own browser at `bundled`.
 
-    The environment variable `DBB_BROWSER` precedes an installed browser, which precedes this one.
+    `DBB_BROWSER` names the browser; otherwise an installed one precedes playwright's own.
 
     Raises:
         BrowserError: There is no browser, or the environment variable names a missing file.

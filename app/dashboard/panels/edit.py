@@ -12,7 +12,7 @@ from app.dashboard import phrases as words
 from app.dashboard.markup import small
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.robots import new_folder
-from app.dashboard.scene.canvas import to_viser
+from app.dashboard.scene.canvas import add_mesh, to_viser
 from app.dashboard.scene.colours import GHOSTS
 from app.dashboard.scene.scene import node_of
 from app.onboarding.write import BY_HAND, HandMade, save_by_hand
@@ -119,26 +119,16 @@ class EditPanel(Panel):
         for key in wanted:
             shape = self._shape(key)
             if key not in self._drawn or self._drawn[key][0] != shape:
-                self._drawn[key] = shape, self._mesh(key, shape)
+                node, mesh, T = f"{self._frame(key)}/mesh", shape_mesh(shape), shape.placement()
+                look = {"color": GHOSTS[0], "opacity": _OPACITY, "flat_shading": True}
+                scene = self._viewer.client.scene
+                self._drawn[key] = shape, add_mesh(scene, node, mesh, T, **look)
         if self._gizmos[0] != chosen:
             for gizmo in self._gizmos[1]:
                 gizmo.remove()
             self._gizmos = chosen, () if chosen == _NONE else self._take_hold(chosen)
         elif self._gizmos[1] and not self._sizing:
             self._gizmos[1][1].position = half_extents(self._shape(chosen))
-
-    def _mesh(self, key: str, shape: Shape) -> viser.MeshHandle:
-        mesh, (position, wxyz) = shape_mesh(shape), to_viser(shape.placement())
-        return self._viewer.client.scene.add_mesh_simple(
-            f"{self._frame(key)}/mesh",
-            vertices=np.asarray(mesh.vertices),
-            faces=np.asarray(mesh.faces),
-            color=GHOSTS[0],
-            opacity=_OPACITY,
-            flat_shading=True,
-            position=position,
-            wxyz=wxyz,
-        )
 
     def _frame(self, key: str) -> str:
         """Add a scene node for a body's frame, which moves with its joint; return its name."""
@@ -197,8 +187,7 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape with the `half_extents` `half` (3,) [m].
 
-    The radius of a sphere follows the axis that changes most, that of a cylinder or a capsule the
-    cross axis that changes most.
+    A sphere's radius follows the axis that changes most, other radii the cross axis.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]

@@ -207,8 +207,7 @@ class Guide(Panel):
     def _press(self, label: str) -> None:
         """Handle a click on a button of the card; ignore a label that the card does not have.
 
-        Without a card, the labels of the demonstration count: the same click has just closed its
-        card.
+        Without a card, the demonstration's labels count: the same click has just closed its card.
         """
         with self._lock:
             card = CARDS.get(self.state)

@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 import viser
 
 from app.dashboard.scene.colours import Rgb, linear
@@ -207,6 +208,16 @@ class Canvas:
         if name not in self._handles:
             self._handles[name] = add(name, *values, visible=False, **look)
         return self._handles[name]
+
+
+def add_mesh(
+    scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, T: pin.SE3, **look: Any
+) -> viser.MeshHandle:
+    """Add a mesh at the pose T; `look` has further arguments of `SceneApi.add_mesh_simple`."""
+    vertices, faces, (position, wxyz) = mesh.vertices, mesh.faces, to_viser(T)
+    return scene.add_mesh_simple(
+        name, np.asarray(vertices), np.asarray(faces), position=position, wxyz=wxyz, **look
+    )
 
 
 def to_viser(T: pin.SE3) -> tuple[Array, Array]:

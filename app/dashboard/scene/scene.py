@@ -12,7 +12,7 @@ from app.dashboard import phrases as words
 from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, DrawnBorders
-from app.dashboard.scene.canvas import ROOT, Canvas, Lens, to_viser
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens, add_mesh, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_EE, Rgb
 from app.dashboard.scene.robot import RobotParts, Visual
 from app.dashboard.verdict import Verdict, judge
@@ -151,18 +151,10 @@ class RobotScene:
     def _add(
         self, visual: Visual, colour: Rgb, opacity: float | None, light: bool = False
     ) -> viser.MeshHandle:
-        position, wxyz = to_viser(visual.placement)
-        return self._scene.add_mesh_simple(
-            f"{self._node(visual.joint)}/{visual.name}",
-            vertices=np.asarray(visual.mesh.vertices),
-            faces=np.asarray(visual.mesh.faces),
-            color=colour,
-            opacity=opacity,
-            position=position,
-            wxyz=wxyz,
-            cast_shadow=opacity is None and not light,
-            receive_shadow=False,  # shadows would darken the whole base
-        )
+        node, shadow = f"{self._node(visual.joint)}/{visual.name}", opacity is None and not light
+        look = {"color": colour, "opacity": opacity, "cast_shadow": shadow}
+        look["receive_shadow"] = False  # shadows would darken the whole base
+        return add_mesh(self._scene, node, visual.mesh, visual.placement, **look)
 
     def _node(self, joint: int) -> str:
         return node_of(self._parts.kinematics.model, joint, self._path)
