@@ -103,7 +103,8 @@ class DashboardTab:
             dpr: Rendered pixels per pixel of the window; fewer pixels render faster in software.
                 None leaves the choice to the page.
         """
-        context = browser_of_app.new_context(browser, size, honest=honest, touch=touch)
+        scripts = ["self.dbbHonest = true;"] if honest else []
+        context = browser_of_app.new_context(browser, size, *scripts, has_touch=touch)
         context.add_init_script(HELPERS)
         if not fresh:
             context.add_init_script("self.dbbTouched = true;")

@@ -195,7 +195,7 @@ def test_an_unreadable_request_is_refused_without_a_log_entry(header, status, ca
 
 
 def test_connections_without_a_session_are_logged_once_a_minute(caplog, monkeypatch):
-    monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
+    monkeypatch.setattr("app.dashboard.viser_compat._said", {})
     with served() as server:
         here = "127.0.0.1", server.get_port()
         request = b"GET /x HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"

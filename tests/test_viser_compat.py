@@ -131,7 +131,7 @@ def test_invalid_messages_of_a_page_are_ignored() -> None:
 
 
 def test_errors_caused_by_clients_are_logged_once_a_minute(caplog, monkeypatch) -> None:
-    monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
+    monkeypatch.setattr("app.dashboard.viser_compat._said", {})
     close_server(open_server("127.0.0.1", 0))
     modules = job, notifications, server, viser_compat
     for _ in range(3):

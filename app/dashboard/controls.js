@@ -118,6 +118,10 @@ window.dbbControls = (box, ranges) => {
     const ink = strip.getContext("2d");
     ink.setTransform(dpr, 0, 0, dpr, 0, 0);
     ink.clearRect(0, 0, w, h);
+    const path = (...points) => {
+      ink.beginPath();
+      for (const point of points) ink.lineTo(...point);
+    };
     const text = getComputedStyle(bar).color, foot = h - 13, head = 12;
     const name = (words, side, left, low) => { // on a background, because curves are below it
       ink.textAlign = side;
@@ -147,9 +151,7 @@ window.dbbControls = (box, ranges) => {
     for (let i = 1; i < shown.length; i++) {
       const [t, d, , buffer] = shown[i], [s, c] = shown[i - 1];
       ink.strokeStyle = Math.min(c, d) < 0 ? COLOURS.contact : Math.min(c, d) < buffer ? COLOURS.buffer : "#808a96";
-      ink.beginPath();
-      ink.moveTo(x(s), y(c));
-      ink.lineTo(x(t), y(d));
+      path([x(s), y(c)], [x(t), y(d)]);
       ink.stroke();
       if (d < 0) {
         ink.fillStyle = COLOURS.contact;
@@ -160,9 +162,7 @@ window.dbbControls = (box, ranges) => {
     ink.globalAlpha = 0.4;
     ink.lineWidth = 1;
     ink.setLineDash([4, 4]);
-    ink.beginPath();
-    for (const [t, , , buffer] of shown) ink.lineTo(x(t), y(buffer));
-    ink.lineTo(w, y(shown.at(-1)?.[3] ?? d_b));
+    path(...shown.map(([t, , , buffer]) => [x(t), y(buffer)]), [w, y(shown.at(-1)?.[3] ?? d_b)]);
     ink.moveTo(0, foot);
     ink.lineTo(w, foot);
     ink.stroke();
@@ -177,8 +177,10 @@ window.dbbControls = (box, ranges) => {
       ink.fillRect(x(t), foot, 1, 3);
       ink.fillText(`${+t.toFixed(1)} s`, x(t) + 3, h - 2);
     }
-    if (w > 500) name("activation β", "left", 4, head + 9); // on a phone the names would hide the curves
-    if (w > 500) name("nearest distance", "left", 4, foot - 3);
+    if (w > 500) { // on a phone the names would hide the curves
+      name("activation β", "left", 4, head + 9);
+      name("nearest distance", "left", 4, foot - 3);
+    }
     name(`buffer d_b ${Math.round(1000 * d_b)} mm`, "right", w - 4, y(d_b) + 11);
     ink.globalAlpha = 1;
     for (const [, t, kind] of events.values()) {
@@ -192,10 +194,7 @@ window.dbbControls = (box, ranges) => {
     }
     ink.fillStyle = live ? text : PAST;
     ink.fillRect(x(at) - 1, 0, 2, h);
-    ink.beginPath();
-    ink.moveTo(x(at) - 6, 0);
-    ink.lineTo(x(at) + 6, 0);
-    ink.lineTo(x(at), 8);
+    path([x(at) - 6, 0], [x(at) + 6, 0], [x(at), 8]);
     ink.fill();
   };
   const say = () => {

@@ -29,11 +29,7 @@ class Grip:
     """
 
     def __init__(
-        self,
-        sink: LoopHandle,
-        notifier: Notifier,
-        client: viser.ClientHandle,
-        timeline: Timeline,
+        self, sink: LoopHandle, notifier: Notifier, client: viser.ClientHandle, timeline: Timeline
     ) -> None:
         """Start without a pull of this client, whose number commands to `sink` have."""
         self._sink, self._notifier, self._client, self._timeline = sink, notifier, client, timeline
@@ -49,13 +45,11 @@ class Grip:
 
     @property
     def holds_end_effector(self) -> bool:
-        """Whether this viewer pulls the end-effector."""
         held = self._held
         return held is not None and held[0] is None
 
     @property
     def holds_anything(self) -> bool:
-        """Whether this viewer pulls any point of the robot."""
         return self._held is not None
 
     def take(self, link: str | None = None, point: Point | None = None) -> None:

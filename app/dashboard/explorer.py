@@ -22,20 +22,15 @@ CLOSE = 0.002  # [m] tolerance of the end-effector's position
 class Posture(NamedTuple):
     """Posture of the arm, together with the pose of the base."""
 
-    base_pose: Array
-    """(3,) x, y [m] and heading [rad] of the base."""
-    q_m: Array
-    """(n_m,) [rad or m] joint positions of the arm."""
+    base_pose: Array  # (3,) x, y [m] and heading [rad] of the base
+    q_m: Array  # (n_m,) [rad or m] joint positions of the arm
 
 
 class Explorer:
     """Computes the response to a posture, by one control step from rest; not thread-safe."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
-        """Prepare a session of the robot, with the link pairs and parameters of a snapshot.
-
-        `clouds` has P_i of each pair of L_m, by the pair's name.
-        """
+        """Prepare a session with the pairs and parameters of a snapshot; `clouds` has all P_i."""
         mobile, manipulator = (
             tuple(Pair(*pair.name.split("-")) for pair in snapshot.pairs if pair.mobile == kind)
             for kind in (True, False)
@@ -51,7 +46,7 @@ class Explorer:
     def respond(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
         """Return a snapshot of the robot in `posture`, with joint positions within their limits.
 
-        Parameters, controller, times, scenario and scores are copied from `snapshot`.
+        Parameters, controller, times, scenario and scores are those of `snapshot`.
         """
         request = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
         if request != self._request:
@@ -67,13 +62,10 @@ class Explorer:
         return replace(self._response, **{name: getattr(snapshot, name) for name in about})
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
-        """Find a posture with the end-effector at `place` (3,) [m] in the world.
+        """Find a posture with the end-effector at `place` (3,) [m] in the world, and its error [m].
 
         The search starts from `posture`. The base stays, and the end-effector's z axis keeps its
         direction if the position is then reachable.
-
-        Returns:
-            The posture whose end-effector comes closest to `place`, and the remaining distance [m].
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

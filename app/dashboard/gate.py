@@ -9,7 +9,6 @@ viser's type annotations, which viser itself does not check.
 from __future__ import annotations
 
 import dataclasses
-import http
 import ipaddress
 import math
 import re
@@ -19,6 +18,7 @@ import threading
 from asyncio import get_running_loop
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from http import HTTPStatus
 from typing import Any, Union, get_type_hints
 from urllib.parse import urlsplit
 
@@ -109,13 +109,7 @@ class Gate:
     """Checks between a viser server and its connections."""
 
     def __init__(self, host: str, allowed: Collection[str], largest_upload: int) -> None:
-        """Create a gate.
-
-        Args:
-            host: Address of the server.
-            allowed: Further names under which browsers may reach the server.
-            largest_upload: [bytes] largest size of a file.
-        """
+        """Create a gate; the arguments are those of `open_server`."""
         self._allowed = {name.lower() for name in allowed}
         self._own_names = {host.lower(), *self._allowed}
         self._largest_upload = largest_upload
@@ -136,21 +130,12 @@ class Gate:
         with _lock:
             original, seen = websockets_server.serve, []
 
-            def serve(
-                handler: Callable[..., Any],
-                *args: Any,
-                process_request: Callable[..., Any],
-                **more: Any,
-            ) -> Any:
+            def serve(handler: Any, *args: Any, process_request: Any, **more: Any) -> Any:
                 seen.append(True)
                 more |= {"max_size": LARGEST_MESSAGE, "max_queue": _MOST_WAITING}
-                more |= {"create_connection": _Connection}
-                return original(
-                    self._handler(handler),
-                    *args,
-                    process_request=self._process_request(process_request),
-                    **more,
-                )
+                more["create_connection"] = _Connection
+                more["process_request"] = self._process_request(process_request)
+                return original(self._handler(handler), *args, **more)
 
             websockets_server.serve = serve  # type: ignore[assignment]
             try:
@@ -184,66 +169,71 @@ class Gate:
 
     def _refusal(self, request: Request, method: str) -> Response | None:
         """Return the refusal of a request, or None if viser may answer the request."""
-        headers, more = request.headers, ""
+        headers = request.headers
         path, _, query = request.path.partition("?")
         if method not in _METHODS:
-            status, why = http.HTTPStatus.METHOD_NOT_ALLOWED, f"this server has no {method}"
-        elif twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
-            status = http.HTTPStatus.BAD_REQUEST
+            return _refused(HTTPStatus.METHOD_NOT_ALLOWED, f"this server has no {method}")
+        if twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             why = f"the request has the header {twice[0]} twice"
-        elif not is_allowed(
-            headers.get("Origin"), headers.get("Host"), self._own_names, self._allowed
-        ):
-            status = http.HTTPStatus.FORBIDDEN
+            return _refused(HTTPStatus.BAD_REQUEST, why)
+        origin, host = headers.get("Origin"), headers.get("Host")
+        if not is_allowed(origin, host, self._own_names, self._allowed):
             why = "this page is not allowed to connect to this server"
-            name = re.match(r"[\w.-]+", headers.get("Host", ""))
+            name = re.match(r"[\w.-]+", host or "")
             more = _WAY_OUT.format(name=name[0] if name else "NAME")
-        elif headers.get("Upgrade", "").lower() == "websocket":
+            return _refused(HTTPStatus.FORBIDDEN, why, more)
+        if headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
-            status = http.HTTPStatus.SERVICE_UNAVAILABLE
             why = f"{len(self._uploads)} pages are open: this is the limit of the server"
-        elif len(path) > _LONGEST_PATH:
-            status = http.HTTPStatus.REQUEST_URI_TOO_LONG
-            why = "no file has a name of this length"
-        elif not _QUERY.fullmatch(query):
-            status, why = http.HTTPStatus.BAD_REQUEST, f"unknown parameter in the address: {query}"
+            return _refused(HTTPStatus.SERVICE_UNAVAILABLE, why)
+        if len(path) > _LONGEST_PATH:
+            return _refused(HTTPStatus.REQUEST_URI_TOO_LONG, "no file has a name of this length")
+        if not _QUERY.fullmatch(query):
+            why = f"unknown parameter in the address: {query}"
             # A relative address, because a proxy may serve this page below a path.
             more = '<p><a href=".">Open the page without it</a></p>'
-        else:
-            return None
-        body = refusal(why[:_LONGEST_REASON], more).encode(errors="replace")
-        kind = "text/html; charset=utf-8"
-        fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
-        return Response(status.value, status.phrase, fields, body)
+            return _refused(HTTPStatus.BAD_REQUEST, why, more)
+        return None
 
     def _handler(self, inner: Callable[..., Any]) -> Callable[..., Any]:
         """Wrap viser's handler of connections, which then gets only checked messages."""
 
-        async def handle(connection: ServerConnection) -> None:
+        async def handle(connection: _Connection) -> None:
             if connection.subprotocol != _VERSION:  # viser would print each wrong version
                 return await connection.close(1002, "this page is of another version; reload it")
             connection.transport.max_size = 2**13  # [bytes] read at once, before other connections
             uploads = Uploads(self._largest_upload, self._uploads)
+            connection.gate, connection.uploads = self, uploads
             self._uploads.add(uploads)
             try:
-                await inner(_Checked(connection, self, uploads))
+                await inner(connection)
             finally:
                 self._uploads.discard(uploads)
 
         return handle
 
 
-class _Connection(ServerConnection):
-    """A connection that answers every HTTP request, not only GET requests of HTTP/1.1.
+def _refused(status: HTTPStatus, why: str, more: str = "") -> Response:
+    body = refusal(why[:_LONGEST_REASON], more).encode(errors="replace")
+    kind = "text/html; charset=utf-8"
+    fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
+    return Response(status.value, status.phrase, fields, body)
 
-    The library `websockets` closes the connection after any other request. But proxies send
-    requests of HTTP/1.0, and health checks send HEAD requests. After a method that is neither GET
-    nor HEAD, this class reads only the first line of the request.
+
+class _Connection(ServerConnection):
+    """A connection that answers every HTTP request, and returns checked messages only.
+
+    The library `websockets` closes the connection after a request other than GET of HTTP/1.1. But
+    proxies send requests of HTTP/1.0, and health checks send HEAD requests. After a method that is
+    neither GET nor HEAD, this class reads only the first line of the request.
     """
 
     method = "GET"
     """Method of the request."""
+    gate: Gate
+    uploads: Uploads
+    """Gate and uploads of the connection, from its opening on."""
 
     def data_received(self, data: bytes) -> None:
         """Replace the first line of a request by that of a GET request of HTTP/1.1, and read it."""
@@ -256,33 +246,23 @@ class _Connection(ServerConnection):
             data = b"GET %b HTTP/1.1\r\n%b" % (line[2], rest)
         super().data_received(data)
 
-
-class _Checked:
-    """A connection that returns checked messages only; it is otherwise the original connection."""
-
-    def __init__(self, connection: ServerConnection, gate: Gate, uploads: Uploads) -> None:
-        self._connection, self._gate, self._uploads = connection, gate, uploads
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._connection, name)
-
-    async def recv(self) -> bytes:
+    async def recv(self, decode: bool | None = False) -> Any:
         """Return the next allowed message; report refused ones, and disconnect after garbage."""
         while True:
             try:
                 data = await self._message()
-                return checked(data, self._uploads, lambda uuid: self._gate.widget(self, uuid))
+                return checked(data, self.uploads, lambda uuid: self.gate.widget(self, uuid))
             except GarbageError as garbage:
-                await self._connection.close(1008, str(garbage)[:100])
+                await self.close(1008, str(garbage)[:100])
             except RefusedError as refused:
-                self._gate.on_refused(self, refused)
+                self.gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
         """Return the next message; this method limits its duration, `websockets` its size."""
-        message, late, abort = bytearray(), None, self._connection.transport.abort
+        message, late = bytearray(), None
         try:
-            async for part in self._connection.recv_streaming(decode=False):
-                late = late or get_running_loop().call_later(_SLOWEST, abort)
+            async for part in self.recv_streaming(decode=False):
+                late = late or get_running_loop().call_later(_SLOWEST, self.transport.abort)
                 message += part
         finally:
             if late is not None:
@@ -302,10 +282,9 @@ def is_allowed(
     is checked. A request with neither header is answered.
 
     Args:
-        origin: The request's header `Origin`; None without this header, as from other programs.
-        host: The request's header `Host`; None without this header.
-        own_names: Names under which browsers may reach the server, in lower case, besides the names
-            that every server has.
+        origin: The request's header `Origin`, or None.
+        host: The request's header `Host`, or None.
+        own_names: Names of the server in lower case, besides the names that every server has.
         allowed: Names from `own_names` that the origin may have even if `Host` is different.
     """
     if host is None:
@@ -317,14 +296,12 @@ def is_allowed(
         same = (here.hostname, here.port or port) == (page.hostname, page.port or port)
     except ValueError:  # not an address
         return False
-    if not (whole and _is_here(here.hostname, own_names)):
+    if not (whole and here.hostname and _is_here(here.hostname, own_names)):
         return False
     return origin is None or same or (page.hostname or "").rstrip(".") in allowed
 
 
-def _is_here(name: str | None, own_names: Collection[str]) -> bool:
-    if name is None:
-        return False
+def _is_here(name: str, own_names: Collection[str]) -> bool:
     try:
         ipaddress.ip_address(name)
     except ValueError:
@@ -351,17 +328,15 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """Unfinished uploads of one viewer.
+    """Unfinished uploads of one viewer, whose parts must come in order, as a page sends them.
 
-    viser stores the parts of a file until the file is complete. Parts must come in order, as a page
-    sends them. Other parts are refused, because viser would store them forever.
+    viser stores the parts of a file until the file is complete, and other parts forever.
     """
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Create an empty list; `largest` is the largest size of a file [bytes].
+        """Create an empty list for files of up to `largest` [bytes].
 
-        `everyone` has the `Uploads` of all viewers, who together can have at most `_MOST_UPLOADS`
-        unfinished uploads.
+        All viewers, whose uploads are `everyone`, share `_MOST_UPLOADS`.
         """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
@@ -371,8 +346,7 @@ class Uploads:
         """Register an announced file of `size` [bytes] in `parts`; an empty file has no parts.
 
         Raises:
-            RefusedError: The file is too large, the number of parts is impossible, or too many
-                uploads are unfinished.
+            RefusedError: The file or the number of parts is impossible, or too many are unfinished.
         """
         if size > self._largest:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
@@ -384,11 +358,7 @@ class Uploads:
             self.unfinished[transfer] = size, range(parts)
 
     def add(self, transfer: str, part: int, size: int) -> None:
-        """Register a received part with its `size` [bytes].
-
-        Raises:
-            RefusedError: It is not the next part of an announced file, or has an impossible size.
-        """
+        """Register a part with its `size` [bytes], or raise `RefusedError` if it is wrong."""
         left, parts = self.unfinished.get(transfer, (0, range(0)))
         if part not in parts[:1] or size > left or (size < left and not parts[1:]):
             raise RefusedError("this part does not belong to an announced upload")

@@ -11,9 +11,10 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
@@ -52,32 +53,21 @@ def give_back(*, frozen: bool = False) -> None:
     return_freed_memory()
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a job."""
-
+class Progress(NamedTuple):
     title: str
-    """Name of the job."""
-    text: str
-    """Present step of the job."""
-    share: float = -1.0
-    """[-] completed share of this step, 0 to 1; negative if unknown."""
-    began: float = field(default_factory=time.monotonic)
-    """[s] start of the job, by `time.monotonic`."""
+    began: float  # [s] start of the job, by `time.monotonic`
+    text: str  # present step
+    share: float = -1.0  # [-] completed share of this step, 0 to 1; negative if unknown
 
 
 class Job:
-    """Runs background jobs, at most one at a time.
-
-    All methods are thread-safe.
-    """
+    """Runs background jobs, at most one at a time; all methods are thread-safe."""
 
     replaces_robot: ClassVar[bool] = False
     """Whether a job leaves objects of a former robot behind."""
 
     def __init__(self) -> None:
-        self.progress: Progress | None = None
-        """Progress of the running job, or None."""
+        self.progress: Progress | None = None  # of the running job
         self.problem = ""
         """Error message of the last job; empty if it succeeded or still runs."""
         self._cancelled = threading.Event()
@@ -87,8 +77,8 @@ class Job:
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
         """Run `work` in a new thread, with a title and the text of its first step.
 
-        After a `Cancelled`, a `DbbError` or an `OSError` of `work`, `problem` is its message; after
-        another exception, `problem` refers to the log.
+        `problem` is then the message of a `Cancelled`, a `DbbError` or an `OSError`; after another
+        exception, it refers to the log.
 
         Raises:
             ConfigError: Another job is running.
@@ -97,7 +87,7 @@ class Job:
             running = self.progress  # read once, because the work's thread may clear it
             if running is not None:
                 raise ConfigError(f"{running.title}: {running.text}; cancel this job first")
-            self.progress = Progress(title, text)
+            self.progress = Progress(title, time.monotonic(), text)
         self.problem = ""
         self._cancelled.clear()
         self._thread = threading.Thread(
@@ -106,29 +96,20 @@ class Job:
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Return `work(report, *args)`, computed in a separate process; for a running job.
-
-        Raises:
-            Cancelled: The job was cancelled.
-        """
+        """Return `work(report, *args)` of a separate process; raises `Cancelled` if the job was."""
         return run_in_process(work, *args, report=self.report, cancelled=self._cancelled)
 
     def report(self, text: str, share: float = -1.0) -> None:
         """Set text and share of `progress`; for a running job."""
         if self.progress is not None:
-            self.progress = replace(self.progress, text=text, share=share)
+            self.progress = self.progress._replace(text=text, share=share)
 
     def check(self) -> None:
-        """End a cancelled job; for a running job.
-
-        Raises:
-            Cancelled: The job was cancelled.
-        """
+        """Raise `Cancelled` if the running job was cancelled."""
         if self.cancelled:
             raise Cancelled("cancelled")
 
     def cancel(self) -> None:
-        """Request the end of the running job."""
         self._cancelled.set()
 
     @property
@@ -160,10 +141,7 @@ class Job:
 
 
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
-    """Return a robot's model and border.
-
-    `sampling` has arguments of `load_border_data` for a border that is not cached.
-    """
+    """Return a robot's model and border; `sampling` has arguments of `load_border_data`."""
     from app.border.cache import load_border_data
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
@@ -180,11 +158,7 @@ def sample_border(report: Report, robot: str) -> BorderData:
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """Return contents of an uploaded zip's first 20 URDFs, by path, with limited time and memory.
-
-    Raises:
-        RobotFileError: The zip cannot be used.
-    """
+    """Return contents of a zip's first 20 URDFs, by path, with limited time and memory."""
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
@@ -194,22 +168,17 @@ def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
 
 def build_robot(report: Report, request: Request) -> None:
     """Create description, border and report of a new robot in the folder of the request."""
-    text = ""
-
-    def say(step: str) -> None:
-        nonlocal text
-        text = step
-        report(text, -1.0)
-
     from app.onboarding.new_robot import finish
 
-    finish(
-        request,
-        lambda: helpers(_CORES),
-        tell=say,
-        processes=_CORES,
-        on_progress=lambda share: report(text, share),
-    )
+    step = ""
+
+    def tell(text: str, share: float = -1.0) -> None:
+        nonlocal step
+        step = text
+        report(step, share)
+
+    pool = partial(helpers, _CORES)
+    finish(request, pool, tell=tell, processes=_CORES, on_progress=lambda x: tell(step, x))
 
 
 def write_log(report: Report, trace: Trace, log: Path) -> None:
@@ -223,7 +192,6 @@ def write_log(report: Report, trace: Trace, log: Path) -> None:
 
 
 def write_report(report: Report, trace: Trace, page: Path) -> None:
-    """Write the report of a trace as an HTML page."""
     from app.studies.run_report import run_report
 
     report("drawing the figures", 0.0)
@@ -231,7 +199,6 @@ def write_report(report: Report, trace: Trace, page: Path) -> None:
 
 
 def write_replay(report: Report, trace: Trace, page: Path) -> None:
-    """Write the replay of a trace as an HTML page."""
     from app.dashboard.export import Look
     from app.dashboard.export.offscreen import replay_html
     from app.dashboard.scene.camera import first_view
@@ -248,8 +215,6 @@ def write_replay(report: Report, trace: Trace, page: Path) -> None:
 
 def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
     """Write a film of a trace with `FILM_RATE`; it plays in real time."""
-    from contextlib import closing
-
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
 

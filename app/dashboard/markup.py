@@ -14,22 +14,19 @@ ONE_LINE = "white-space:nowrap"
 BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 
+# Page of a refused request.
 _REFUSAL = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
 <meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
 <style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
 body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
 <p>{why}.</p>{more}</html>
 """
-"""Page of a refused request."""
 _SCRIPT, _CONTROLS, _STYLE = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
     for name in ("page.js", "controls.js", "page.css")
 )
 _HEAD = f'<head><meta charset="utf-8"><script>{_SCRIPT}{_CONTROLS}</script><style>{_STYLE}</style>'
-"""Content of the page before viser's own client."""
-
 DEFECT = "A defect of the program; the log in the terminal has the details."
-"""Text for an exception that is not a `DbbError`."""
 
 
 def plain(error: BaseException) -> str:
@@ -39,7 +36,7 @@ def plain(error: BaseException) -> str:
 
 @lru_cache(maxsize=2)
 def with_head(page: bytes, encoding: str) -> bytes:
-    """Insert `_HEAD` into viser's page, which is compressed if `encoding` is "gzip"."""
+    """Insert scripts and styles into viser's page, which is compressed if `encoding` is "gzip"."""
     html = (gzip.decompress if encoding == "gzip" else bytes)(page)
     html = html.replace(b"<head>", _HEAD.encode(), 1)
     return gzip.compress(html) if encoding == "gzip" else html
@@ -92,7 +89,6 @@ def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str
 
 
 def reading(name: str, value: str) -> str:
-    """Return a row with a name and a value."""
     return row(cell(name, FAINT, ONE_LINE), cell(value, RIGHT))
 
 
@@ -114,7 +110,6 @@ def chip(text: str, ground: str, ink: str) -> str:
 
 
 def mark(sign: str, colour: str) -> str:
-    """Return a coloured sign, such as a dot."""
     return _tag("b", sign, f"color:{colour}")
 
 

@@ -37,7 +37,6 @@ class Notifier:
         self._show(client, "Internal error", plain(error), "red", 30.0)
 
     def clear(self, client: viser.ClientHandle) -> None:
-        """Remove all messages to a viewer."""
         for key, (_, _, handle, _) in list(self._shown.items()):
             if key[0] == client.client_id:
                 handle.remove()
@@ -46,8 +45,7 @@ class Notifier:
     def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
         """Wrap a callback for viser so that its exceptions are shown to the event's `client`.
 
-        The result is `async`, so that viser runs it in its event loop, one call after the other.
-        Therefore the callback must be short.
+        viser runs the result in its event loop, because it is `async`: the callback must be short.
         """
 
         async def guarded(event: Any) -> None:

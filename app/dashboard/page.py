@@ -113,21 +113,20 @@ class Page:
             if texts and moment.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
             # With ghosts the camera stands still, so that the motion of each robot is visible.
-            follows = self.view.follow and not shown.ghosts
-            self._camera.follow(shown.base_pose[:2], on=follows)
+            self._camera.follow(shown.base_pose[:2], on=self.view.follow and not shown.ghosts)
             if texts:
                 self._renew(moment)
 
     def _renew(self, moment: Moment) -> None:
-        refusal, refused = moment.newest.refusal, moment.newest.refusal != self._refusal
-        self._refusal = refusal
+        before, self._refusal = self._refusal, moment.newest.refusal
+        refused = self._refusal != before
         for panel in self.viewer.panels:
             if refused:  # the panels show the state again, not the refused choice
                 panel.followed.clear()
             panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
-        if refused and refusal is not None:
-            self._notifier.warn(self._client, refusal.message)
+        if refused and self._refusal is not None:
+            self._notifier.warn(self._client, self._refusal.message)
         _show(self._hung, hung_html(self._shared.loop.silence))
 
     @property
@@ -136,11 +135,10 @@ class Page:
         return "untouched" in self.channel.seen and not self.closed
 
     def fail(self, title: str, error: BaseException) -> None:
-        """Show permanently that the simulation or the drawing has ended."""
         _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
-        """Replace this page by one of another robot, for the same viewer; a closed page remains."""
+        """Return a page of another robot for the same viewer; a closed page remains."""
         if self.closed:
             return self
         self.close()
@@ -202,28 +200,25 @@ class Page:
             add_help(gui, self._shortcuts())
 
     def _shortcuts(self) -> list[Shortcut]:
-        scenarios = [
-            Shortcut(f"Play {name}", None, partial(self.viewer.play, name)) for name in SCENARIOS
-        ]
-        looks = [
-            Shortcut(f"Camera: {name}", str(i), partial(self.viewer.look, name))
+        viewer = self.viewer
+        looks = (
+            Shortcut(f"Camera: {name}", str(i), partial(viewer.look, name))
             for i, name in enumerate(PRESETS, 1)
-        ]
+        )
         return [
-            Shortcut(f"{PAUSE} or {CONTINUE.lower()}", "space", self.viewer.toggle_pause),
+            Shortcut(f"{PAUSE} or {CONTINUE.lower()}", "space", viewer.toggle_pause),
             Shortcut(RESTART, "R", lambda: self._shared.loop.send(Restart())),
-            Shortcut("Back 1 s", "B", lambda: self.viewer.step(-1.0)),
-            Shortcut("Forward 1 s", "F", lambda: self.viewer.step(1.0)),
+            Shortcut("Back 1 s", "B", lambda: viewer.step(-1.0)),
+            Shortcut("Forward 1 s", "F", lambda: viewer.step(1.0)),
             Shortcut("Back to now", "N", self.timeline.go_live),
             Shortcut("Dark or light theme", "L", self.view.toggle_dark),
             *looks,
-            Shortcut(BACK, None, partial(self.viewer.play, "")),
-            *scenarios,
+            Shortcut(BACK, None, partial(viewer.play, "")),
+            *(Shortcut(f"Play {name}", None, partial(viewer.play, name)) for name in SCENARIOS),
             Shortcut("Tour", "H", lambda: self.guide.go("tour 1")),
         ]
 
     def _escape(self) -> None:
-        """Close the guide and the messages."""
         self.guide.go("")
         self._notifier.clear(self._client)
 
@@ -263,10 +258,8 @@ def hung_html(silence: float) -> str:
 
 
 def _show(handle: viser.GuiHtmlHandle, html: str) -> None:
-    """Show a text, or hide the element if the text is empty."""
     handle.content, handle.visible = html, bool(html)
 
 
 def show_failure(gui: viser.GuiApi, title: str, error: BaseException) -> None:
-    """Show the failure on a page that is no longer drawn."""
     gui.add_html(banner("error", title, plain(error)))

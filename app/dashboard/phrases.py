@@ -71,8 +71,8 @@ def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
     """Describe a base's motion, such as "backs away at 0.21 m/s and turns left"; None at rest.
 
     Args:
-        v: [m/s, m/s, rad/s] velocity of the base; or, if `intended`, its commanded acceleration,
-            which is described as the next motion, such as "back away and turn left".
+        v: [m/s, m/s, rad/s] velocity of the base; if `intended`, its commanded acceleration, which
+            is described as the next motion, such as "back away and turn left".
         ahead: Whether the avoided body is not behind the base.
         intended: Whether the base is at rest.
     """

@@ -23,37 +23,23 @@ _EFFORTS = {
     "rad": "torque u_a divided by its limit of {:g} N m",
     "m": "force u_a divided by its limit of {:g} N",
 }
-Value = Callable[[Snapshot], float]
 
 
 class Curve(NamedTuple):
-    """A line of a plot."""
-
     label: str
-    """Name in the legend."""
-    value: Value
-    """Returns the value of a snapshot."""
+    value: Callable[[Snapshot], float]
     colour: str
-    hint: str
-    """Explanation of the name: symbol, unit, range and equation."""
-    dashed: bool = False
-    """Whether the line is a threshold."""
-    right: bool = False
-    """Whether the line belongs to the axis on the right, which fits all its values."""
+    hint: str  # symbol, unit, range and equation
+    dashed: bool = False  # for a threshold
+    right: bool = False  # whether the line has the axis on the right, which fits all its values
 
 
 class PlotPlan(NamedTuple):
-    """Content of a plot."""
-
-    title: str
-    """Title with the unit."""
+    title: str  # with the unit
     curves: tuple[Curve, ...]
-    y_range: Any
-    """Range in uPlot's format."""
-    height: int = 100
-    """[px] height without title and legend."""
-    fill: bool = False
-    """Whether the areas under the curves are filled."""
+    y_range: Any  # in uPlot's format
+    height: int = 100  # [px] without title and legend
+    fill: bool = False  # whether the areas under the curves are filled
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
@@ -127,13 +113,11 @@ def _series(i: int) -> str:
 
 
 def _torque(i: int, name: str, limit: float, unit: str) -> Curve:
-    """Return the curve of a joint's torque or force."""
     hint = f"{name}: {_EFFORTS[unit].format(limit)}, −1 to 1, (26)"
     return Curve(f"{i + 1}", lambda s: s.u_a[i] / limit, _series(i), hint)
 
 
 def _avoidance(i: int, axis: Axis, colour: str) -> Curve:
-    """Return the curve of the avoidance acceleration along an axis of the base."""
     unit = "rad/s²" if axis.angular else "m/s²"
     label = f"{'turn' if axis.angular else axis.way} {acceleration_symbol(axis)} [{unit}]"
     return Curve(label, lambda s: float(s.avoidance_acceleration[i]), colour, _MOVES)

@@ -32,7 +32,6 @@ class Track:
         self.begin()
 
     def begin(self) -> None:
-        """Delete all points."""
         self._points: deque[tuple[float, Array]] = deque(maxlen=_LONGEST)
 
     def add(self, snapshot: Snapshot) -> None:
@@ -51,8 +50,7 @@ class Course:
 
     Attributes:
         name, running: Name of the scenario, empty if none has started; whether it is running.
-        duration, until: [s] end of the scenario; time of its last snapshot, or `duration` if the
-            scenario completed.
+        duration, until: [s] end of the scenario; time of its last snapshot, at most `duration`.
         least: [m] smallest distance of all pairs; infinite before the first snapshot.
         pull, speed, path: Largest external force [N], peak speed of the end-effector [m/s], length
             of the base's path [m].
@@ -109,37 +107,31 @@ class Course:
 
 
 class Event(NamedTuple):
-    """An event, which the timeline marks."""
-
-    t: float
-    """[s] time of its start."""
-    kind: str
-    """One of "scenario", "parameter", "person", "buffer", "limit" and "contact"."""
+    t: float  # [s] time of its start
+    kind: str  # "scenario", "parameter", "person", "buffer", "limit" or "contact"
     text: str
 
 
 class Strip:
-    """Data of the dashboard's timeline.
+    """Data of the dashboard's timeline, in bins of `BIN` seconds.
 
-    The simulated time is divided into bins of `BIN` seconds. Each bin has the smallest distance and
-    the largest β of its snapshots; every two bins store the snapshot with the smallest distance.
+    A bin has the smallest distance and the largest β of its snapshots; every two bins store the
+    snapshot with the smallest distance.
     """
 
     def __init__(self, chain: Sequence[str]) -> None:
         """Create an empty history; `chain` has the names of the robot's bodies, the base first."""
         self._chain, self.runs = chain, -1
-        """`runs` is the number of restarts since the creation."""
         self.begin()
 
     def begin(self) -> None:
-        """Delete all data, and increase the number of restarts by one."""
+        """Delete all data, and increase `runs`, the number of restarts, by one."""
         self.runs += 1
         self.rows: deque[tuple[float, ...]] = deque(maxlen=round(HISTORY / BIN))
         """Start [s] of each bin, smallest distance [m], largest β in this bin, and d_b [m]."""
         self.closed = self._numbered = 0
         """Numbers of rows and of events since the restart, including deleted ones."""
-        self.events: dict[int, Event] = {}
-        """Events by their numbers, in order."""
+        self.events: dict[int, Event] = {}  # by their numbers, in order
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
         self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))
         """For every two bins, the snapshot with the smallest distance."""
@@ -151,7 +143,6 @@ class Strip:
         self._before: Snapshot | None = None
 
     def add(self, snapshot: Snapshot) -> None:
-        """Add a snapshot."""
         if self._bin and int(snapshot.t / BIN + 1e-6) != int(self._bin[0].t / BIN + 1e-6):
             self._close()
         self._bin.append(snapshot)
@@ -203,8 +194,8 @@ def happenings(
         return [("scenario", "", f"{now.scenario} starts")] if now.scenario else []
     found = []
     if now.scenario != before.scenario:
-        said = f"{now.scenario} starts" if now.scenario else f"{before.scenario} ends"
-        found.append(("scenario", "", said))
+        text = f"{now.scenario} starts" if now.scenario else f"{before.scenario} ends"
+        found.append(("scenario", "", text))
     if now.controller != before.controller:
         found.append(("parameter", "controller", f"controller: {now.controller}"))
     if before.config is not now.config:
@@ -215,16 +206,15 @@ def happenings(
     if held != holds:
         text = "pulls" if holds - held else "releases"
         found.append(("person", text, f"a person {text} the robot"))
+    spoken = {pair.name: words.spoken(pair.name, chain) for pair in now.pairs}
     for old, pair in zip(before.pairs, now.pairs, strict=True):
         if pair.beta > 0.0 and old.beta == 0.0:
-            text = f"{words.spoken(pair.name, chain)} inside the buffer"
-            found.append(("buffer", pair.name, text))
+            found.append(("buffer", pair.name, f"{spoken[pair.name]} inside the buffer"))
     met, meets = (
         {words.bound(bound, chain) for bound in s.explanation.bounds} if s.explanation else set()
         for s in (before, now)
     )
     found += [("limit", text, text) for text in sorted(meets - met)]
-    spoken = {pair.name: words.spoken(pair.name, chain) for pair in now.pairs}
     if (text := touching(now, spoken)) and not touching(before):
         found.append(("contact", "", text))
     return found

@@ -36,22 +36,15 @@ convex bodies if a mesh is missing."""
 
 
 class RobotEntry(NamedTuple):
-    """A robot that can be chosen."""
-
     name: str
     title: str
-    about: str
-    """Base and arm in a few words; empty if the description is invalid."""
-    problem: str | None
-    """Reason why the robot cannot be used, with advice if there is any; None for a usable robot."""
-    own: bool
-    """Whether the robot is one of the user's own robots."""
-    report: bool
-    """Whether a report about the robot's creation exists."""
+    about: str  # base and arm in a few words; empty if the description is invalid
+    problem: str | None  # reason why the robot cannot be used, or None
+    own: bool  # whether it is one of the user's own robots
+    report: bool  # whether a report about its creation exists
 
     @property
     def label(self) -> str:
-        """The robot's entry in a list."""
         return self.name if self.problem is None else f"{self.name} (not available)"
 
 
@@ -84,14 +77,10 @@ class RunningRobot(NamedTuple):
 
     loop: LoopHandle
     model: RobotModel
-    clouds: Mapping[str, Cloud]
-    """Point clouds P_i of all pairs of arm and base, by the pairs' names."""
+    clouds: Mapping[str, Cloud]  # P_i of all pairs of arm and base, by the pairs' names
     parts: RobotParts
-    """Meshes of the robot."""
     config: Config
-    """Parameters of the simulation."""
-    note: str
-    """Message for the viewers, or an empty string."""
+    note: str  # message for the viewers, or an empty string
 
 
 def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
@@ -99,10 +88,7 @@ def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
 
 
 class RobotSwitch(Job):
-    """Switch of the robot, the same for all viewers; at most one switch runs at a time.
-
-    Any thread may call `begin` and `cancel`; the drawing thread calls `take` and `shown`.
-    """
+    """Switch of the robot for all viewers; the drawing thread calls `take` and `shown`."""
 
     replaces_robot = True
 
@@ -126,32 +112,30 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
-        The new robot gets the present controller and its own defaults with `changes`, or without
-        `changes` if it cannot start with them.
+        The new robot has the present controller, and `changes` if it can start with them.
 
         Raises:
             ConfigError: The robot does not exist or cannot be used, or another switch is running.
         """
         entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
-        if entry is None or self._start_loop is None:
+        if entry is None:
             raise ConfigError(f"the robot {name!r} does not exist")
         if entry.problem is not None:
             raise ConfigError(f"{entry.title}: {entry.problem}")
-        replaced: LoopHandle | None = running
+        replaced = [running]
         controller = running.latest().controller
 
         def work() -> None:
-            nonlocal replaced
             self._taken.clear()
-            try:
-                self._replace(replaced, self._prepare(entry, changes, controller))
-            finally:
-                replaced = None  # frees the old loop before memory is returned
+            robot = self._prepare(entry, changes, controller)
+            self._loop, self._ready = robot.loop, robot
+            self._taken.wait()  # until the pages show the new robot
+            replaced.pop().stop()
 
         self.start(entry.title, "reading the description", work)
 
     def take(self) -> RunningRobot | None:
-        """Return a robot that has become ready, only once; None if there is no such robot."""
+        """Return a robot that has become ready, only once; otherwise None."""
         ready, self._ready = self._ready, None
         return ready
 
@@ -165,13 +149,6 @@ class RobotSwitch(Job):
         super().close()
         if self._loop is not None:
             self._loop.stop()
-
-    def _replace(self, replaced: LoopHandle | None, robot: RunningRobot) -> None:
-        """Wait until the pages show the new robot, then stop the simulation of the old one."""
-        self._loop, self._ready = robot.loop, robot
-        self._taken.wait()
-        if replaced is not None:
-            replaced.stop()
 
     def _prepare(self, entry: RobotEntry, changes: Changes, controller: str) -> RunningRobot:
         model = RobotModel(load_robot(entry.name))
@@ -212,16 +189,12 @@ class RobotSwitch(Job):
 
 
 class Package(NamedTuple):
-    """An uploaded zip and its content."""
-
-    archive: Path
-    """File of the zip, deleted after a successful build, before the next upload, and by `close`."""
-    urdfs: Mapping[str, Contents]
-    """Contents of the zip's URDFs, by their path in the zip."""
+    archive: Path  # deleted after a successful build, before the next upload, and by `close`
+    urdfs: Mapping[str, Contents]  # contents of its URDFs, by their path in the zip
 
 
 class RobotBuild(Job):
-    """Upload of a zip, and build of a robot from it; at most one job runs at a time."""
+    """Upload of a zip, and build of a robot from it."""
 
     def __init__(self, switch: RobotSwitch) -> None:
         """Start without an upload; `switch` searches for robots again after each build."""
@@ -255,8 +228,7 @@ class RobotBuild(Job):
         """Build the requested robot from the upload, in a job with a separate process.
 
         Raises:
-            ConfigError: The name is not allowed, a robot of this name exists, or another job is
-                running.
+            ConfigError: The name is not allowed or in use, or another job is running.
         """
         new_folder(request.name)
 

@@ -13,7 +13,7 @@ from app.border.dbb import Cloud
 from app.dashboard.job import give_back
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
-from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
+from app.dashboard.robots import RobotSwitch, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.robot import RobotParts
@@ -53,13 +53,13 @@ class DashboardServer:
         self.error: BaseException | None = None
         """Exception that ended the drawing thread, or None."""
         self._texts_due = self._newcomer_due = 0.0  # [s] of `time.monotonic`
-        self._notifier = Notifier(viser_server)
-        self._demonstration = Demonstration()
+        self._notifier, self._demonstration = Notifier(viser_server), Demonstration()
         self._failure: tuple[str, BaseException] | None = None
         self._here: frozenset[int] = frozenset()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._draw_until_stopped, name="dashboard")
-        self._thread.daemon = True
+        self._thread = threading.Thread(
+            target=self._draw_until_stopped, name="dashboard", daemon=True
+        )
         self._thread.start()
         viser_server.on_client_disconnect(self._part)
         self.watchdog = Watchdog(viser_server, self._silent)
@@ -68,8 +68,7 @@ class DashboardServer:
         """Serve until another thread calls `stop`, or until Ctrl-C; the caller then calls `stop`.
 
         Raises:
-            LoopError: The simulation or the drawing has ended with an error, which the pages show
-                until the server ends.
+            LoopError: The simulation or the drawing has ended with an error.
         """
         with contextlib.suppress(KeyboardInterrupt):
             give_back()
@@ -155,13 +154,9 @@ class DashboardServer:
             self._fail("The simulation has stopped", error)
 
     def _open_and_close_pages(self) -> None:
-        """Build at most one page, and end the pages of disconnected viewers.
-
-        Between two pages, which are slow to build, the other viewers get frames.
-        """
+        """Build at most one page, because it is slow, and end the pages of disconnected viewers."""
         due = time.monotonic() >= self._newcomer_due
-        client = self._newcomer() if due else None
-        if client is not None:
+        if due and (client := self._newcomer()) is not None:
             begin = time.thread_time()
             self._build_page(client)
             self._newcomer_due = _rested(begin)
@@ -194,30 +189,23 @@ class DashboardServer:
     def _switch_robot(self) -> None:
         """If another robot is ready, replace every viewer's page."""
         switch = self.shared.robot_switch
-        robot = switch.take()
-        if robot is None:
+        if (robot := switch.take()) is None:
             return
         try:
-            self._show(robot)
+            self.shared, self._failure = self.shared.followed_by(robot), None
+            for number in list(self.pages):
+                self._build_page(self.pages[number].viewer.client)
         finally:
             switch.shown()  # also after an error: the switch's thread waits for this
         note = f"; {robot.note}" if robot.note else ""
         self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use{note}.")
 
-    def _show(self, robot: RunningRobot) -> None:
-        self.shared = self.shared.followed_by(robot)
-        self._failure = None
-        for page in list(self.pages.values()):
-            self._build_page(page.viewer.client)
-
     def _fail(self, title: str, error: BaseException) -> None:
-        """Show the failure permanently, to later viewers too."""
         self._failure = (title, error)
         for page in self.pages.values():
             page.fail(title, error)
 
     def _show_to_late_viewers(self) -> None:
-        """Show the failure to new viewers after the end of drawing."""
         while not self._stopping.wait(0.2):
             client = self._newcomer()
             if client is not None and self._failure is not None:
@@ -273,10 +261,7 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return the time [s] of `time.monotonic` until which a thread rests after work.
-
-    `begin` [s] is `time.thread_time` at the start of the work.
-    """
+    """Return the end [s] of a thread's rest after work that began at `thread_time` `begin` [s]."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 
@@ -299,5 +284,5 @@ def check_address(host: str, port: int) -> None:
         try:
             probe.bind(address)
         except OSError as error:
-            hint = "; try another --port, or 0 for a free one"
-            raise ServerError(f"cannot listen at {host}:{port}: {error}{hint}") from None
+            hint = "try another --port, or 0 for a free one"
+            raise ServerError(f"cannot listen at {host}:{port}: {error}; {hint}") from None

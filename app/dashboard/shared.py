@@ -43,17 +43,13 @@ class Tuning:
     ) -> None:
         """Start with the configuration of the simulation `sink`, which gets each change.
 
-        `usual` is the configuration with the robot's defaults, by default the program's defaults;
-        `clock` returns the time [s].
+        `usual` has the robot's defaults, by default those of the program; `clock` returns [s].
         """
-        self._sink, self._clock = sink, clock
-        self.usual = usual or Config()
-        """The configuration with the robot's defaults."""
+        self._sink, self._clock, self.usual = sink, clock, usual or Config()
         self._steps, self._at = [config], 0
         """Configurations after each step, oldest first, and the index of the present one."""
         self._burst: tuple[str, float] | None = None
-        """Parameter of the newest step, and the time [s] of its last change; None if the next
-        change starts a new step."""
+        """Parameter and time [s] of the last change; None if the next one starts a new step."""
         self._lock = threading.RLock()
 
     @property
@@ -64,15 +60,13 @@ class Tuning:
 
     @property
     def changes(self) -> dict[str, float | str]:
-        """Values of the parameters that differ from the robot's defaults, by path."""
         return self.config.changes(self.usual)
 
     def set(self, path: str, value: float | str) -> None:
         """Change one parameter; undo reverts fast successive changes of it in one step.
 
         Raises:
-            ConfigError: The parameter does not exist, or its value is not allowed, or a gain is too
-                large for the stated period.
+            ConfigError: The parameter or value is not allowed, or a gain is too large.
         """
         with self._lock:
             if self.config.value(path) == value:
@@ -83,11 +77,10 @@ class Tuning:
             if last == path and now - at <= BURST:
                 self._steps.pop()
                 self._at -= 1
-            if self._steps[self._at] != config:  # a fast change and its reversal are not a step
+            changed = self._steps[self._at] != config  # a fast change and its reversal are no step
+            if changed:
                 self._add(config)
-                self._burst = path, now
-            else:
-                self._burst = None
+            self._burst = (path, now) if changed else None
             self._sink.send(Configure(config))
 
     def load(self, config: Config) -> None:
@@ -105,26 +98,18 @@ class Tuning:
             self.load(self.usual if paths is None else self.config.changed(defaults))
 
     def undo(self) -> None:
-        """Undo the last step.
-
-        Raises:
-            ConfigError: There is no step to undo.
-        """
+        """Undo the last step; raises `ConfigError` without one."""
         self._go(-1, "nothing to undo")
 
     def redo(self) -> None:
-        """Repeat the step that was undone last.
-
-        Raises:
-            ConfigError: No step was undone, or a parameter has changed since.
-        """
+        """Repeat the step that was undone last; raises `ConfigError` without one."""
         self._go(1, "nothing to redo")
 
     def move_to(self, sink: LoopHandle, config: Config, usual: Config) -> None:
         """Continue with the simulation `sink` of another robot, which runs with `config`.
 
-        Each configuration of the history keeps its changes, now relative to the new robot's
-        defaults `usual`. If `config` differs from the present one, it becomes a further step.
+        Each configuration of the history keeps its changes from the defaults, now `usual`. If
+        `config` differs from the present one, it becomes a further step.
         """
         with self._lock:
             self._steps = [usual.changed(each.changes(self.usual)) for each in self._steps]
@@ -161,8 +146,7 @@ class SharedState(SceneData):
     ) -> None:
         """Load the shared data; most arguments are those of `serve_dashboard`.
 
-        `robot_switch` is by default one that cannot switch. From `before`, the shared state of
-        another robot, the parameters with their history and the jobs for new robots are reused.
+        The state `before`, of another robot, passes on the history of parameters and the jobs.
         """
         super().__init__(loop, model, clouds, parts)
         self.case = case
@@ -185,10 +169,7 @@ class SharedState(SceneData):
         return Explorer(self.model, self.clouds, self.loop.latest())
 
     def followed_by(self, robot: RunningRobot) -> SharedState:
-        """Return the shared state of another robot, with the history of parameters and the jobs.
-
-        The present parameters are those with which the robot's simulation has started.
-        """
+        """Return the shared state of another robot, with the history of parameters and the jobs."""
         after = SharedState(robot.loop, robot.model, robot.clouds, robot.parts, before=self)
         self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
         return after

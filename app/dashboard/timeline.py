@@ -18,10 +18,7 @@ MOST_MARKED = 120.0  # [s] largest length of a marked interval
 
 
 class Timeline:
-    """Point in time of one viewer; the simulation is not affected.
-
-    All methods are thread-safe.
-    """
+    """Point in time of one viewer; the simulation is not affected. All methods are thread-safe."""
 
     def __init__(self, loop: LoopHandle, strip: Strip) -> None:
         """Start live; `loop` has the snapshots of the last 60 s, and `strip` has older ones."""
@@ -44,14 +41,12 @@ class Timeline:
 
     @property
     def live(self) -> bool:
-        """Whether the newest snapshot is shown."""
         return self._shown is None
 
     def shown(self) -> Snapshot:
         """Return the snapshot to draw, and continue a replay and an interval without an end.
 
-        After a restart of the simulation, the newest snapshot is shown. An interval with a marked
-        end remains; an interval without one is removed.
+        After a restart, the newest snapshot is shown, and an interval without an end is removed.
         """
         with self._lock:
             newest = self._loop.latest()
@@ -76,13 +71,10 @@ class Timeline:
 
     @property
     def plays(self) -> bool:
-        """Whether a replay is running."""
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Start a replay at the shown snapshot, or stop the running replay.
-
-        From the newest snapshot, a replay starts `AGAIN` seconds earlier.
+        """Stop the running replay, or start one; at the newest snapshot, it starts `AGAIN` earlier.
 
         Raises:
             ConfigError: The speed is not within `REPLAY`.
@@ -112,7 +104,6 @@ class Timeline:
         self.show(min(ahead, key=lambda stored: abs(stored.t - t - seconds)).snapshot)
 
     def go_live(self) -> None:
-        """Show the newest snapshot from now on."""
         with self._lock:
             self._shown = self._replay = None
 
@@ -128,7 +119,7 @@ class Timeline:
     def mark_end(self) -> None:
         """Mark the shown instant as the end of the interval.
 
-        Without an earlier marked start, the interval has the snapshots of the last `MOST_MARKED`.
+        Without an earlier start, the interval has the last `MOST_MARKED` seconds.
 
         Raises:
             LogError: The shown instant is the marked start.
@@ -145,7 +136,6 @@ class Timeline:
             self._cut(at)
 
     def unmark(self) -> None:
-        """Remove the marks."""
         with self._lock:
             self.begin = self.end = None
             self._marked = []
@@ -153,8 +143,7 @@ class Timeline:
     def interval(self) -> list[Snapshot]:
         """Return the snapshots of the interval, oldest first; without marks, of the last 60 s.
 
-        Raises:
-            LogError: There are fewer than two snapshots.
+        Raises `LogError` for fewer than two snapshots.
         """
         self.shown()
         with self._lock:

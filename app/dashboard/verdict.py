@@ -27,18 +27,12 @@ _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, bas
 
 
 class Verdict(NamedTuple):
-    """State of the robot in a snapshot."""
-
-    state: State
-    """Worst state of the pairs and `touching`; at least "resisting" with the fallback command."""
-    pairs: tuple[State, ...]
-    """The state of each link pair, in the order of the snapshot."""
-    touching: str
-    """The text of the function `touching`."""
+    state: State  # worst of `pairs` and `touching`; at least "resisting" with the fallback command
+    pairs: tuple[State, ...]  # in the order of the snapshot
+    touching: str  # text of the function `touching`
 
     @property
     def colour(self) -> Rgb:
-        """Colour of the state."""
         return COLOURS[self.state]
 
 

@@ -9,16 +9,14 @@ from app.dashboard.scene.legend import QUANTITIES
 
 HIDDEN = "hidden"  # choice for a border that is not drawn
 CHOICES = (*reversed(QUANTITIES), HIDDEN)  # choices for the colour of a border
+LABELS = "active", "all", "none"  # choices for the labels
 BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 """Folders of the tab "View"."""
 
 
-def _shown(
-    folder: str, label: str, hint: str | None = None, *, first: Any, choices: tuple[str, ...] = ()
-) -> Any:
-    """Declare a field with its default `first` and its widget, a list or a check box."""
-    about = {"folder": folder, "label": label, "hint": hint, "choices": choices}
-    return field(default=first, metadata=about)
+def _shown(folder: str, label: str, first: bool | str, hint: str | None = None) -> Any:
+    """Declare a field with its default `first` and its widget, a check box or a list."""
+    return field(default=first, metadata={"folder": folder, "label": label, "hint": hint})
 
 
 @dataclass
@@ -28,50 +26,43 @@ class View:
     borders: dict[str, str]
     """Quantity that colours the border of each pair with the base: of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = _shown(
-        BORDER,
-        "Include the top",
-        "Show the border above the base too: it hides the arm",
-        first=False,
+        BORDER, "Include the top", False, "Show the border above the base too: it hides the arm"
     )
     slice: bool = _shown(
-        BORDER, "Slice at the arm", "Contour at the height of the arm's nearest point", first=True
+        BORDER, "Slice at the arm", True, "Contour at the height of the arm's nearest point"
     )
-    meshes: bool = _shown(LAYERS, "Robot", first=True)
-    bodies: bool = _shown(LAYERS, "Convex bodies", "Convex bodies used for distances", first=False)
-    distances: bool = _shown(LAYERS, "Closest points", first=True)
-    """Lines between the closest points of the pairs."""
+    meshes: bool = _shown(LAYERS, "Robot", True)
+    bodies: bool = _shown(LAYERS, "Convex bodies", False, "Convex bodies used for distances")
+    distances: bool = _shown(LAYERS, "Closest points", True)
     labels: Literal["active", "all", "none"] = _shown(
         LAYERS,
         "Labels",
+        "active",
         "active: distances of the pairs inside their buffer; all: all distances, symbols of points",
-        first="active",
-        choices=("active", "all", "none"),
     )
     acting: bool = _shown(
-        LAYERS, "Acting points", "Points p_act, p_n and p_t, and the force on the base", first=True
+        LAYERS, "Acting points", True, "Points p_act, p_n and p_t, and the force on the base"
     )
     motion: bool = _shown(
-        LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True
+        LAYERS, "Forces", True, "Force of the person, and commanded acceleration of the base"
     )
-    trails: bool = _shown(LAYERS, "Trails", "Past paths of base and end-effector", first=True)
+    trails: bool = _shown(LAYERS, "Trails", True, "Past paths of base and end-effector")
     follow: bool = _shown(
         PAGE,
         "Follow the base",
+        True,
         "With ghosts the camera moves only if a robot leaves the picture",
-        first=True,
     )
-    dark: bool = _shown(PAGE, "Dark theme", first=True)
+    dark: bool = _shown(PAGE, "Dark theme", True)
     light: bool = _shown(
         PAGE,
         "Low detail",
+        False,
         "Fewer triangles, points and pictures per second, no shadows; the default without a GPU",
-        first=False,
     )
-    plots: set[str] = field(default_factory=set)
-    """Titles of the shown plots."""
+    plots: set[str] = field(default_factory=set)  # titles of the shown plots
 
     def toggle_dark(self) -> None:
-        """Switch between the dark and the light theme."""
         self.dark = not self.dark
 
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:

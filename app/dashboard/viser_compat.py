@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from inspect import signature
 from types import NoneType
-from typing import Any, ClassVar, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 import viser
@@ -50,50 +50,36 @@ _pictures = threading.BoundedSemaphore(2)  # [-] simultaneous screenshots
 STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
 
 
-class _Knocks(logging.Filter):
-    """Passes at most one log record of each kind per minute, because any peer can cause records.
+_said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of each kind
+
+
+def _passes(record: logging.LogRecord) -> bool:
+    """Whether a log record is written: at most one of each kind per minute, because of any peer.
 
     The websockets library would write a whole traceback for each wrong or excess connection, up to
     a hundred times per second. If the peer or the connection can explain an error, the record is
-    one line without a traceback. Other errors are defects of this program or of its libraries:
-    their records keep the traceback. In both cases the text of the record is changed, because viser
-    hides records with the texts of `_KNOCKS`.
+    one line. Other errors are defects of this program or of its libraries: their records keep the
+    traceback. The text is changed, because viser hides records with the texts of `_KNOCKS`.
     """
-
-    _said: ClassVar[dict[tuple[str, str], float]] = {}
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a record is written; records with the texts of `_KNOCKS` are changed."""
-        text = record.getMessage().partition("\n")[0]
-        error = record.exc_info[1] if record.exc_info else None
-        frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
-        place = [(frame.filename, frame.lineno) for frame in frames]
-        kind = str(record.msg).partition("\n")[0], f"{type(error).__name__} {place}"
-        if text in _KNOCKS:
-            record.msg, record.args = (
-                f"a connection: {text}" + (f": {error!r}" if error else ""),
-                (),
-            )
-            of_peer = isinstance(error, NoneType | WebSocketException | EOFError | OSError)
-            if of_peer or _broke_off(getattr(record, "websocket", None)):
-                record.exc_info = None
-                kind = text, ""
-        due = self._said.get(kind, -math.inf) <= time.monotonic() - _MINUTE
-        if due:
-            self._said[kind] = time.monotonic()
-        return due
-
-
-def _broke_off(connection: Any) -> bool:
-    """Whether a connection has failed because its first data are not a valid request.
-
-    An example is a second request right behind the first one: the answer fails within websockets.
-    """
-    protocol = getattr(connection, "protocol", None)
-    return protocol is not None and protocol.state is CONNECTING and bool(protocol.parser_exc)
-
-
-_knocks = _Knocks()
+    text = record.getMessage().partition("\n")[0]
+    error = record.exc_info[1] if record.exc_info else None
+    frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
+    place = [(frame.filename, frame.lineno) for frame in frames]
+    kind = str(record.msg).partition("\n")[0], f"{type(error).__name__} {place}"
+    if text in _KNOCKS:
+        record.msg = f"a connection: {text}" + (f": {error!r}" if error else "")
+        record.args = ()
+        of_peer = isinstance(error, NoneType | WebSocketException | EOFError | OSError)
+        # The first data of a connection are not a valid request, such as two requests at once.
+        protocol = getattr(getattr(record, "websocket", None), "protocol", None)
+        broke_off = protocol is not None and protocol.state is CONNECTING and protocol.parser_exc
+        if of_peer or broke_off:
+            record.exc_info = None
+            kind = text, ""
+    due = _said.get(kind, -math.inf) <= time.monotonic() - _MINUTE
+    if due:
+        _said[kind] = time.monotonic()
+    return due
 
 
 def open_server(
@@ -112,7 +98,7 @@ def open_server(
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # no records of each connection
     for name in ("websockets.server", "asyncio", logger.name):
-        logging.getLogger(name).addFilter(_knocks)  # a filter is added once only
+        logging.getLogger(name).addFilter(_passes)  # a filter is added once only
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # normal at its end
     _replace_parts_of_viser()
     gate = Gate(host, allowed, largest_upload)
@@ -121,9 +107,8 @@ def open_server(
     notifier = Notifier(server)
 
     def client_of(connection: Any) -> viser.ClientHandle | None:
-        live = list(server._websock_server._live_connections.items())
-        numbers = (number for number, each in live if each is connection)
-        return server.get_clients().get(next(numbers, -1))
+        clients = server.get_clients().values()
+        return next((each for each in clients if _connection(each) is connection), None)
 
     def widget(connection: Any, uuid: str) -> Any:
         client = client_of(connection)
@@ -166,8 +151,6 @@ def scene_picture(
 ) -> np.ndarray:
     """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
 
-    Until then, the size limit of the viewer's messages is higher.
-
     Raises:
         RuntimeError: The viewer has disconnected.
         TimeoutError: No picture has arrived within the timeout [s].
@@ -176,7 +159,7 @@ def scene_picture(
     if connection is None:
         raise RuntimeError("the page has disconnected")
     with _pictures:
-        connection.protocol.max_message_size += LARGEST_PICTURE
+        connection.protocol.max_message_size += LARGEST_PICTURE  # until the picture is here
         try:
             return client.get_render(height, width, transport_format="png", timeout=timeout)
         finally:
@@ -196,22 +179,17 @@ def has_no_gpu(client: viser.ClientHandle) -> bool:
 
 
 def finite(value: Any) -> float:
-    """Return a number from a page.
-
-    Raises:
-        ValueError: The value is not a finite number.
-    """
+    """Return a finite number from a page; raises `ValueError` for another value."""
     if not math.isfinite(number := float(value)):
         raise ValueError("not a finite number")
     return number
 
 
 class Channel:
-    """Messages between the page's own scripts and this program, in addition to viser's widgets.
+    """Calls of functions, by their names, between the page's own scripts and this program.
 
-    viser has no widget that spans the page. It sends each typed digit of a number, and it does not
-    report whether a widget is visible. The page's own scripts solve this. Each side calls functions
-    of the other side by their names.
+    The scripts do what viser cannot: widgets that span the page, complete numbers instead of single
+    digits, and reports of visible widgets.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
@@ -267,7 +245,6 @@ class Channel:
 
 
 def _connection(client: viser.ClientHandle) -> Any:
-    """Return a viewer's connection, or None after its end."""
     return client._viser_server._websock_server._live_connections.get(client.client_id)
 
 
@@ -277,24 +254,17 @@ def _silence() -> contextlib.redirect_stdout[io.StringIO]:
 
 
 class _Seen(NamedTuple):
-    """State of a connection at a check."""
-
-    answer: asyncio.Task[None] | None = None
-    """Answer to the last ping."""
-    unanswered: int = 0
-    """Number of successive checks without this answer."""
-    sent: tuple[int, ...] = ()
-    """Number of the last message of each queue that was sent to this viewer."""
-    unsent: int = 0
-    """Number of successive checks without a new message although messages wait."""
+    answer: asyncio.Task[None] | None = None  # to the last ping
+    unanswered: int = 0  # [-] successive checks without this answer
+    sent: tuple[int, ...] = ()  # number of the last message of each queue that was sent
+    unsent: int = 0  # [-] successive checks without a new message although messages wait
 
 
 class Watchdog:
-    """Detects viewers who do not answer, and closes connections that stay without answers.
+    """Detects viewers who do not answer, and closes connections without answers or deliveries.
 
-    It also closes connections through which no message leaves. A browser answers a ping even if its
-    page is busy. Time is counted in checks by the receiving thread, so that a delay of this program
-    itself counts as one check.
+    A browser answers a ping even if its page is busy. Time is counted in checks by the receiving
+    thread, so that a delay of this program itself counts as one check.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
@@ -319,12 +289,8 @@ class Watchdog:
                 self._on_silent(number)
             if max(seen.unanswered, seen.unsent) == STUCK:
                 self.closed += 1
-                logger.warning(
-                    "nothing reached viewer %d for %g s: the connection is closed, so that the "
-                    "page connects anew",
-                    number,
-                    STUCK * LOOK,
-                )
+                text = "nothing reached viewer %d for %g s: the connection is closed, so that the "
+                logger.warning(text + "page connects anew", number, STUCK * LOOK)
                 live[number].transport.abort()
         self._loop.call_later(LOOK, self._look)
 
@@ -355,9 +321,9 @@ async def _ping(connection: Any) -> None:
 class _WakingEvent(asyncio.Event):
     """An event whose `set` wakes all waiters even if the event is already set.
 
-    viser sets its event from other threads, and a second time in the loop. If the first call comes
-    between a waiter's check of the event and its wait, the second call finds the event set and
-    wakes nobody. Then the page gets no more messages (docs/viser_wakeup.md).
+    viser sets its event from other threads, and again in the loop. If the first call comes between
+    a waiter's check and its wait, the second one wakes nobody, and the page gets no more messages
+    (docs/viser_wakeup.md).
     """
 
     def set(self) -> None:
@@ -370,8 +336,8 @@ class _WakingEvent(asyncio.Event):
 class _Buffer(AsyncMessageBuffer):
     """A queue that always wakes its waiters, and that delivers each removal of a node.
 
-    viser drops the removal of a node if the node is created again before the removal is sent. The
-    page then keeps pose and callbacks of the old node, because viser does not send default poses.
+    viser drops a removal if the node is created again before the removal is sent. The page then
+    keeps pose and callbacks of the old node, because viser does not send default poses.
     """
 
     def __init__(self, *args: Any, **more: Any) -> None:
@@ -397,10 +363,8 @@ def _icon(name: str) -> str:
 
 
 def _replace_parts_of_viser() -> None:
-    """Replace the queue of messages, and two parts that repeat work for each widget of a page.
-
-    viser opens its archive of 4,000 icons for each icon, and evaluates the type hints of a class
-    for each of its objects.
+    """Replace the queue of messages, and two parts that repeat work for each widget of a page:
+    opening the archive of 4,000 icons, and evaluating the type hints of a class.
     """
     hints = cache(get_type_hints)
     of_class = property(lambda self: hints(type(self._impl.props)))

@@ -36,5 +36,4 @@ class Look:
 
     @property
     def dark(self) -> bool:
-        """Whether the background is dark."""
         return not self.light

@@ -9,13 +9,13 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from app.errors import BrowserError
 from app.system import temporary_folder
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, Playwright
+    from playwright.sync_api import Browser, BrowserContext, Playwright, ViewportSize
 
 VARIABLE = "DBB_BROWSER"  # environment variable that names the browser to use
 
@@ -60,8 +60,7 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 def browser_path(bundled: str) -> str | None:
     """Return the path of a browser, or None for playwright's own browser at `bundled`.
 
-    If the environment variable `DBB_BROWSER` names a browser, this browser is used. If not, an
-    installed browser is used, and without one playwright's own browser.
+    `DBB_BROWSER` names the browser; otherwise an installed one precedes playwright's own.
 
     Raises:
         BrowserError: There is no browser, or the environment variable names a missing file.
@@ -116,20 +115,16 @@ def chromium() -> Iterator[Browser]:
 
 
 def new_context(
-    browser: Browser, size: tuple[int, int], *, honest: bool = False, touch: bool = False
+    browser: Browser, size: tuple[int, int], *scripts: str, **more: Any
 ) -> BrowserContext:
-    """Make a browser context, whose pages have `size` (width, height) [px] and the helpers
-    `dbbPage`.
+    """Make a browser context for pages of `size` (width, height) [px] with the helpers `dbbPage`.
 
-    An `honest` page reports that it draws in software; other pages hide this, so that they get full
-    detail. With `touch`, the pages have a touch screen.
+    The pages run `scripts` first. `more` has further arguments of playwright's `new_context`.
     """
-    context = browser.new_context(
-        viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch
-    )
-    if honest:
-        context.add_init_script("self.dbbHonest = true;")
-    context.add_init_script(_HELPERS)
+    viewport: ViewportSize = {"width": size[0], "height": size[1]}
+    context = browser.new_context(viewport=viewport, reduced_motion="reduce", **more)
+    for script in (*scripts, _HELPERS):
+        context.add_init_script(script)
     return context
 
 

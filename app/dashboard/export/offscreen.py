@@ -81,10 +81,8 @@ class RecordedLoop(LoopHandle):
     """Recorded snapshots with the interface of the live loop; commands have no effect."""
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
-        """Start at the first snapshot."""
         super().__init__()
-        self.snapshots = tuple(snapshots)
-        """Snapshots in order of time, at least one."""
+        self.snapshots = tuple(snapshots)  # in order of time, at least one
         self._times, self._at = [snapshot.t for snapshot in self.snapshots], 0
 
     def go_to(self, t: float) -> Snapshot:
@@ -120,9 +118,7 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send all constant objects to a server that has only this scene.
-
-        Without `labels`, the scene has no texts.
+        """Send all constant objects to a server that has only this scene; `labels` are its texts.
 
         Raises:
             AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -138,11 +134,7 @@ class OffscreenScene:
         self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-        """Set the camera of new viewers so that it shows all snapshots.
-
-        Returns:
-            Eye and target (3,) [m] of the camera, in the world.
-        """
+        """Set the camera so that it shows all snapshots; return its eye and target (3,) [m]."""
         window = Window.of(self._look.width, self._look.height)
         eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)
@@ -151,11 +143,10 @@ class OffscreenScene:
 
     def outline(self, base_pose: np.ndarray) -> None:
         """Draw the base's outline at a pose (3,) [m, m, rad] on the floor."""
-        base = [body for body in self._data.parts.bodies if not body.joint]
-        around = np.vstack([body.corners() for body in base])
-        (low_x, low_y), (high_x, high_y) = around.min(axis=0)[:2], around.max(axis=0)[:2]
-        xs, ys = (low_x, high_x, high_x, low_x), (low_y, low_y, high_y, high_y)
-        corners = in_world(base_pose, np.column_stack([xs, ys, np.full(4, _LIFT)]))
+        around = np.vstack([body.corners() for body in self._data.parts.bodies if not body.joint])
+        (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
+        corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
+        corners = in_world(base_pose, corners)
         self._server.scene.add_line_segments(
             "/start",
             np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
@@ -185,7 +176,6 @@ def apply_look(view: View, look: Look) -> None:
 
 @contextlib.contextmanager
 def own_server() -> Iterator[viser.ViserServer]:
-    """Run a server at a free port, which only this machine can reach."""
     server = open_server(HOST, 0)
     try:
         yield server
@@ -203,8 +193,8 @@ def replay_html(
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
-    The file shows the dashboard's scene without its panels, with a bar for the time. `on_progress`
-    gets the drawn duration [s] once per second of the run.
+    The file shows the dashboard's scene with a bar for the time. `on_progress` gets the drawn
+    duration [s] once per second of the run.
 
     Raises:
         AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -261,10 +251,7 @@ def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServ
 
 
 def send_barrier(server: viser.ViserServer, number: int) -> None:
-    """Send a number after all previous messages, as the x coordinate of the node `BARRIER`.
-
-    As soon as the page has this number, it has all previous messages too.
-    """
+    """Send a number as the x coordinate of `BARRIER`, which reaches the page after all else."""
     server.scene.add_frame(BARRIER, show_axes=False, position=(float(number), 0.0, 0.0))
     server.flush()
 
@@ -276,10 +263,7 @@ def open_page(page: web.Page, server: viser.ViserServer) -> None:
 
 
 def with_ghosts(shown: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
-    """Return the snapshots `shown` of a run, with the robots of the `others` as ghosts.
-
-    All runs have snapshots at the same times.
-    """
+    """Return the snapshots `shown` with the robots of `others`, at the same times, as ghosts."""
 
     def ghost(s: Snapshot) -> GhostReading:
         return GhostReading(s.controller, s.base_pose, s.q_m, s.wheel_angles, s.p_ee, s.clearance)
@@ -304,8 +288,8 @@ def film_pictures(
 
     Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
     turns about the robot by the angle `orbit` [rad]. For a part of a side-by-side film, `framed`
-    has the snapshots of all robots. The camera then shows all of them, and the picture has the
-    base's initial outline and the lines of `story`.
+    has the snapshots of all robots: the camera shows all of them, and the picture has the base's
+    initial outline and the lines of `story`.
 
     Raises:
         AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -337,7 +321,6 @@ def film_pictures(
 
 
 def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
-    """Join pictures of equal size side by side."""
     return Image.fromarray(np.hstack([np.asarray(picture) for picture in pictures]))
 
 
@@ -361,16 +344,16 @@ def captioned(
     picture: Image.Image, shown: Snapshot, look: Look, *, named: bool = False, posed: bool = False
 ) -> Image.Image:
     """Draw a title, with the time if not `posed`, and distances unless ghosts are `named`."""
-    title = f"{shown.scenario}, " if shown.scenario else ""
-    title = "Preview, not simulated" if posed else f"{title}t = {shown.t:.2f} s"
-    robots = zip((shown, *shown.ghosts), (INK[look.dark], *colours.GHOSTS), strict=False)
-    door, words = shown.door is not None, METHOD_WORDS
-    lines = [
-        (f"{words.get(robot.controller, robot.controller)}: {nearness(robot, door=door)}", colour)
-        for robot, colour in robots
-    ]
-    texts = [] if named and shown.ghosts else lines
-    return label(picture, [title, *texts], dark=look.dark)
+    scenario = f"{shown.scenario}, " if shown.scenario else ""
+    lines: list[str | tuple[str, Rgb]] = [f"{scenario}t = {shown.t:.2f} s"]
+    if posed:
+        lines = ["Preview, not simulated"]
+    if not (named and shown.ghosts):
+        robots = zip((shown, *shown.ghosts), (INK[look.dark], *colours.GHOSTS), strict=False)
+        for robot, colour in robots:
+            method = METHOD_WORDS.get(robot.controller, robot.controller)
+            lines.append((f"{method}: {nearness(robot, door=shown.door is not None)}", colour))
+    return label(picture, lines, dark=look.dark)
 
 
 def write_film(
@@ -383,8 +366,7 @@ def write_film(
     """Encode pictures of equal size, at least one, and return their number.
 
     The file is written completely or not at all. `rate` [1/s] is the frame rate, and `codec` is a
-    codec of the file's suffix in `CODECS`. Before each picture, `on_progress` gets the number of
-    pictures written before.
+    codec of the file's suffix in `CODECS`. `on_progress` gets the number of written pictures.
 
     Raises:
         OutputError: The file cannot be written.

@@ -39,9 +39,8 @@ def take_pictures(
 ) -> list[Image.Image]:
     """Take pictures at some times of a run; pictures of the scene have one common viewpoint.
 
-    Each picture shows the last snapshot at or before its time [s], with trails and plots up to this
-    time. `clouds` has P_i of each pair of L_m, by the pair's name. If `look.page` is true, each
-    picture has its own viewpoint.
+    Each picture shows the last snapshot at or before its time [s]; `clouds` has all P_i. If
+    `look.page` is true, each picture has its own viewpoint.
 
     Raises:
         BrowserError: The browser's page does not connect.
@@ -108,7 +107,6 @@ def _of_page(
 
 
 def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
-    """Return the only viewer of a server."""
     deadline = time.monotonic() + offscreen.TIMEOUT
     while not (clients := server.get_clients()):
         if time.monotonic() > deadline:

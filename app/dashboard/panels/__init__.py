@@ -42,14 +42,9 @@ class Viewer:
         shared: SharedState,
         before: Viewer | None = None,
     ) -> None:
-        """Create the parts of a page.
-
-        If the robot was changed, `before` has the parts of the client's page of the former robot.
-        Choices, camera and files are taken from them.
-        """
+        """Create the parts of a page; choices, camera and files are those of `before`, if any."""
         self.client, self.notifier, self.shared = client, notifier, shared
-        self.panels: list[Panel] = []
-        """All panels, in the order of their creation."""
+        self.panels: list[Panel] = []  # in the order of their creation
         plots = [plan.title for plan in shared.plans]
         self.view = (before.view.of_robot if before else View.first)(shared.mobile, plots)
         """The viewer's choices; callbacks assign to its fields."""
@@ -58,7 +53,6 @@ class Viewer:
             notifier.tell(client, "Drawing", LIGHT)
         self.timeline = Timeline(shared.loop, shared.strip)
         self.channel = Channel(client, notifier)
-        """Messages to and from the page's own scripts."""
         self.grip = Grip(shared.loop, notifier, client, self.timeline)
         self.camera = before.camera if before else Camera(client)
         self.camera.extent = shared.parts.extent
@@ -67,11 +61,7 @@ class Viewer:
         """Creates the viewer's files, at most one at a time."""
 
     def look(self, preset: str) -> None:
-        """Set the camera to a preset, a key of `PRESETS`, for the displayed snapshot.
-
-        Raises:
-            ConfigError: The preset is "door", and the scenario has no door.
-        """
+        """Set the camera to a preset of `PRESETS`; raises `ConfigError` if its door is absent."""
         if preset == "door" and self.timeline.shown().door is None:
             raise ConfigError("this scenario has no door")
         self.camera.wanted = preset
@@ -86,14 +76,10 @@ class Viewer:
             loop.send(Pause(False))
 
     def toggle_pause(self) -> None:
-        """Pause or continue the simulation."""
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`.
-
-        At the newest snapshot of a paused simulation, a step forward advances the simulation.
-        """
+        """Move the shown instant by `seconds`; a paused simulation advances from its newest one."""
         if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
             self.shared.loop.send(StepOnce(seconds))
         else:
@@ -101,11 +87,9 @@ class Viewer:
 
 
 class Moment(NamedTuple):
-    """Data for an update of the panels: newest and shown snapshot, and the shown one's verdict."""
-
     newest: Snapshot
     shown: Snapshot
-    verdict: Verdict
+    verdict: Verdict  # on the shown snapshot
 
     @property
     def live(self) -> bool:
@@ -116,9 +100,9 @@ class Moment(NamedTuple):
 class Panel:
     """Widgets of one viewer, in the GUI container that is open during construction.
 
-    The page updates all panels of its viewer, also those that other panels contain.
-    A callback of a widget takes viser's event. Its exceptions are shown to the viewer who used the
-    widget. An `update` may assign all values each time, because viser sends only changes.
+    The page updates all panels of its viewer, also those that other panels contain. Exceptions of
+    a widget's callback, which takes viser's event, are shown to the viewer who used the widget. An
+    `update` may assign all values each time, because viser sends only changes.
     """
 
     def __init__(self, viewer: Viewer) -> None:
@@ -173,7 +157,7 @@ class Panel:
     def follow(self, handle: Any, value: Any) -> None:
         """Assign a shared value to a widget only if this value has changed.
 
-        Thus a viewer's newer choice, which has not reached the simulation yet, is not reset.
+        Otherwise a viewer's newer choice, which has not reached the simulation yet, would be reset.
         """
         if self.followed.get(id(handle)) != value:
             self.followed[id(handle)] = handle.value = value
@@ -188,9 +172,8 @@ class JobStatus(Panel):
         self._job, self._idle = job, idle
         self.text = self._gui.add_html("", visible=False)
         self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
-        self._cancel = self.button(
-            "Cancel", lambda _: job.cancel(), viser.Icon.X, color="gray", visible=False
-        )
+        cancel, look = lambda _: job.cancel(), {"color": "gray", "visible": False}
+        self._cancel = self.button("Cancel", cancel, viser.Icon.X, **look)
 
     def update(self, moment: Moment) -> None:
         progress, text = self._job.progress, self._idle()

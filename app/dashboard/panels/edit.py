@@ -1,7 +1,4 @@
-"""Folder "Edit this robot": changes of convex bodies, monitored pairs and ready posture.
-
-Callbacks store the changes; the drawing thread shows them.
-"""
+"""Folder "Edit this robot": changes of convex bodies, monitored pairs and ready posture."""
 
 from html import escape
 from itertools import combinations
@@ -15,7 +12,7 @@ from app.dashboard import phrases as words
 from app.dashboard.markup import small
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.robots import new_folder
-from app.dashboard.scene.canvas import to_viser
+from app.dashboard.scene.canvas import add_mesh, to_viser
 from app.dashboard.scene.colours import GHOSTS
 from app.dashboard.scene.scene import node_of
 from app.onboarding.write import BY_HAND, HandMade, save_by_hand
@@ -122,26 +119,16 @@ class EditPanel(Panel):
         for key in wanted:
             shape = self._shape(key)
             if key not in self._drawn or self._drawn[key][0] != shape:
-                self._drawn[key] = shape, self._mesh(key, shape)
+                node, mesh, T = f"{self._frame(key)}/mesh", shape_mesh(shape), shape.placement()
+                look = {"color": GHOSTS[0], "opacity": _OPACITY, "flat_shading": True}
+                scene = self._viewer.client.scene
+                self._drawn[key] = shape, add_mesh(scene, node, mesh, T, **look)
         if self._gizmos[0] != chosen:
             for gizmo in self._gizmos[1]:
                 gizmo.remove()
             self._gizmos = chosen, () if chosen == _NONE else self._take_hold(chosen)
         elif self._gizmos[1] and not self._sizing:
             self._gizmos[1][1].position = half_extents(self._shape(chosen))
-
-    def _mesh(self, key: str, shape: Shape) -> viser.MeshHandle:
-        mesh, (position, wxyz) = shape_mesh(shape), to_viser(shape.placement())
-        return self._viewer.client.scene.add_mesh_simple(
-            f"{self._frame(key)}/mesh",
-            vertices=np.asarray(mesh.vertices),
-            faces=np.asarray(mesh.faces),
-            color=GHOSTS[0],
-            opacity=_OPACITY,
-            flat_shading=True,
-            position=position,
-            wxyz=wxyz,
-        )
 
     def _frame(self, key: str) -> str:
         """Add a scene node for a body's frame, which moves with its joint; return its name."""
@@ -200,12 +187,11 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape with the `half_extents` `half` (3,) [m].
 
-    The radius of a round shape follows the axis that changes most: of all three axes for a sphere,
-    of the two cross axes for a cylinder or a capsule.
+    A sphere's radius follows the axis that changes most, other radii the cross axis.
     """
     factor = half / half_extents(shape)
-    axis = int(np.argmax(np.abs(np.log(factor[:2]))))
-    radius = round(float(half[axis]), _DIGITS)
+    across = factor if isinstance(shape, shapes.Sphere) else factor[:2]
+    radius = round(float(half[np.abs(np.log(across)).argmax()]), _DIGITS)
     match shape:
         case shapes.Box():
             changed: dict[str, Any] = {"size_m": _three(2 * half)}
@@ -216,8 +202,7 @@ def resized(shape: Shape, half: Array) -> Shape:
         case shapes.ConvexMesh():
             changed = {"scale": _three(factor * shape.scale)}
         case shapes.Sphere():
-            axis = int(np.argmax(np.abs(np.log(factor))))
-            changed = {"radius_m": round(float(half[axis]), _DIGITS)}
+            changed = {"radius_m": radius}
         case shapes.Cylinder():
             changed = {"radius_m": radius, "length_m": round(float(2 * half[2]), _DIGITS)}
         case shapes.Capsule():

@@ -1,6 +1,5 @@
 """Folder "Joint sliders": the controller's response to a posture while the simulation is paused."""
 
-from collections.abc import Mapping, Sequence
 from functools import partial
 from threading import RLock
 from typing import Any
@@ -28,7 +27,6 @@ class ExplorerPanel(Panel):
     """Sliders of base and arm; while they are in use, the page shows their posture."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Create the closed folder."""
         super().__init__(viewer)
         self.posture: Posture | None = None
         """The posture that the page shows; None while the sliders are not in use."""
@@ -60,7 +58,6 @@ class ExplorerPanel(Panel):
         """Return the snapshot to draw: the response to the posture, or `shown` without a posture.
 
         Posing ends if the simulation continues or restarts, or if the viewer goes to the past.
-        Called by the drawing thread.
         """
         posture = self.posture
         if posture is None:
@@ -85,16 +82,24 @@ class ExplorerPanel(Panel):
         return explorer.respond(posture, newest)
 
     def update(self, moment: Moment) -> None:
-        """Show the readings of the posture, or an introduction."""
         if self.posture is None:
             self._text.content = small(
                 "Pause the simulation, then move joints, base and end-effector: the readings are "
                 "the controller's response."
             )
             return
-        shown, axes = moment.shown, self._shared.model.description.base.axes
-        acceleration = planar(axes, shown.base_acceleration)
-        self._text.content = posture_html(shown, acceleration, self._error, self._shared.spoken)
+        shown, head = moment.shown, ("", "distance d", "activation β", "force f")
+        forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
+        rows = [row(*(cell(name, RIGHT) for name in head))]
+        for pair in shown.pairs:
+            force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
+            texts = (cell(x, RIGHT) for x in (millimetres(pair.d), f"{pair.beta:.2f}", force))
+            rows.append(row(cell(self._shared.spoken[pair.name]), *texts))
+        axes, error = self._shared.model.description.base.axes, self._error
+        way = words.acceleration(*planar(axes, shown.base_acceleration))
+        far = f"<br>The end-effector is {millimetres(error)} off its target."
+        text = f"{table(rows)}base acceleration: {way}{far if error > CLOSE else ''}"
+        self._text.content = small(text)
 
     def _slider(self, label: str, low: float, high: float, step: float, unit: str) -> Any:
         first = min(max(0.0, low), high)
@@ -133,7 +138,7 @@ class ExplorerPanel(Panel):
             self._show(on=False)
 
     def _read(self) -> None:
-        """Read the posture from the sliders; each value is clipped to the range of its slider."""
+        """Read the posture from the sliders, within their ranges."""
         with self._lock:
             if self.posture is None:
                 return
@@ -152,21 +157,3 @@ class ExplorerPanel(Panel):
         self._begin.visible = not on
         for handle in (*self._sliders, self._start, self._leave):
             handle.visible = on
-
-
-def posture_html(
-    shown: Snapshot, acceleration: Sequence[float], error: float, spoken: Mapping[str, str]
-) -> str:
-    """Return the response `shown` to a posture: distances, β, forces, acceleration of the base.
-
-    `acceleration` [m/s², m/s², rad/s²] is forward, to the left and counterclockwise; `error` [m] is
-    the distance of the end-effector from its requested position; `spoken` has words for the pairs.
-    """
-    forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
-    rows = [row(*(cell(name, RIGHT) for name in ("", "distance d", "activation β", "force f")))]
-    for pair in shown.pairs:
-        force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
-        texts = millimetres(pair.d), f"{pair.beta:.2f}", force
-        rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
-    far = f"<br>The end-effector is {millimetres(error)} off its target." if error > CLOSE else ""
-    return small(f"{table(rows)}base acceleration: {words.acceleration(*acceleration)}{far}")

@@ -8,7 +8,6 @@ import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.errors import DbbError
 from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.scenarios import scenario_of
 from app.simulation.scenarios.line import LineScenario
@@ -63,8 +62,7 @@ class Card(NamedTuple):
     title: str
     text: str
     buttons: tuple[str, ...]
-    place: str = ""
-    """Tab that the card explains and opens."""
+    place: str = ""  # tab that the card explains and opens
 
 
 _NO_CARD = Card("", "", ())
@@ -127,10 +125,8 @@ CARDS = {
         "Compare",
     ),
 }
-"""Cards by the guide's state.
-
-The first three have the same first buttons: a card can change while the viewer is about to click.
-"""
+"""Cards by the guide's state. The first three have the same first buttons: a card can change while
+the viewer is about to click."""
 SEEN = "dbb-tour-seen"
 """Key in the browser's storage after the first visit; later visits start without the guide."""
 
@@ -139,13 +135,11 @@ class Shortcut(NamedTuple):
     """A command of the list of commands (`Ctrl K`)."""
 
     label: str
-    key: Any
-    """The key that executes the command too, or None."""
+    key: Any  # the key that executes the command too, or None
     action: Callable[[], None]
 
 
 def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
-    """Add commands to a viewer's list of commands."""
     for shortcut in shortcuts:
         command = gui.add_command(shortcut.label, hotkey=shortcut.key)
         command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))
@@ -177,21 +171,22 @@ class Guide(Panel):
                 self._end(anew=before == "demo" or state == "pull")
 
     def watch(self, state: str) -> None:
-        """Play the demonstration, and show the card "watch" or "demo".
+        """Show a card, and play the demonstration on a robot and on a ghost without avoidance.
 
         Raises:
             UnreachableError: The robot has no line for this scenario.
         """
         with self._lock:
-            before, self.state = self.state, state
-            try:
-                self._play()
-            except DbbError:
-                self.state = before
-                raise
+            scenario = scenario_of(self._shared.model.description, SHOWN)
+            if isinstance(scenario, LineScenario):
+                x, y, z = (FARTHER * part for part in scenario.move)
+                scenario = scenario.changed(move=(x, y, z))
+            self.state = state
+            self._shared.loop.send(Compare(("none",)))
+            self._shared.loop.send(Play(scenario))
+            self._compares = True
 
     def leave_demonstration(self) -> None:
-        """Close the card of the repeated demonstration, if it is shown."""
         with self._lock:
             if self.state == "demo":
                 self.go("")
@@ -210,10 +205,9 @@ class Guide(Panel):
             self._channel.tell("open", card.place)
 
     def _press(self, label: str) -> None:
-        """Handle a click on a button of the card.
+        """Handle a click on a button of the card; ignore a label that the card does not have.
 
-        Ignore a label that the card does not have. Without a card, the labels of the demonstration
-        count, because the same click has just closed its card (`leave_demonstration`).
+        Without a card, the demonstration's labels count: the same click has just closed its card.
         """
         with self._lock:
             card = CARDS.get(self.state)
@@ -229,23 +223,12 @@ class Guide(Panel):
                 self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
 
     def _show(self) -> None:
-        """Show the subject of a step of the tour."""
         if self.state == "tour 5":
-            self._play()
+            self.watch(self.state)
         elif self.state == "tour 4":
             self._viewer.timeline.step(-3.0)
         else:
             self._viewer.play(SHOWN)
-
-    def _play(self) -> None:
-        """Play the demonstration on a robot and on a ghost without avoidance."""
-        scenario = scenario_of(self._shared.model.description, SHOWN)
-        if isinstance(scenario, LineScenario):
-            x, y, z = (FARTHER * part for part in scenario.move)
-            scenario = scenario.changed(move=(x, y, z))
-        self._shared.loop.send(Compare(("none",)))
-        self._shared.loop.send(Play(scenario))
-        self._compares = True
 
     def _end(self, *, anew: bool) -> None:
         """Remove the ghost; with `anew`, put a robot that no viewer holds at the free start."""

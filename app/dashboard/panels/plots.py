@@ -29,7 +29,6 @@ class Plots(Panel):
     """Plots of one viewer, who may add any numeric column of a log; hidden plots are not drawn."""
 
     def __init__(self, viewer: Viewer, tab: viser.GuiTabHandle) -> None:
-        """Create empty plots in a tab; `View.plots` selects the visible ones."""
         super().__init__(viewer)
         self._tab = tab
         self._drawn: tuple[object, ...] = ()
@@ -131,11 +130,9 @@ class Plots(Panel):
 
 
 def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHandle:
-    """Create an empty plot.
+    """Create an empty plot, with constant ranges, because a change would rebuild it in the browser.
 
-    The options of its ranges are constant, because a change would rebuild the plot in the browser.
-    The shown instant is a curve with its own scale; only at this instant, its value is within the
-    scale.
+    The shown instant is a curve with its own scale, within which only its value at this instant is.
     """
     lines, hidden = [], uplot.Series_Points(show=False)
     for curve in (*plan.curves, _INSTANT):

@@ -91,7 +91,6 @@ class RobotPanel(Panel):
         self._switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _show_report(self, event: viser.GuiEvent) -> None:
-        """Open the robot's report over the page, with a button to save the report."""
         chosen, client = self._chosen(), event.client
         name = chosen.name if chosen else ""
         path = robot_folder(name) / "report.html"
@@ -127,23 +126,20 @@ class NewRobotPanel(Panel):
     """Folder "Your own robot": upload of a zip, questions about its URDF, and progress."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Create the folder; all viewers share the upload and the build."""
         super().__init__(viewer)
         gui, build = self._gui, viewer.shared.robot_build
         self._build, self._package = build, None
         self._shown_urdf = ""
+        about = (
+            f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
+            f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; "
+            "nothing is executed. The robot's description, border and report are saved in<br>"
+            f"<code>{escape(str(user_robots()[0]))}</code>"
+        )
         with gui.add_folder("Your own robot", expand_by_default=False):
-            gui.add_html(
-                small(
-                    f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
-                    f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro "
-                    "first; nothing is executed. The robot's description, border and report are "
-                    f"saved in<br><code>{escape(str(user_robots()[0]))}</code>"
-                )
-            )
-            self.uploads = self.upload(
-                "Upload a zip", self._receive, mime_type=".zip,application/zip"
-            )
+            gui.add_html(small(about))
+            kind = ".zip,application/zip"
+            self.uploads = self.upload("Upload a zip", self._receive, mime_type=kind)
             self.status = JobStatus(viewer, build, lambda: outcome_html(build))
             self.fields = {name: _field(gui, name) for name in _QUESTIONS}
             create, icon = lambda _: build.build(self.request()), viser.Icon.HAMMER
@@ -166,7 +162,7 @@ class NewRobotPanel(Panel):
         self.uploads.disabled = progress is not None
 
     def request(self) -> Request:
-        """Return the request for a robot from the fields; fields that do not apply are ignored.
+        """Return the request for a robot from the fields that apply.
 
         Raises:
             ConfigError: There is no upload, a field is invalid, or fields contradict each other.
@@ -176,20 +172,17 @@ class NewRobotPanel(Panel):
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
         folder = new_folder(value["out"])
-        left, right = (
-            value[name] if self._suits(name) and value[name] != FIND else ""
-            for name in ("left", "right")
-        )
-        if bool(left) != bool(right):
+        asked = {name: value[name] for name in value if self._suits(name)}
+        left, right = (asked.get(name, FIND) for name in ("left", "right"))
+        if (left == FIND) != (right == FIND):
             raise ConfigError("choose both wheels, or detect both")
-        asked = [n for n in value if n in BOUNDS and self._suits(n) and value[n]]
-        numbers: dict[str, Any] = {name: float(value[name]) for name in asked}
+        numbers: dict[str, Any] = {n: float(x) for n, x in asked.items() if n in BOUNDS and x}
         request = Request(
             str(package.archive),
             value["base"],
             value["tip"],
             folder,
-            wheels=(left, right) if left else None,
+            wheels=None if left == FIND else (left, right),
             kind=value["kind"],
             assume_inertia=value["assume_inertia"],
             file=value["file"],
@@ -232,18 +225,16 @@ class NewRobotPanel(Panel):
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
     """Describe a robot; `here` means that it is in use. Name the reason if it cannot be used."""
-    lines = [f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}"]
-    if here:
-        lines.append("In use.")
-    if entry.own:
-        lines.append("Your own robot.")
-    if entry.problem is not None:
-        lines.append(problem(entry.problem))
-    return small("<br>".join(lines))
+    lines = (
+        f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
+        "In use." if here else "",
+        "Your own robot." if entry.own else "",
+        "" if entry.problem is None else problem(entry.problem),
+    )
+    return small("<br>".join(filter(None, lines)))
 
 
 def report_html(page: str) -> str:
-    """Return a frame with a report that executes no scripts, because the robot may be untrusted."""
     return _REPORT.format(escape(page))
 
 

@@ -1,10 +1,9 @@
 """Tabs "Run", "Lab" and "Compare": scenario, readings, and other controllers."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from itertools import zip_longest
-from typing import Any
+from itertools import compress, zip_longest
 
 import viser
 
@@ -36,7 +35,7 @@ from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart,
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.session import DT
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import PairReading, Score, Snapshot
+from app.simulation.trace.snapshot import Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice without a scenario
@@ -152,8 +151,12 @@ class ComparePanel(Panel):
             if names != self._chosen():
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
-        outcomes = compared_html(moment.shown, self._shared.course.name)
-        self._scores.content = outcomes + scores_html(moment.shown.scores)
+        shown, last, outcomes = moment.shown, self._shared.course.name, ""
+        if shown.scores:
+            ended = f"{last}, at its end" if last else "So far"
+            when = f"{shown.scenario}, until {shown.t:.1f} s" if shown.scenario else ended
+            outcomes = small(f"{when}<br>{outcomes_html(shown.scores)}")
+        self._scores.content = outcomes + scores_html(shown.scores)
 
     def _choose(self) -> None:
         names = {title: name for name, title in METHOD_TITLES.items()}
@@ -168,9 +171,9 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return the table of scores with a column for each robot, the main robot first.
+    """Return the table of scores, the main robot first, with marks at the best values.
 
-    A robot with a contact or an overlap cannot have the best value of a row.
+    A robot with a contact or an overlap cannot have a best value.
     """
     if not scores:
         return small("No comparison is running.", FAINT)
@@ -185,38 +188,22 @@ def scores_html(scores: tuple[Score, ...]) -> str:
     rows = [row(cell("outcome", FAINT), *(cell(text, RIGHT) for text in texts))]
     for label, name, text, best in _SCORES:
         values = [getattr(score, name) for score in scores]
-        rows.append(row(cell(label, FAINT), *_marked(values, text, best, valid)))
+        compared = list(compress(values, valid))
+        differ = len(set(map(text, compared))) > 1
+        first = text(best(compared)) if best and differ else None
+        cells = (
+            cell(f"✓ {text(v)}" if good and text(v) == first else text(v), RIGHT, ONE_LINE)
+            for v, good in zip(values, valid, strict=True)
+        )
+        rows.append(row(cell(label, FAINT), *cells))
     look = "font-size:.8em;line-height:1.7;padding:.3em .7em;border-collapse:separate"
     return table((row(cell(), *heads), *rows), f"{look};border-spacing:.6em 0")
-
-
-def _marked(
-    values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
-) -> list[str]:
-    """Return the cells of a row; `best` selects the value to mark if valid values differ."""
-    texts = [text(value) for value in values]
-    candidates = [value for value, good in zip(values, valid, strict=True) if good]
-    compared = best and len(set(map(text, candidates))) > 1
-    first = text(best(candidates)) if compared else None
-    return [
-        cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
-        for each, good in zip(texts, valid, strict=True)
-    ]
 
 
 def _distance(d: float) -> str:
     """Return a distance [m] in millimetres, on the colour of contact if it is negative."""
     text = millimetres(d)[:-3]
     return text if d >= 0.0 else state_chip("contact", text)
-
-
-def compared_html(shown: Snapshot, last: str) -> str:
-    """Return each robot's outcome under the name of the running or the `last` scenario."""
-    if not shown.scores:
-        return ""
-    ended = f"{last}, at its end" if last else "So far"
-    when = f"{shown.scenario}, until {shown.t:.1f} s" if shown.scenario else ended
-    return small(f"{when}<br>{outcomes_html(shown.scores)}")
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
@@ -266,15 +253,11 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
 
 
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
-    """Return the state of the simulation as rows of a table, in the verdict's colours.
-
-    A row "buffer" exists only if d_b was too small in the last 3 s; it has the required d_b.
-    """
     state = "paused" if snapshot.paused else "running"
     pull, bound = f"{pulled(snapshot):.1f} N", snapshot.force_bound
     pull += "" if math.isnan(bound) else f" (limits hold up to {bound:.0f} N)"
     *linear, w = snapshot.base_velocity
-    speed = ", ".join(words.signed(v) for v in linear)
+    speed = ", ".join(map(words.signed, linear))
     contact: State = "contact" if verdict.touching else "clear"
     rows: list[tuple[str, str, State]] = [
         ("time", f"{snapshot.t:.1f} s", "clear"),
@@ -291,7 +274,6 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
 
 
 def machine_rows(snapshot: Snapshot) -> list[str]:
-    """Return the load of the machine as rows of a table; values beyond a limit are coloured."""
     late = min(snapshot.overruns / max(round(snapshot.t / DT), 1), 1.0)
     rows = [
         ("real-time factor", f"{snapshot.realtime_factor:.2f}", is_slow(snapshot)),
@@ -299,8 +281,10 @@ def machine_rows(snapshot: Snapshot) -> list[str]:
         ("late steps", f"{100.0 * late:.1f} %", late > LATE),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
     ]
-    shown = ((name, text.replace("nan", "–"), bad) for name, text, bad in rows)
-    return [_status_row(name, text, "contact" if bad else "clear") for name, text, bad in shown]
+    return [
+        _status_row(name, text.replace("nan", "–"), "contact" if bad else "clear")
+        for name, text, bad in rows
+    ]
 
 
 def _status_row(label: str, value: str, state: State) -> str:
@@ -310,34 +294,22 @@ def _status_row(label: str, value: str, state: State) -> str:
 def pairs_html(
     snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str] | None = None
 ) -> str:
-    """Return a table of distances and activations of all pairs, in the order of the snapshot.
-
-    `spoken` has words for pairs, by default their names. A hint under the pointer explains a row.
-    """
-    head = row(
-        cell(),
-        cell("link pair"),
-        cell("distance [mm]", RIGHT, ONE_LINE, span=2),
-        cell("activation β", RIGHT, ONE_LINE, "padding-left:1em"),
-        style=FAINT,
-    )
+    """Return a table of all pairs; `spoken` has words for them, by default their names."""
+    distance = cell("distance [mm]", RIGHT, ONE_LINE, span=2)
+    beta = cell("activation β", RIGHT, ONE_LINE, "padding-left:1em")
+    head = row(cell(), cell("link pair"), distance, beta, style=FAINT)
     known = spoken or {pair.name: pair.name for pair in snapshot.pairs}
     order = list(known)  # also that of the colours in the plots
+    about = "signed distance d of its convex bodies, negative where they overlap; the mark is d_b ="
     rows = (
-        _pair_row(order.index(pair.name), pair, state, snapshot.d_b, known[pair.name])
+        row(
+            cell(mark("●", SERIES[order.index(pair.name) % len(SERIES)])),
+            cell(known[pair.name], ONE_LINE),
+            cell(distance_bar(pair.d, snapshot.d_b, state), "width:26%;padding-left:.4em"),
+            cell(_distance(pair.d), RIGHT),
+            cell(f"{pair.beta:.2f}", RIGHT),
+            hint=f"{pair.name}: {about} {millimetres(snapshot.d_b)}; activation β is 0 at d_b",
+        )
         for pair, state in zip(snapshot.pairs, verdict.pairs, strict=True)
     )
     return table((head, *rows), f"{_SIZE};line-height:1.65;padding:.3em .7em")
-
-
-def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) -> str:
-    """Return the row of a pair with the colour number `i`."""
-    return row(
-        cell(mark("●", SERIES[i % len(SERIES)])),
-        cell(name, ONE_LINE),
-        cell(distance_bar(pair.d, d_b, state), "width:26%;padding-left:.4em"),
-        cell(_distance(pair.d), RIGHT),
-        cell(f"{pair.beta:.2f}", RIGHT),
-        hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "
-        f"the mark is d_b = {millimetres(d_b)}; activation β is 0 at d_b",
-    )

@@ -27,6 +27,7 @@ from app.system import temporary_folder
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] smallest, largest and default size of a picture."""
+NamedFile = tuple[str, bytes]
 _CANCEL_EVERY = 0.1  # [s] period of checks for a cancellation
 _PATIENCE = 30.0  # [s] timeout of a picture by the browser
 
@@ -43,7 +44,7 @@ class SavePanel(Panel):
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
                 for name, (least, most, first) in SIZES.items()
             }
-            self._file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._picture)
+            self._file("Picture (PNG)", viser.Icon.CAMERA, self._picture)
         with gui.add_folder("Marked interval, or the last minute"):
             plain, other = "For spreadsheets and pandas", "For dbb replay and dbb report too"
             for label, icon, name, write, hint in (
@@ -52,12 +53,12 @@ class SavePanel(Panel):
                 ("Report (HTML)", viser.Icon.MOVIE, "report.html", write_report, None),
                 ("Replay (HTML)", viser.Icon.MOVIE, "replay.html", write_replay, None),
             ):
-                self._file(label, icon, name, partial(self._of_interval, name, write), hint=hint)
+                self._file(label, icon, partial(self._of_interval, name, write), hint=hint)
             self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
             self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
             hint = f"{FILM_RATE:g} pictures per second, in the size above. Each takes about 0.25 s"
             hint += " to draw: mark a short interval."
-            self._file("Film", viser.Icon.VIDEO, self._film_name, self._film, hint=hint)
+            self._file("Film", viser.Icon.VIDEO, self._film, hint=hint)
         with gui.add_folder("Last scenario"):
             hint = "The last scenario with its parameters, for dbb serve --case FILE"
             self.button("Case (JSON)", self._case, viser.Icon.FILE_DOWNLOAD, hint=hint)
@@ -67,22 +68,15 @@ class SavePanel(Panel):
     def update(self, moment: Moment) -> None:
         self._drawn = moment.shown, self._viewer.grip.reach is not None
 
-    def _file(
-        self,
-        label: str,
-        icon: Any,
-        name: str | Callable[[], str],
-        make: Callable[[], bytes],
-        **look: Any,
-    ) -> None:
-        """Add a button for a file; `make` returns the file's bytes, in a separate thread."""
+    def _file(self, label: str, icon: Any, make: Callable[[], NamedFile], **look: Any) -> None:
+        """Add a button for a file, which `make` returns in a separate thread."""
         client = self._viewer.client
 
         def send() -> None:
             with suppress(Cancelled):  # the viewer has cancelled it
-                file, data = name if isinstance(name, str) else name(), make()
+                file = make()
                 self._job.check()
-                client.send_file_download(file, data, save_immediately=True)
+                client.send_file_download(*file, save_immediately=True)
 
         def pressed(_: Any) -> None:
             self._job.start(label, "in progress", lambda: self._notifier.attempt(client, send))
@@ -100,22 +94,17 @@ class SavePanel(Panel):
         event.client.send_file_download(name, case.text().encode(), save_immediately=True)
 
     def _size(self) -> tuple[int, int]:
-        """Return the chosen width and height [px]."""
         for name, box in self._sizes.items():
             check_range(name, box.value, *SIZES[name][:2], "px")
         return int(self._sizes["width"].value), int(self._sizes["height"].value)
 
-    def _picture(self) -> bytes:
+    def _picture(self) -> NamedFile:
         (shown, posed), look = self._drawn, Look(light=not self._viewer.view.dark)
-        return png(captioned(self._scene(*self._size()), shown, look, named=True, posed=posed))
+        picture = captioned(self._scene(*self._size()), shown, look, named=True, posed=posed)
+        return "scene.png", png(picture)
 
     def _scene(self, width: int, height: int) -> Image.Image:
-        """Return the scene from the viewer's browser, in a size [px].
-
-        Raises:
-            Cancelled: The viewer has cancelled the file.
-            BrowserError: The browser returns no picture of this size.
-        """
+        """Return the scene from the viewer's browser, in a size [px]."""
         executor = ThreadPoolExecutor(1)
         future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
         executor.shutdown(wait=False)
@@ -131,11 +120,11 @@ class SavePanel(Panel):
         whole.alpha_composite(Image.fromarray(pixels, "RGBA"))  # with a transparent background
         return whole.convert("RGB")
 
-    def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
+    def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> NamedFile:
         """Return the file that `write(report, trace, path, *more)` creates in its own process.
 
-        The libraries of logs and films use much memory, and a process returns all of it. The report
-        of a scenario ends with the scenario, because later rows would change its final values.
+        A process returns the memory of the libraries. The report of a scenario ends with the
+        scenario, because later rows would change its final values.
         """
         snapshots = self._viewer.timeline.interval()
         if write is write_report:
@@ -145,20 +134,15 @@ class SavePanel(Panel):
         with temporary_folder() as folder:
             path = folder / name
             self._job.run(write, trace, path, *more)
-            return path.read_bytes()
+            return name, path.read_bytes()
 
-    def _film(self) -> bytes:
-        """Return a film of the interval, which a process with its own browser creates."""
+    def _film(self) -> NamedFile:
         view = cast("Side", self._film_from.value)
         look = Look(*self._size(), view=view, light=not self._viewer.view.dark)
-        return self._of_interval(self._film_name(), write_film_of, look)
-
-    def _film_name(self) -> str:
-        return f"film{self._film_as.value}"
+        return self._of_interval(f"film{self._film_as.value}", write_film_of, look)
 
 
 def png(picture: Image.Image) -> bytes:
-    """Return a picture as a PNG file."""
     file = BytesIO()
     picture.save(file, "PNG")
     return file.getvalue()

@@ -13,7 +13,7 @@ from app.config_file import decode_config, save_config
 from app.dashboard.markup import banner
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
-from app.parameters import Choice, Parameter
+from app.parameters import Choice
 from app.simulation.trace.snapshot import Snapshot
 
 DECIMALS = 6  # [-] decimals of a number box
@@ -43,7 +43,13 @@ class TuningPanel(Panel):
         for section in sections():
             paths = tuple(each.path for each in section.tunables)
             self._add_folder(section.title, paths, expand=section.name == _OPEN)
-        self._add_file()
+        with self._gui.add_folder("File"):
+            hint = "Name of the file, without .toml"
+            self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
+            hint = "A TOML file for the option --config of dbb run, serve and sweep"
+            self.button("Save", self._save, viser.Icon.DOWNLOAD, hint=hint)
+            hint = "A TOML file; parameters that are not in the file get their defaults"
+            self.upload("Load", self._load, color="gray", mime_type=".toml", hint=hint)
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
@@ -61,15 +67,6 @@ class TuningPanel(Panel):
         if not self._tuning.changes:
             raise ConfigError("nothing to reset: all parameters have their defaults")
         self._tuning.reset()
-
-    def _add_file(self) -> None:
-        with self._gui.add_folder("File"):
-            hint = "Name of the file, without .toml"
-            self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
-            hint = "A TOML file for the option --config of dbb run, serve and sweep"
-            self.button("Save", self._save, viser.Icon.DOWNLOAD, hint=hint)
-            hint = "A TOML file; parameters that are not in the file get their defaults"
-            self.upload("Load", self._load, color="gray", mime_type=".toml", hint=hint)
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
         folder = self._gui.add_folder(title, expand_by_default=expand)
@@ -122,19 +119,16 @@ def file_name(name: str) -> str:
 class ParameterWidget(Panel):
     """Widget of one parameter; for a range of several powers of ten, also a logarithmic slider.
 
-    A refused value changes nothing: its sender gets a message, and the widget is reset. A typed
-    value arrives when it is complete.
+    A refused value changes nothing: its sender gets a message, and the widget is reset.
     """
 
     def __init__(self, viewer: Viewer, path: str) -> None:
-        """Add the widgets of the parameter `path` to the open container."""
         super().__init__(viewer)
         self.about = tunable(path)
         self.is_marked = False
         """Whether the value differs from its default; set before each update."""
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
-        value = self._tuning.config.value(path)
-        self.handle, self.exponent = _widgets(self._gui, self.about, self._title, value)
+        self.handle, self.exponent = self._widgets(self._tuning.config.value(path))
         """The widget, and the slider of the value's decimal logarithm or None."""
         for handle in filter(None, (self.handle, self.exponent)):
             self.on_update(handle, self._set)
@@ -154,25 +148,23 @@ class ParameterWidget(Panel):
             value = self._tuning.config.value(self.about.path)
             event.target.value = _power_of(value) if is_power else value
 
-
-def _widgets(
-    gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str
-) -> tuple[Any, Any]:
-    """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
-    exponent = None
-    if isinstance(about, Choice):
-        handle = gui.add_dropdown(title, about.choices, initial_value=str(value), hint=about.help)
+    def _widgets(self, value: float | str) -> tuple[Any, Any]:
+        """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
+        gui, about, title, exponent = self._gui, self.about, self._title, None
+        if isinstance(about, Choice):
+            look: dict[str, Any] = {"initial_value": str(value), "hint": about.help}
+            return gui.add_dropdown(title, about.choices, **look), exponent
+        low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
+        if about.log:
+            handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=hint)
+            label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
+            look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
+            exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
+        else:
+            step = slider_step(low, high)
+            handle = gui.add_slider(title, low, high, step, float(value), hint=hint)
+        handle.precision = DECIMALS
         return handle, exponent
-    low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
-    if about.log:
-        handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=hint)
-        label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
-        look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
-        exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
-    else:
-        handle = gui.add_slider(title, low, high, slider_step(low, high), float(value), hint=hint)
-    handle.precision = DECIMALS
-    return handle, exponent
 
 
 def _value_of(power: float) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
-from app.dashboard.view import BORDER, CHOICES, LAYERS, PAGE, View
+from app.dashboard.view import BORDER, CHOICES, LABELS, LAYERS, PAGE, View
 
 
 class ViewPanel(Panel):
@@ -36,22 +36,22 @@ class ViewPanel(Panel):
                 self.on_update(box, partial(self._plot, title))
 
     def update(self, moment: Moment) -> None:
-        """Show choices that were made by a key or in another panel."""
         for field, widget in self._widgets.items():
             self.follow(widget, getattr(self._view, field))
         for title, box in self._plots.items():
             self.follow(box, title in self._view.plots)
 
     def _add(self, folder: str) -> None:
-        """Add the widgets of all fields of a folder."""
         for each in fields(View):
             about = each.metadata
             if about.get("folder") != folder:
                 continue
-            choices: tuple[Any, ...] = (about["choices"],) if about["choices"] else ()
-            add: Any = self._gui.add_dropdown if choices else self._gui.add_checkbox
             value = getattr(self._view, each.name)
-            widget = add(about["label"], *choices, initial_value=value, hint=about["hint"])
+            look: Any = {"initial_value": value, "hint": about["hint"]}
+            if isinstance(value, bool):
+                widget: Any = self._gui.add_checkbox(about["label"], **look)
+            else:
+                widget = self._gui.add_dropdown(about["label"], LABELS, **look)
             self._widgets[each.name] = widget
             self.on_update(widget, partial(self._assign, each.name))
 

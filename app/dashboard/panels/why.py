@@ -24,9 +24,7 @@ from app.simulation.trace.words import millimetres
 
 UNDISTURBED = (0.05, 0.2)
 """[m/s²], [rad/s²] slack below which the end-effector's task counts as met."""
-
 BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
-
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
 _BODY = "font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em"
@@ -105,9 +103,9 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
     ]
 
 
-def _push(why: Explanation | None) -> Sequence[float]:
+def _push(why: Explanation | None) -> list[float]:
     """Return the sum (2,) [N] of the forces (14), in the base's frame."""
-    return _sum([force.f for force in why.forces] if why else [], 2)
+    return _total(why, "f", 2) if why else [0.0, 0.0]
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
@@ -161,7 +159,9 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if not pair.mobile:
         return _links(snapshot, why, pair)
     if why.controller == "repulsive":
-        return _repulsive(snapshot, why, pair)
+        cause, effect = _cause(pair, why, snapshot.d_b), _task_effect(why, limited=True)
+        text = f"{cause}, so this method pushes the arm away and does not move the base"
+        return f"{text}; {effect}{_off_target(snapshot)}."
     return _gives_way(snapshot, why, pair)
 
 
@@ -199,12 +199,6 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     if pair.limited:
         return f"{cause}{moved}, and the arm itself limits the approach.{also}"
     return f"{cause}{moved}; {_task_effect(why)}.{also}"
-
-
-def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    cause = _cause(pair, why, snapshot.d_b)
-    text = f"{cause}, so this method pushes the arm away and does not move the base"
-    return f"{text}; {_task_effect(why, limited=True)}{_off_target(snapshot)}."
 
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
@@ -251,13 +245,9 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 
 
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
-    """Return the effect on the person or on the end-effector's task.
-
-    `limited`: whether the controller limits the arm's approach.
-    """
+    """Return the effect on person or task; `limited`: the controller limits the arm's approach."""
     if why.mode == "guiding":
-        limited |= any(pair.limited or pushes_links_apart(pair) for pair in why.near)
-        if limited:
+        if limited or any(pair.limited or pushes_links_apart(pair) for pair in why.near):
             return "the arm resists further guiding"
         if any(bound.kind == "position" for bound in why.bounds):
             return "the arm can be guided within its joint limits"
@@ -278,11 +268,11 @@ def _off_target(snapshot: Snapshot) -> str:
 
 def _also(why: Explanation) -> str:
     """Return a sentence about the most active pair of arm links; empty if the arm yields freely."""
-    for pair in why.near:
-        if pushes_links_apart(pair):
-            a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
-            return f" {b.capitalize()} and {a} are also pushed apart."
-    return ""
+    pair = next(filter(pushes_links_apart, why.near), None)
+    if pair is None:
+        return ""
+    a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
+    return f" {b.capitalize()} and {a} are also pushed apart."
 
 
 def _the(name: str, why: Explanation) -> str:
@@ -311,41 +301,42 @@ def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
 
 def _force_rows(why: Explanation) -> list[str]:
     """Return rows for the resultant force, its two parts, and the base's accelerations."""
-    forces, on, n_b = why.forces, bool(why.forces), len(why.axes)
-    f = _push(why)
-    away = _sum([force.away for force in forces], 2)
-    turn = _sum([force.turn for force in forces], 2)
-    away_acc = _sum([force.away_acceleration for force in forces], n_b)
-    turn_acc = _sum([force.turn_acceleration for force in forces], n_b)
+    n_b, f = len(why.axes), _push(why)
+    away, turn = (
+        (_total(why, part, 2), _total(why, f"{part}_acceleration", n_b))
+        for part in ("away", "turn")
+    )
     towards = f"{words.direction(*f)}, {words.angle(*f)}" if math.hypot(*f) > 0.05 else _NONE
-    times_beta = "accelerations: (16), (17), (18) times β_m"
-    about_away = f"component along −n, Figure 7b; {times_beta}"
-    about_turn = f"component across n from (12) and (13), Figure 7c; {times_beta}"
-    return [
-        _row("direction", "angle from the base's forward axis", towards, span=1 + n_b),
-        _acceleration("away from the arm", away, away_acc, about_away, on=on),
-        _acceleration("towards higher score", turn, turn_acc, about_turn, on=on),
-        _acceleration("sum", f, why.base_avoidance, f"(15); {times_beta}", on=on),
-        _acceleration("commanded", None, why.commanded_acceleration, "input of the admittance law"),
-        _acceleration("used for the arm", None, why.assumed_acceleration, "base, in the arm's QP"),
-    ]
+    rows = [_row("direction", "angle from the base's forward axis", towards, span=1 + n_b)]
+    for label, hint, force, acceleration in (
+        ("away from the arm", "component along −n, Figure 7b", *away),
+        ("towards higher score", "component across n from (12) and (13), Figure 7c", *turn),
+        ("sum", "(15)", f, why.base_avoidance),
+    ):
+        values = [f"{math.hypot(*force):.0f}", *map(words.signed, acceleration)]
+        texts = values if why.forces else [_NONE] * len(values)
+        rows.append(_row(label, f"{hint}; accelerations: (16), (17), (18) times β_m", *texts))
+    for label, hint, acceleration in (
+        ("commanded", "input of the admittance law", why.commanded_acceleration),
+        ("used for the arm", "base, in the arm's QP", why.assumed_acceleration),
+    ):
+        rows.append(_row(label, hint, "", *map(words.signed, acceleration)))
+    return rows
 
 
 def _score_rows(why: Explanation) -> list[str]:
-    measure = measure_of(why.base_kind)
+    measure, force = measure_of(why.base_kind), next(iter(why.forces), None)
 
-    def value(name: str) -> str:
-        if not why.forces:
-            return _NONE
-        return f"{words.scientific(getattr(why.forces[0], name))} {measure.unit}"
+    def text(name: str) -> str:
+        return f"{words.scientific(getattr(force, name))} {measure.unit}" if force else _NONE
 
-    reach = f"{why.forces[0].reachability:.0f}" if why.forces else _NONE
+    reach = f"{force.reachability:.0f}" if force else _NONE
     at_near = "S at the nearest point of the border, without the step (12)"
     return [
-        _row(measure.label, measure.hint, value("determinant")),
+        _row(measure.label, measure.hint, text("determinant")),
         _row("reachability R", "(9): how easily the arm reaches it", reach),
-        _row("score S", f"(10): {measure.score}", value("score")),
-        _row("score at p_n", at_near, value("score_near")),
+        _row("score S", f"(10): {measure.score}", text("score")),
+        _row("score at p_n", at_near, text("score_near")),
     ]
 
 
@@ -381,20 +372,6 @@ def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
     return row(cell(label, FAINT, ONE_LINE), *cells, hint=hint)
 
 
-def _acceleration(
-    label: str,
-    f: Sequence[float] | None,
-    acceleration: Sequence[float],
-    hint: str,
-    *,
-    on: bool = True,
-) -> str:
-    """Return a row with the size of a force [N] and accelerations; only dashes if not `on`."""
-    newtons = "" if f is None else f"{math.hypot(*f):.0f}"
-    values = [newtons, *(words.signed(a) for a in acceleration)]
-    return _row(label, hint, *(values if on else [_NONE] * len(values)))
-
-
-def _sum(vectors: Sequence[Sequence[float]], n: int) -> list[float]:
-    """Return the sum of vectors (n,); zeros without vectors."""
-    return [sum(vector[i] for vector in vectors) for i in range(n)]
+def _total(why: Explanation, part: str, n: int) -> list[float]:
+    """Return the sum of vectors (n,), a part of all forces; zeros without forces."""
+    return [sum(getattr(force, part)[i] for force in why.forces) for i in range(n)]

@@ -41,29 +41,18 @@ _SMALL = 1e-4  # [m] step of a numerical gradient
 
 
 class ColouredCloud(NamedTuple):
-    """The drawn points of a border, with their colours and legend."""
-
-    points: Array
-    """(N, 3) [m] in the base's frame."""
-    colours: Array
-    """(N, 3) uint8."""
+    points: Array  # (N, 3) [m] in the base's frame
+    colours: Array  # (N, 3) uint8
     legend: Legend
 
 
 class _Probe(NamedTuple):
-    """A point of the border, and the base's response if the arm were there.
+    """A point of the border, and the base's response to an arm at `_INSIDE` d_b from the base."""
 
-    `text` has the values of the point as text. For the response, the arm is assumed at the
-    distance `_INSIDE` d_b from the base.
-    """
-
-    p: Array
-    """(3,) [m] the point in the base's frame, as `p_act`."""
-    p_act: Array
-    """(3,) [m] acting point for the assumed arm, in the base's frame."""
-    acceleration: Array
-    """(n_b,) [m/s² or rad/s²] acceleration (16) of the base for the assumed arm."""
-    text: str
+    p: Array  # (3,) [m] the point in the base's frame
+    p_act: Array  # (3,) [m] acting point for the assumed arm, in the base's frame
+    acceleration: Array  # (n_b,) [m/s² or rad/s²] acceleration (16) of the base
+    text: str  # values of the point
 
 
 class Borders:
@@ -72,13 +61,11 @@ class Borders:
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
         self.body = MobileBody(model)
-        """Shape of the mobile base l_m, in the base's frame."""
         self.top = float(self.body.upper[2])
         """[m] height of the base's top; the border above it is drawn on demand only."""
         self._model, self._clouds = model, clouds
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
-        """Scores by the pair's name."""
         # A cache of functools would refer to this object, which then waits for the collector.
         self._kept: dict[tuple[object, ...], ColouredCloud | None] = {}
 
@@ -123,8 +110,7 @@ class Borders:
         field, base, config = self.fields[pair], self._model.description.base, snapshot.config
         ends = self.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
         n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
-        d_b = snapshot.d_b
-        d = _INSIDE * d_b
+        d_b, d = snapshot.d_b, _INSIDE * snapshot.d_b
         p_b = p - (d_b - d) * n
         finder = ActingPointFinder(BorderSearch(self.surface(snapshot.border).table), field)
         found = finder.find_acting_point(p_b, d, config.force)
@@ -148,13 +134,11 @@ def subsample(total: int, most: int) -> Array:
 
 
 class _Drawn(NamedTuple):
-    """State of a pair's border in the scene."""
+    """State of a pair's border in the scene; without a node if it is hidden or has no points."""
 
-    request: tuple[object, ...]
-    """Values on which the drawing depends."""
     cloud: ColouredCloud | None = None
     node: viser.PointCloudHandle | None = None
-    """Drawn points and their scene node; None if the border is hidden or has no points."""
+    request: tuple[object, ...] = ()  # values on which the drawing depends
 
 
 class DrawnBorders:
@@ -171,35 +155,31 @@ class DrawnBorders:
 
     @property
     def legends(self) -> list[Legend]:
-        """Legends of the drawn borders."""
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each border whose quantity, d_b, ε, shown part or detail has changed.
+        """Draw each changed border; return whether there is one, so that `legends` is new.
 
         This takes milliseconds: call it outside of `atomic`, which delays all messages.
-
-        Returns:
-            Whether a border has changed; then `legends` is new.
         """
         changed = False
         for pair, quantity in view.borders.items():
             request = (quantity, view.whole_border, view.light, border.d_b, border.eps)
-            if pair not in self._drawn or self._drawn[pair].request != request:
-                self._drawn[pair] = self._draw(pair, request, view, border)
+            before = self._drawn.get(pair, _Drawn())
+            if before.request != request:
+                drawn = self._draw(pair, quantity, view, border)
+                if before.node is not None and drawn.node is None:
+                    before.node.remove()
+                self._drawn[pair] = drawn._replace(request=request)
                 changed = True
         return changed
 
-    def _draw(
-        self, pair: str, request: tuple[object, ...], view: View, config: BorderConfig
-    ) -> _Drawn:
-        quantity, before, found = view.borders[pair], self._drawn.get(pair, _Drawn(())), None
-        if quantity != HIDDEN:
-            found = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
+    def _draw(self, pair: str, quantity: str, view: View, config: BorderConfig) -> _Drawn:
+        if quantity == HIDDEN:
+            return _Drawn()
+        found = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
         if found is None:
-            if before.node is not None:
-                before.node.remove()
-            return _Drawn(request)
+            return _Drawn()
         most, size = (LIGHT_POINTS, LIGHT_SIZE) if view.light else (MAX_POINTS, POINT_SIZE)
         keep = subsample(len(found.points), most)
         legend = found.legend._replace(drawn=len(keep))
@@ -213,13 +193,10 @@ class DrawnBorders:
             point_shape="circle",
             precision="float32",
         )
-        return _Drawn(request, cloud, node)
+        return _Drawn(cloud, node)
 
-    def draw_probe(self, canvas: Canvas, snapshot: Snapshot, top: float, lens: Lens | None) -> None:
-        """Draw the probe at the border's point under the pointer; nothing without such a point.
-
-        The arrow of the base's acceleration is above the base's `top` [m].
-        """
+    def draw_probe(self, canvas: Canvas, snapshot: Snapshot, lens: Lens | None) -> None:
+        """Draw the probe at the border's point under the pointer, if there is one."""
         pointer = self.pointer  # the thread that receives messages can change it
         if not pointer or lens is None:
             return
@@ -232,14 +209,11 @@ class DrawnBorders:
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)
         canvas.lines(f"{ROOT}/probe/step", [np.array([probe.p, probe.p_act])], ACTING, 2.0)
         canvas.label("/probe/text", in_world(snapshot.base_pose, probe.p), minus(probe.text))
-        axes = self._model.description.base.axes
+        axes, top = self._model.description.base.axes, self._borders.top
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, axes, top)
 
     def draw_slice(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the border at the height of p_b of the nearest pair of L_m; nothing without one.
-
-        The line has a colour for a dark or a light page.
-        """
+        """Draw the border at the height of p_b of the nearest pair of L_m."""
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.fields]
         if not mobile:
             return
@@ -255,7 +229,7 @@ class DrawnBorders:
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
         """Return the probe at the drawn point under the `pointer` [px] nearest to the camera."""
         nearest, found = np.inf, None
-        for pair, (_, cloud, _) in self._drawn.items():
+        for pair, (cloud, _, _) in self._drawn.items():
             if cloud is None:
                 continue
             points = in_world(snapshot.base_pose, cloud.points)

@@ -40,12 +40,9 @@ _OVER_DOOR = 0.15  # [m] height of the angle's label above the door
 class Window(NamedTuple):
     """The part of a page in which the scene is drawn; parts of it can be covered."""
 
-    aspect: float = 1.5
-    """[-] ratio of width to height."""
-    covered: float = 0.0
-    """[-] share of the height that is covered from below."""
-    above: float = 0.0
-    """[-] share of the height that is covered from above."""
+    aspect: float = 1.5  # [-] ratio of width to height
+    covered: float = 0.0  # [-] share of the height that is covered from below
+    above: float = 0.0  # [-] share of the height that is covered from above
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
@@ -71,8 +68,7 @@ ANY_WINDOW = Window()  # default of an unknown window
 class Preset(NamedTuple):
     """A view of the robot, in the base's frame."""
 
-    away: Array
-    """(3,) direction from the target to the camera."""
+    away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
     """Target: the whole robot, the end-effector alone, the end-effector and the closest points of
     the nearest pair, or robot and door, with `away` in the closed door's frame. Without a door,
@@ -95,9 +91,8 @@ PRESETS = {
 class Camera:
     """Moves the camera of one client.
 
-    The browser reports each new position after a delay, together with the viewer's own changes.
-    Therefore a new step waits until the browser has confirmed the last one: a step that is computed
-    from an older position would be lost.
+    The browser reports each new position after a delay, together with the viewer's own changes. So
+    a new step waits for its confirmation: a step from an older position would be lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -124,13 +119,12 @@ class Camera:
     def window(self) -> Window:
         """The part of the page with the scene, as last reported by the browser."""
         height, above, below = self._page
-        return Window.of(
-            *image_size(self._client), above / max(height, 1.0), below / max(height, 1.0)
-        )
+        whole = max(height, 1.0)
+        return Window.of(*image_size(self._client), above / whole, below / whole)
 
     def cover(self, height: float, above: float, below: float) -> None:
         """Store the page's report: height of the scene, and heights covered at its edges [px]."""
-        self._page = float(height), float(above), float(below)
+        self._page = height, above, below
 
     @property
     def lens(self) -> Lens | None:
@@ -142,7 +136,6 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Use the preset that `first_view` returns for a snapshot."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
@@ -166,7 +159,7 @@ class Camera:
         return self._preset if self._waits() or away < _SAME else ""
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the wanted preset if there is one; otherwise fit the last preset to a changed window.
+        """Use the wanted preset; otherwise fit the last preset to a changed window.
 
         The window changes because the panels narrow the scene only after the first picture, and a
         drawer opens later. The camera is not fitted while the viewer is `busy` with a pull, or if
@@ -183,10 +176,7 @@ class Camera:
             self.use(self._preset, snapshot)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
-        """Move the camera by the base's displacement since the last call that moved it, if `on`.
-
-        `base_position` (2,) [m] is in the world.
-        """
+        """Move the camera with the base at `base_position` (2,) [m] in the world, if `on`."""
         if not on:
             self._followed = None
             return
@@ -206,16 +196,11 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the preset again if the robot is out of sight; call it with each shown snapshot.
 
-        This happens in three cases. (a) A run has started, and the robot is out of sight. (b) The
-        camera follows, and the base has moved by more than `_MOVED` out of sight. (c) The camera
-        follows and still has a preset of the whole robot or of the pair, and the end-effector of
-        the robot or of a ghost is out of sight. A scenario with a door starts with the door's view,
-        and the next scenario without a door with the view "iso".
-
-        Args:
-            snapshot: The shown snapshot.
-            on: Whether the camera follows the base.
-            busy: Whether the viewer drags something; then only the view of a door can change.
+        This happens in three cases. (a) A run has started. (b) The camera follows (`on`), and the
+        base has moved by more than `_MOVED` out of sight. (c) The camera follows and still has a
+        preset of the whole robot or of the pair, and the end-effector of the robot or of a ghost is
+        out of sight. A scenario with a door starts with the door's view, and the next one without a
+        door with "iso". While the viewer is `busy` with a drag, only the view of a door can change.
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
@@ -226,20 +211,18 @@ class Camera:
             self.begin(snapshot)
         if busy or self._waits():
             return
-        camera, base_pose = self._client.camera, np.array(snapshot.base_pose)
-        base = base_pose[:2]
+        camera, base = self._client.camera, np.array(snapshot.base_pose[:2])
         eye, target, window = camera.position, camera.look_at, self.window
-        seen = sees(eye, target, in_world(base_pose, self.extent), window)
-        around = np.concatenate([robot.p_ee + _AROUND for robot in _robots(snapshot)])
         lens = lens_of(eye, target, 1.0, window)
-        shown = [lens.has(lens.pixel(corner)) for corner in around]
+        around = np.concatenate([robot.p_ee + _AROUND for robot in _robots(snapshot)])
+        shown = all(lens.has(lens.pixel(corner)) for corner in around)
+        seen = sees(eye, target, in_world(snapshot.base_pose, self.extent), window)
         if self._seen_at is None or seen:
             self._seen_at, self._begun = base, False
         elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
             self.use(self._preset, snapshot)
         preset = self.preset  # the thread that receives messages can change it
-        led = preset and PRESETS[preset].of in ("robot", "pair")
-        if on and led and not all(shown):
+        if on and preset and PRESETS[preset].of in ("robot", "pair") and not shown:
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
@@ -248,19 +231,21 @@ class Camera:
 
     def _left(self) -> bool:
         """Whether the viewer has moved the camera; False until the browser confirms a position."""
-        away = float(np.linalg.norm(self._client.camera.position - self._eye))
-        return self._arrived and self._set is None and away > _LEAST_STEP
+        moved = not _near(self._client.camera.position, self._eye)
+        return self._arrived and self._set is None and moved
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
         """Handle a report of the browser, which may confirm the position that was set last."""
-        there = self._set is not None and bool(
-            np.linalg.norm(camera.position - self._set) < _LEAST_STEP
-        )
+        there = self._set is not None and _near(camera.position, self._set)
         self._arrived = self._arrived or there
         # A slow browser reports its old position for seconds: the new one has not arrived yet.
-        late = np.linalg.norm(camera.position - self._from) < _LEAST_STEP
+        late = _near(camera.position, self._from)
         if there or (monotonic() > self._set_at + _ECHO and not late):
             self._set = None
+
+
+def _near(a: Array, b: Array) -> bool:
+    return bool(np.linalg.norm(a - b) < _LEAST_STEP)
 
 
 def first_view(snapshot: Snapshot) -> Literal["iso", "door"]:
@@ -273,11 +258,12 @@ def placed(
 ) -> tuple[Array, Array]:
     """Return eye and target (3,) [m] of a preset in the world.
 
-    The view turns with the base of the middle snapshot; the view of a door turns with the door.
+    The picture shows the robots of all snapshots `shown`, at least one. The view turns with the
+    base of the middle one; the view of a door turns with the door.
 
     Args:
         preset: The view.
-        shown: Snapshots, at least one; the picture shows the robots of all.
+        shown: The snapshots.
         extent: (N, 3) [m] points of the robot in its ready posture, in the base's frame.
         window: The part of the page with the scene.
     """

@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 import viser
 
 from app.dashboard.scene.colours import Rgb, linear
@@ -33,20 +34,14 @@ _FARTHEST = 8  # [lines] largest shift of a label
 class Lens(NamedTuple):
     """Projection of the scene to a viewer's picture."""
 
-    eye: Array
-    """(3,) [m] position of the camera."""
-    axes: Array
-    """(3, 3) right, up and forward axis of the camera."""
-    focal: float
-    """[px] focal length."""
+    eye: Array  # (3,) [m] position of the camera
+    axes: Array  # (3, 3) right, up and forward axis of the camera
+    focal: float  # [px] focal length
     free: tuple[float, float, float, float]
     """[px] left, lower, right and upper edge of the uncovered part, in coordinates of `pixel`."""
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
-        """Return coordinates [px] to the right and up from the picture's centre, and depth [m].
-
-        `place` (3,) [m] is in the world.
-        """
+        """Return [px] to the right of and above the centre, and depth [m], of a place (3,) [m]."""
         u, v, depth = map(float, self.axes @ (place - self.eye))
         scale = self.focal / max(depth, 1e-3)
         return scale * u, scale * v, depth
@@ -60,10 +55,8 @@ class Lens(NamedTuple):
 class Spot(NamedTuple):
     """Position of a label relative to its point."""
 
-    anchor: Anchor
-    """Point of the label that is at the shifted point."""
-    rise: float
-    """[px] upward shift of the point."""
+    anchor: Anchor  # point of the label that is at the shifted point
+    rise: float  # [px] upward shift of the point
 
 
 def set_apart(
@@ -113,9 +106,8 @@ def set_apart(
 class Canvas:
     """Shows the objects that were drawn in the last picture, and hides all others.
 
-    A scene node is sent when it is drawn for the first time; later, viser sends only changes. The
-    name of an object, such as `parent/object`, states its parent node, and the object's position is
-    in the frame of this parent node. Only the position of a label is in the world.
+    A scene node is sent when it is drawn for the first time; later, viser sends only changes. An
+    object such as `parent/object` is in the frame of its parent node; only labels are in the world.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
@@ -133,8 +125,8 @@ class Canvas:
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
         """Draw a picture; the texts of existing labels change only if `texts`.
 
-        With a lens, labels overlap only if there is no free place. While the simulated time `t` [s]
-        advances in short steps, labels prefer their last spots; after a jump of `t` they do not.
+        With a lens, labels overlap only if there is no free place. They prefer their last spots
+        while the simulated time `t` [s] advances in short steps.
         """
         if not 0.0 < t - self._t < _SOON:
             self._spots = {}
@@ -162,11 +154,11 @@ class Canvas:
     def lines(self, name: str, lines: Sequence[Array], colour: Rgb, pixels: float) -> None:
         """Draw lines of one colour, each through points (K, 3) [m], K ≥ 2; `pixels` is the width.
 
-        The colour applies to all segments, because viser takes colours of single segments as linear
-        colours, and a line that changes to those sometimes stays white.
+        viser takes colours of single segments as linear colours, and a line that changes to those
+        sometimes stays white: all segments have one colour.
         """
-        segments = [np.stack([points[:-1], points[1:]], axis=1) for points in lines]
-        self.segments(name, np.concatenate(segments), np.array(colour, np.uint8), pixels)
+        ends = np.concatenate([np.stack([each[:-1], each[1:]], axis=1) for each in lines])
+        self.segments(name, ends, np.array(colour, np.uint8), pixels)
 
     def segments(self, name: str, ends: Array, colours: Array, pixels: float) -> None:
         """Draw straight segments between their ends (N, 2, 3) [m]; `pixels` is the width.
@@ -216,6 +208,16 @@ class Canvas:
         if name not in self._handles:
             self._handles[name] = add(name, *values, visible=False, **look)
         return self._handles[name]
+
+
+def add_mesh(
+    scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, T: pin.SE3, **look: Any
+) -> viser.MeshHandle:
+    """Add a mesh at the pose T; `look` has further arguments of `SceneApi.add_mesh_simple`."""
+    vertices, faces, (position, wxyz) = mesh.vertices, mesh.faces, to_viser(T)
+    return scene.add_mesh_simple(
+        name, np.asarray(vertices), np.asarray(faces), position=position, wxyz=wxyz, **look
+    )
 
 
 def to_viser(T: pin.SE3) -> tuple[Array, Array]:

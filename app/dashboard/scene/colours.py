@@ -44,7 +44,6 @@ def viridis_css() -> str:
 
 
 def css(colour: Rgb) -> str:
-    """Return a colour as CSS."""
     return "rgb({},{},{})".format(*colour)
 
 
@@ -55,15 +54,11 @@ def ink(ground: Rgb) -> str:
 
 
 def linear(colours: Array) -> Array:
-    """Convert colours (..., 3) uint8 from sRGB to linear colours of the same type.
-
-    viser expects linear colours for arrows and for single segments of lines.
-    """
+    """Convert sRGB (..., 3) uint8 to the linear colours of arrows and single segments in viser."""
     u = np.asarray(colours, float) / 255.0
     light = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)
     return (255.0 * light).round().astype(np.uint8)
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
-    """Set a dark or a light theme."""
     gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=BRAND)

@@ -83,8 +83,7 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    If `inside` is True, the segment of a pair outside the buffer d_b [m] has length zero; if it is
-    False, that of a pair inside the buffer.
+    Those of pairs outside the buffer d_b [m], or inside it if not `inside`, have length zero.
     """
     ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
     hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
@@ -93,10 +92,7 @@ def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
-    """Draw p_n, p_t, p_act and the force on the base of each pair of L_m with a noticeable force.
-
-    `top` [m] is the height of the base's top.
-    """
+    """Draw p_n, p_t, p_act and noticeable forces on the base, whose `top` is a height [m]."""
     for reading in snapshot.acting:
         size = np.linalg.norm(reading.f)
         if size < _LEAST_FORCE:
@@ -121,10 +117,7 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
 
 
 def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: float) -> None:
-    """Draw the people's force on the end-effector, and the base's commanded acceleration.
-
-    `top` [m] is the height of the base's top.
-    """
+    """Draw the people's force on the end-effector, and the base's commanded acceleration."""
     force = snapshot.hand_force
     if snapshot.hand_target is not None and np.linalg.norm(force) >= _LEAST_FORCE:
         tip = snapshot.p_ee + METRES_PER_NEWTON * force
@@ -135,10 +128,9 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) of the base, as children of the scene node `node`.
+    """Draw an acceleration (n_b,) of the base above its `top` [m], below the scene node `node`.
 
-    The linear part is a straight arrow, the angular part ω̇ an arc with a head. Both are slightly
-    above the height `top` [m] of the base.
+    The linear part is a straight arrow, the angular part ω̇ an arc with a head.
     """
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + _MOTION_LIFT])

@@ -16,15 +16,11 @@ QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")
 class BaseMeasure(NamedTuple):
     """Words for the measure of the base in the score (10): `BaseKind.singularity`."""
 
-    title: str = "Mobility of the base"
-    """Name, as HTML."""
-    unit: str = ""
-    """Unit of the measure and of the score; empty without one."""
+    title: str = "Mobility of the base"  # HTML
+    unit: str = ""  # of the measure and of the score; empty without one
     label: str = "measure of the base"
-    """Short name."""
     hint: str = "how well the base moves the point; replaces (7)"
     score: str = "measure · R"
-    """Formula of the score."""
 
 
 _DETERMINANT = BaseMeasure(
@@ -42,24 +38,15 @@ def measure_of(kind: str) -> BaseMeasure:
 
 
 class Legend(NamedTuple):
-    """Content of a colour bar."""
-
-    pair: str
-    """Name of the pair of arm and base."""
-    title: str
-    """Name of the quantity, as HTML."""
-    unit: str
-    """Unit of the quantity, of `low` and of `high`; may be empty."""
-    d_b: float
-    """[m] buffer distance."""
-    low: float
-    high: float
-    """Smallest and largest value of the quantity."""
-    drawn: int
-    total: int
-    """Number of drawn points, and of all points of the shown part."""
-    top: float | None
-    """[m] largest height of the shown part, or None if the whole border is shown."""
+    pair: str  # name of the pair of arm and base
+    title: str  # name of the quantity, as HTML
+    unit: str  # of the quantity; may be empty
+    d_b: float  # [m] buffer distance
+    low: float  # smallest value of the quantity
+    high: float  # largest value
+    drawn: int  # number of drawn points
+    total: int  # number of points of the shown part
+    top: float | None  # [m] largest height of this part; None for the whole border
 
 
 def title_of(quantity: str, kind: str) -> tuple[str, str]:
@@ -90,26 +77,21 @@ def key_html(d_b: float) -> str:
         "contact": "contact or overlap",
     }
     acting = _signs("●", colours.ACTING) + _signs("→", colours.ACTING)
+    accelerates = _signs("→", colours.ACCELERATION)
+    beta = f'<span style="color:{BETA}">▮</span>'
     rows = [
         *((_signs("―", COLOURS[state]), text) for state, text in states.items()),
         (acting, f"acting point and force on the base (0.1 m: {force:.0f} N)"),
         (_signs("→", colours.PERSON), f"force of the person (0.1 m: {force:.0f} N)"),
-        (
-            _signs("→", colours.ACCELERATION),
-            f"commanded base acceleration (0.2 m: {push:.0f} m/s²), ω̇ as an arc",
-        ),
-        (
-            f'<span style="color:{BETA}">▮</span>',
-            "timeline, from above: activation β; marks are events (hover for their names)",
-        ),
+        (accelerates, f"commanded base acceleration (0.2 m: {push:.0f} m/s²), ω̇ as an arc"),
+        (beta, "timeline, from above: activation β; marks are events (hover for their names)"),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
         (_signs("―", colours.TRAIL_BASE, colours.TRAIL_EE), "trails of base and end-effector"),
         ("<b>―</b>", "border at the height of the arm's point nearest to the base"),
     ]
     signs = "width:2.6em;text-align:center"
-    return small(
-        table(row(cell(sign, signs, ONE_LINE), cell(text, "opacity:.85")) for sign, text in rows)
-    )
+    cells = ((cell(sign, signs, ONE_LINE), cell(text, "opacity:.85")) for sign, text in rows)
+    return small(table(row(*each) for each in cells))
 
 
 def _bar_html(legend: Legend) -> str:
@@ -135,16 +117,14 @@ def _signs(sign: str, *each: Rgb) -> str:
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
-    """Return the numbers of a bar from `low` to `high`.
+    """Return the numbers of a bar from `low` to `high`: ends and middle, with up to three digits.
 
-    Returns:
-        The numbers at the ends and in the middle, with up to three digits, and their common factor,
-        such as `10<sup>−3</sup> `; an empty text means 1.
+    The second result is their common factor, such as `10<sup>−3</sup> `; empty for 1.
     """
     largest = max(abs(low), abs(high))
-    power = 0 if largest == 0 else math.floor(math.log10(largest))
-    power = 0 if -1 <= power <= 3 else 3 * (power // 3)
-    digits = 2 - (0 if largest == 0 else math.floor(math.log10(largest)) - power)
+    order = 0 if largest == 0 else math.floor(math.log10(largest))
+    power = 0 if -1 <= order <= 3 else 3 * (order // 3)
+    digits = 2 - (order - power)
     ticks = [(low + u * (high - low)) / 10.0**power for u in (0.0, 0.5, 1.0)]
     texts = [minus(f"{tick:.{max(digits, 0)}f}") for tick in ticks]
     return texts, f"10<sup>{minus(str(power))}</sup> " if power else ""

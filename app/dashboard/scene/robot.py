@@ -43,10 +43,8 @@ class Visual(NamedTuple):
     """A mesh in the frame of the joint that moves it."""
 
     name: str
-    joint: int
-    """Index of pinocchio's joint; 0 for a mesh that is fixed to the root."""
-    placement: pin.SE3
-    """T_joint_mesh."""
+    joint: int  # index of pinocchio's joint; 0 for a mesh that is fixed to the root
+    placement: pin.SE3  # T_joint_mesh
     mesh: trimesh.Trimesh
     colour: Rgb
 
@@ -60,8 +58,8 @@ class Visual(NamedTuple):
 class LinkPoses:
     """Kinematics of the whole URDF, including the wheels, relative to its root.
 
-    In the controller's model, the wheels are locked and the root is a planar joint. Here, the
-    wheels turn, and the root is fixed: the scene moves its node.
+    In the controller's model, wheels are locked and the root is a planar joint. Here wheels turn,
+    and the root is fixed: the scene moves its node.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -70,11 +68,7 @@ class LinkPoses:
         self._robot, self._arm = robot, self._places(robot.description.arm.joints)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
-        """Return T_root_joint of each joint.
-
-        `q_m` (n_m,) [rad or m] has the joint positions of the arm, `wheel_angles` (n_w,) [rad] the
-        angles of the wheels.
-        """
+        """Return T_root_joint of each joint, from q_m (n_m,) and wheel angles (n_w,) [rad]."""
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
         wheels = self._robot.wheel_positions(wheel_angles)
@@ -100,8 +94,7 @@ class RobotParts:
         Raises:
             AssetError: The robot's URDF or the mesh of a convex body is missing.
         """
-        self.kinematics = LinkPoses(robot)
-        """Poses of the moving parts; not thread-safe, for the drawing thread."""
+        self.kinematics = LinkPoses(robot)  # not thread-safe, for the drawing thread
         self.bodies = _bodies(robot, self.kinematics.model)
         """Convex bodies of the distance computation."""
         self.title = robot.description.title
@@ -168,10 +161,9 @@ def _visuals(robot: RobotModel, apart: bool) -> list[Visual]:
 
 
 def load_visuals(description: RobotDescription) -> list[Visual]:
-    """Load the visual meshes of the URDF, decimated, in the URDF's colours.
+    """Load the visual meshes of the URDF, decimated, in the URDF's colours, brightened if too dark.
 
-    Colours that are too dark for a dark page are brightened. `joint` of each result is the
-    index of a joint in `LinkPoses.model`.
+    `joint` of each result is the index of a joint in `LinkPoses.model`.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -205,8 +197,7 @@ def load_visuals(description: RobotDescription) -> list[Visual]:
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Return a mesh with duplicate vertices at sharp edges; decimate more than `MAX_FACES` faces.
 
-    The browser averages normals at shared vertices; without duplicates, the edges of a box would
-    look round.
+    Without duplicates, the edges of a box would look round: the browser averages normals there.
     """
     if len(mesh.faces) > MAX_FACES:
         whole = mesh.copy()

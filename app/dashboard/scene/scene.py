@@ -1,6 +1,7 @@
 """Scene: the robot and all layers, and the drawing of a snapshot."""
 
 from collections.abc import Mapping
+from itertools import zip_longest
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +12,7 @@ from app.dashboard import phrases as words
 from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, DrawnBorders
-from app.dashboard.scene.canvas import ROOT, Canvas, Lens, to_viser
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens, add_mesh, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_EE, Rgb
 from app.dashboard.scene.robot import RobotParts, Visual
 from app.dashboard.verdict import Verdict, judge
@@ -38,7 +39,6 @@ class SceneData:
         clouds: Mapping[str, Cloud],
         parts: RobotParts | None = None,
     ) -> None:
-        """Load the data; `loop` has published a snapshot. By default, load the `parts` too."""
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
         """Source of the snapshots; the robot; P_i of each pair of L_m, by the pair's name."""
@@ -46,12 +46,10 @@ class SceneData:
         """Name of the pair of base and door, which exists in scenarios with a door."""
         pairs = [pair for pair in first.pairs if pair.name != self.of_door]
         self.pairs = [pair.name for pair in pairs]
-        """Names of all link pairs, in the order of the snapshots."""
         self.mobile = [pair.name for pair in pairs if pair.mobile]
-        """Names of the pairs of arm and base."""
+        """Names of all link pairs, in the order of the snapshots; of the pairs of arm and base."""
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
-        """Names of the pairs in words."""
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {
@@ -93,8 +91,8 @@ class RobotScene:
     ) -> None:
         """Send all meshes, below the node `root`, which moves with the base.
 
-        The robot is a ghost if `ghost` has a colour: translucent, in this colour, without convex
-        bodies. With `light`, the visual meshes have few faces.
+        A robot with a `ghost` colour is translucent and has no convex bodies. With `light`, the
+        visual meshes have few faces.
         """
         self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
         self.root = scene.add_frame(root, show_axes=False)
@@ -120,7 +118,6 @@ class RobotScene:
         ]
 
     def show(self, *, meshes: bool, bodies: bool) -> None:
-        """Show or hide the meshes and the convex bodies."""
         for _, handle in self.links:
             handle.visible = meshes
         for handle in self._bodies:
@@ -129,8 +126,7 @@ class RobotScene:
     def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
         """Move the frames; viser sends only frames that have moved.
 
-        `base_pose` (3,) is x, y [m] and heading [rad] in the world; the other arguments are those
-        of `LinkPoses.update`.
+        `base_pose` (3,) is x, y [m] and heading [rad] in the world.
         """
         x, y, phi = base_pose
         root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
@@ -155,18 +151,10 @@ class RobotScene:
     def _add(
         self, visual: Visual, colour: Rgb, opacity: float | None, light: bool = False
     ) -> viser.MeshHandle:
-        position, wxyz = to_viser(visual.placement)
-        return self._scene.add_mesh_simple(
-            f"{self._node(visual.joint)}/{visual.name}",
-            vertices=np.asarray(visual.mesh.vertices),
-            faces=np.asarray(visual.mesh.faces),
-            color=colour,
-            opacity=opacity,
-            position=position,
-            wxyz=wxyz,
-            cast_shadow=opacity is None and not light,
-            receive_shadow=False,  # shadows would darken the whole base
-        )
+        node, shadow = f"{self._node(visual.joint)}/{visual.name}", opacity is None and not light
+        look = {"color": colour, "opacity": opacity, "cast_shadow": shadow}
+        look["receive_shadow"] = False  # shadows would darken the whole base
+        return add_mesh(self._scene, node, visual.mesh, visual.placement, **look)
 
     def _node(self, joint: int) -> str:
         return node_of(self._parts.kinematics.model, joint, self._path)
@@ -194,11 +182,9 @@ class Scene:
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
         """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
 
-        The lens determines the positions of labels and the point under the pointer. Borders are
-        drawn by `border.update`; this takes milliseconds, and `atomic` would delay all messages.
-
-        Returns:
-            The verdict on the snapshot, in whose colours the lines are drawn.
+        Returns the verdict, in whose colours the lines are drawn. The lens determines the positions
+        of labels and the point under the pointer. `border.update` draws borders: it takes
+        milliseconds, and `atomic` would delay all messages.
         """
         view = self._view
         dark, light = view.dark, view.light  # the viewer can change them meanwhile
@@ -215,7 +201,7 @@ class Scene:
         verdict = judge(snapshot, self._data.spoken)
         with self.canvas.picture(texts=texts, lens=lens, t=snapshot.t):
             self._draw_layers(snapshot, verdict)
-            self.border.draw_probe(self.canvas, snapshot, self._data.borders.top, lens)
+            self.border.draw_probe(self.canvas, snapshot, lens)
         return verdict
 
     def _light_up(self) -> None:
@@ -227,10 +213,7 @@ class Scene:
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
         scene.configure_environment_map(None)
         scene.add_light_hemisphere(
-            "/lights/sky",
-            sky_color=(255, 255, 255),
-            ground_color=(120, 125, 135),
-            intensity=1.2,
+            "/lights/sky", sky_color=(255, 255, 255), ground_color=(120, 125, 135), intensity=1.2
         )
         dark = self._dark
         scene.add_grid(
@@ -269,14 +252,12 @@ class Scene:
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
         """Move the ghosts; hide absent ghosts, and links that coincide with the robot's."""
-        for i, ghost in enumerate(snapshot.ghosts):
-            if i == len(self._ghosts):
-                colour = GHOSTS[i % len(GHOSTS)]
-                robot = RobotScene(
-                    self._scene, self._data.parts, f"/ghost_{i}", ghost=colour, light=self._light
-                )
-                self._ghosts.append(robot)
-            self._ghosts[i].update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
-            self._ghosts[i].hide_links_near(self.robot)
-        for i, robot in enumerate(self._ghosts):
-            robot.root.visible = i < len(snapshot.ghosts)
+        scene, parts, light = self._scene, self._data.parts, self._light
+        for i in range(len(self._ghosts), len(snapshot.ghosts)):
+            colour = GHOSTS[i % len(GHOSTS)]
+            self._ghosts.append(RobotScene(scene, parts, f"/ghost_{i}", ghost=colour, light=light))
+        for robot, ghost in zip_longest(self._ghosts, snapshot.ghosts):
+            robot.root.visible = ghost is not None
+            if ghost is not None:
+                robot.update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
+                robot.hide_links_near(self.robot)
