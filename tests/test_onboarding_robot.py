@@ -404,9 +404,8 @@ def test_bodies_are_fitted_again_if_new_postures_show_a_gap(
         lambda *_: made.detection._replace(undetected=left.pop(0)),
     )
     bare = compiled(description(made.request, made.parsed), path)
-    made_again = new_robot._embodied(
-        made.request, made.parsed, bare, path, ALONE, lambda _: None, lambda _: None
-    )
+    work = new_robot._Work(ALONE, lambda _: None, lambda _: None)
+    made_again = new_robot._embodied(made.request, made.parsed, bare, path, work)
     assert made_again.detection.undetected == chosen
     assert len({*seeds}) == fits
 

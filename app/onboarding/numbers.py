@@ -262,10 +262,9 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
         return {}
-    if (steering := wheels.steering) is not None:
-        names = ("wheelbase_m", "steering_limit_rad", "steering_rate_radps")
-        values = [round(each, 5) for each in steering[:3]]
-        return dict(zip(names, zip(values, steering.sources, strict=True), strict=True)) | radius
+    if wheels.steering is not None:
+        numbers = wheels.steering.numbers
+        return {name: (round(value, 5), how) for name, (value, how) in numbers.items()} | radius
     track = "measured: half of the distance between the wheels' joints"
     if len(wheels.left) > 1:
         track += "; the effective half track of a base that skids is larger"

@@ -224,7 +224,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
     held = [
         joint.name
         for link in tree.below(arm.base)
-        for joint in tree.children(link)
+        for joint in tree.children[link]
         if joint.moves and joint.name not in own and (link in carried or not turns_round(joint))
     ]
     if held:
@@ -284,7 +284,7 @@ def wheels_carried(parsed: Parsed) -> list[str]:
     """Continuous joints on fixed links of a separate arm's URDF that do not belong to the arm."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
-    turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
+    turning = [j for link in fixed for j in tree.children[link] if j.kind == "continuous"]
     return [joint.name for joint in turning if joint.name not in parsed.arm.names]
 
 

@@ -33,10 +33,10 @@ def filled(
     found = with_travel(tree, pieces, chain[-1].child)
     own = [joint.name for joint in chain]
     for joint in followers(tree, own):
-        beside = [each.name for each in tree.children(joint.parent) if each is not joint]
+        beside = [each.name for each in tree.children[joint.parent] if each is not joint]
         found = with_travel(tree, found, joint.parent, [*own, *beside], [_leader(tree, joint)[0]])
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
-        below = tree.children(slide.child)
+        below = tree.children[slide.child]
         other = [joint.name for joint in below if not (joint.moves and parallel(slide, joint))]
         found = with_travel(tree, found, slide.child, [*own, *other])
     return found

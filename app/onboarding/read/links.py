@@ -84,12 +84,12 @@ class LinkGeometry(NamedTuple):
         return sum(float(s.hull.volume) for s in self.shapes)
 
 
-def read_geometry(tree: Tree) -> dict[str, LinkGeometry]:
-    """Read the geometry of each link; the keys are the names of the links.
+Geometry = Mapping[str, LinkGeometry]
+"""The geometry of links by the names of the links."""
 
-    Raises:
-        RobotFileError: As for `link_geometry`.
-    """
+
+def read_geometry(tree: Tree) -> Geometry:
+    """The geometry of each link; errors as for `link_geometry`."""
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 

@@ -191,7 +191,7 @@ def _urdfs(names: list[str]) -> list[str]:
 
 def _tie_meshes(path: Path, root: Path) -> None:
     """Replace the addresses of meshes in a URDF by paths relative to the URDF."""
-    robot = read_source(path)
+    robot = read_source(path)[0]
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
         if Path(reference).suffix.lower() not in FORMATS:
@@ -294,7 +294,7 @@ def look_into(archive: Path) -> dict[str, Contents]:
 
 
 def _contents(path: Path) -> Contents:
-    robot = read_source(path)
+    robot = read_source(path)[0]
     for tag, least in (("link", 1), ("joint", 0)):
         count = len(robot.findall(tag))
         if not least <= count <= _MAX_NAMES:
