@@ -70,13 +70,14 @@ def finish(
     `helpers` starts workers after the meshes are read; they do all parallel work except sampling
     the border. `processes` processes sample the border, by default one for each usable core; with
     `sampling`, the parameters of a coarse border, this process samples it alone, because starting
-    others would take longer. `whole` is the result of `whole_robot`, which is otherwise called
-    here. `tell` is called with the name of each step, and `on_progress` with the finished share, 0
-    to 1, of a long step: bodies, border, lines.
+    others would take longer. `whole` is the result of `whole_robot`, if it is known. `tell` is
+    called with the name of each step, and `on_progress` with the finished share, 0 to 1, of a long
+    one.
 
     Raises:
-        RobotFileError: The URDF cannot become a robot, or a library refuses it. AssetError,
-        UnknownNameError: As for `whole_robot`. DescriptionError: The result is not a valid robot.
+        RobotFileError: The URDF cannot become a robot, or a library refuses it.
+        AssetError, UnknownNameError: As for `whole_robot`.
+        DescriptionError: The result is not a valid robot.
         OutputError: The folder exists and is not empty, or cannot be written.
     """
     request.name  # noqa: B018 - reports a wrong name before any work
@@ -135,7 +136,7 @@ def _make_robot(
     if request.ready is None:
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
-        ready, rule = judge_ready(model, data.pairs, np.array(request.ready)), "from --ready"
+        ready, rule = judge_ready(model, data.pairs, np.array(request.ready, float)), "from --ready"
     base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track)
     arm = {
         "ready_position": (tuple(ready.q_m.tolist()), rule),
@@ -196,12 +197,11 @@ def _embodied(
 ) -> _Embodied:
     """Fit bodies around groups of links, up to three times if a collision remains undetected.
 
-    The result is the fit with the fewest pairs in `Detection.blind`, and among equals the one with
-    the smallest `Detection.undetected`.
+    The result is the fit with the fewest pairs in `Detection.blind`, then `Detection.undetected`.
 
     Raises:
-        RobotFileError: In each fit, a pair is in `Detection.blind`, which means that it misses more
-            than half of its links' collisions; or as for `with_stops` or `find_grouping`.
+        RobotFileError: Each fit has a pair in `Detection.blind`; or as for `with_stops` or
+            `find_grouping`.
     """
     work.tell("sampling random postures")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
@@ -248,9 +248,9 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    The second fit differs by its random postures. Without --bodies, the third fit has one more body
-    than the second, but not more bodies than the arm has moving units with shapes. `found` has the
-    numbers of bodies, with the base, of the earlier fits.
+    The second fit differs by its random postures. Without --bodies, the third has one more body, if
+    the arm has more moving units with shapes. `found` has the numbers of bodies, with the base, of
+    the earlier fits.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies
@@ -259,11 +259,10 @@ def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int
 
 
 def parse(request: Request, whole: Whole | None = None) -> Parsed:
-    """Read and check the URDF; `whole` is the result of `whole_robot`, or None to call it here.
+    """Read and check the URDF; `whole` is the result of `whole_robot`, if it is known.
 
     Raises:
-        RobotFileError: The URDF cannot become a robot; the message names the reason and the option
-            that helps.
+        RobotFileError: The URDF cannot become a robot; the message names the reason and an option.
         AssetError, UnknownNameError: As for `whole_robot`.
     """
     tree, arm, changes = whole or whole_robot(request)

@@ -1,5 +1,6 @@
 """The numbers of a description with their sources: limits, damping, base and reachability."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -90,16 +91,16 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
-    effort = [
+    effort = tuple(
         e or round(float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
-    ]
+    )
     why = (
         f"{_GRAVITY_SHARE:g} times the largest gravity load in random postures, at least "
         f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
     )
-    text = _origin({why: missing})
-    return limits._replace(effort=tuple(effort), source=limits.source | {"max_effort": text})
+    source = limits.source | {"max_effort": _origin({why: missing})}
+    return limits._replace(effort=effort, source=source)
 
 
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
@@ -149,21 +150,21 @@ def _assumed_range(joint: Joint) -> tuple[float, float]:
 
 def _range_origin(joints: Sequence[Joint], side: str) -> str:
     """The source of the lower or the upper limits of joints; `side` is `lower` or `upper`."""
-    found: dict[str, list[str]] = {}
+    found = defaultdict[str, list[str]](list)
     for joint in joints:
         low, high = _range(joint)
         if low is high is None:
-            found.setdefault("half a turn in both directions", []).append(joint.name)
+            found["half a turn in both directions"].append(joint.name)
         elif (low if side == "lower" else high) is None:
-            found.setdefault("half a turn", []).append(joint.name)
+            found["half a turn"].append(joint.name)
         elif joint.unstated == side:
-            found.setdefault("0, as the URDF states only the other", []).append(joint.name)
+            found["0, as the URDF states only the other"].append(joint.name)
     return _origin(found)
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
     """Refuse implausible limits; one message names all joints and their corrections."""
-    wrong: dict[str, list[str]] = {}
+    wrong = defaultdict[str, list[str]](list)
     for joint in joints:
         limits = [q for q in _range(joint) if q is not None]
         farthest = max(map(abs, limits), default=0.0)
@@ -180,10 +181,9 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
             why = "have limits of more than two turns, which are probably degrees; write radians "
             why += '(90 degrees are 1.5708), or type="continuous" for a joint without limits'
         else:
-            why = ""
+            continue
         stated = f" ({joint.lower:g} to {joint.upper:g})" if limits else ""
-        wrong.setdefault(why, []).append(joint.name + stated)
-    wrong.pop("", None)
+        wrong[why].append(joint.name + stated)
     if wrong:
         raise RobotFileError("; ".join(f"joints {', '.join(n)} {why}" for why, n in wrong.items()))
 
@@ -287,10 +287,8 @@ class Reach(NamedTuple):
     B: float
     C: float
     source: str
-    counted: ReachMap | None
-    """The counted map, or None for assumed coefficients."""
-    fit: ReachFit | None
-    """The fit of the counted map, or None."""
+    counted: ReachMap | None  # the counted map, or None for assumed coefficients
+    fit: ReachFit | None  # the fit of the counted map, or None
 
     def content(self) -> dict[str, Any]:
         """The coefficients in the form of a description."""
@@ -327,9 +325,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """Assumed coefficients: a parabola whose peak is at the mean distance of the body's first shape
-    from the mount in random postures.
-    """
+    """Assumed coefficients: a parabola about the mean distance of the first shape to the mount."""
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
     rho = []

@@ -103,11 +103,7 @@ class Request:
 
     @property
     def name(self) -> str:
-        """The robot's name.
-
-        Raises:
-            RobotFileError: The folder's name is not a valid name.
-        """
+        """The robot's name; a `RobotFileError` if the folder's name is not a valid name."""
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
             raise RobotFileError(
@@ -212,12 +208,9 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
-    """The values of an option by name, from entries of the form `NAME=…`.
+    """The values of an option by name, from entries of the form `NAME=…` or, as in ROS, `NAME:=…`.
 
-    `NAME:=…`, the form of ROS, is accepted too. `what` is the word for the value in an error.
-
-    Raises:
-        ConfigError: An entry has another form.
+    `what` is the word for the value in the `ConfigError` of an entry of another form.
     """
     found = {}
     for each in entries:

@@ -57,8 +57,7 @@ def whole_robot(request: Request) -> Whole:
     """Read the robot from one or two files, with distinct names and one joint per telescope.
 
     Raises:
-        RobotFileError: A file is not a URDF, or the requested links do not exist or have no arm
-            between them.
+        RobotFileError: A file is not a URDF, or the links do not exist or have no arm between them.
         UnknownNameError: No xacro declares an argument of --xacro.
         AssetError: A package is not installed.
     """
@@ -69,7 +68,7 @@ def whole_robot(request: Request) -> Whole:
         robot, left_out, declared = read_robot(locate(file), packages, arguments)
         trees.append(make_tree(robot))
         said += left_out
-        known |= declared
+        known.update(declared)
     for name in arguments:
         check_name("argument of --xacro", name, known)
     tree, *arms = trees
@@ -148,9 +147,6 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     A telescope has one independent prismatic joint and others that follow it (`<mimic>`). In the
     new tree, this joint alone moves the last part, by the sum of all positions. The parts before
     become children of the last one, on prismatic joints whose limits include all their positions.
-
-    Raises:
-        RobotFileError: `tip` is not a descendant of `base`.
     """
     if not {base, tip} <= tree.links.keys():
         return tree, []  # `find_arm` reports this
@@ -172,8 +168,7 @@ def _telescopes(chain: list[Joint]) -> Iterator[tuple[list[Joint], list[Joint], 
     """For each telescope: all joints from its first to its last part, the joints of its parts, and
     the travel of each part along the axis of the first part, for a unit travel of the leader.
 
-    The joints of the parts are prismatic and parallel. One of them leads, and the others follow it.
-    Only fixed joints can be between them.
+    The parts are prismatic and parallel, with only fixed joints between them; all but one follow.
     """
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
@@ -200,9 +195,8 @@ def _directions(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
 
 
 def _followers(tree: Tree, parts: Sequence[Joint], leader: str, total: float) -> Iterator[Joint]:
-    """Joints outside a telescope that follow one of its parts.
-
-    In the new tree they follow the leader, whose new position is `total` times its former position.
+    """Joints outside a telescope that follow one of its parts; they will follow the leader, whose
+    new position is `total` times its former position.
     """
     own = {joint.name: joint.mimic or (leader, 1.0, 0.0) for joint in parts}
     for joint in tree.joints.values():

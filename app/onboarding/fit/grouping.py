@@ -8,7 +8,7 @@ links are that close by design or if other pairs detect its collisions. A pair d
 if its bodies overlap in the same posture.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import combinations, compress, pairwise, product
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ from app.onboarding.fit.collision_sampling import (
 )
 from app.onboarding.fit.stops import LEAST, contact_margin, detectable
 from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
-from app.onboarding.read.links import LinkGeometry
+from app.onboarding.read.links import Geometry
 from app.onboarding.request import BOUNDS
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -60,12 +60,9 @@ BY_BODIES = "chosen: its bodies are within d_b in most postures; other pairs det
 class Verdict(NamedTuple):
     """The quality of a grouping."""
 
-    missed: float
-    """[-] share of colliding postures in which no pair of bodies overlaps."""
-    false: float
-    """[-] share of free postures in which a pair of bodies overlaps."""
-    spurious: tuple[str, ...]
-    """Pairs of bodies that overlap although their links never do."""
+    missed: float  # [-] share of colliding postures in which no pair of bodies overlaps
+    false: float  # [-] share of free postures in which a pair of bodies overlaps
+    spurious: tuple[str, ...]  # pairs of bodies that overlap although their links never do
     always: tuple[str, ...]
     """Monitored pairs that overlap in a posture and are inside their buffer in most free ones."""
     unwatched: dict[str, str]
@@ -73,8 +70,7 @@ class Verdict(NamedTuple):
     value is `BY_LINKS` or `BY_BODIES`."""
     near: dict[str, float]
     """[-] share of the free postures inside the buffer, by the name of the monitored pair."""
-    cost: float
-    """[-] total cost; the best grouping has the smallest."""
+    cost: float  # [-] total cost; the best grouping has the smallest
 
 
 class Grouping(NamedTuple):
@@ -96,10 +92,10 @@ def find_grouping(
     A unit is a rigid group of links. The unit fixed to the base below the arm belongs to l_1, like
     the paper's link 0, or to l_m if the pairs miss over 0.1 % of its collisions, as for a mast.
 
-    `count` is the number of bodies of the arm. None means four as in the paper or, if four are not
-    sufficient, the best number from two to six. Four are not sufficient if `Verdict.always` or
-    `Verdict.spurious` has a pair, or if more than 0.1 % of all collisions are missed.
-    `on_progress` is called with the finished share of the groupings; each search begins at 0.
+    `count` is the number of bodies of the arm. None means four as in the paper or, if
+    `Verdict.always` or `Verdict.spurious` then has a pair or over 0.1 % of all collisions are
+    missed, the best number from two to six. `on_progress` is called with the finished share of the
+    groupings of each search.
 
     Raises:
         RobotFileError: No grouping into `count` bodies is possible; the message has a valid range.
@@ -192,20 +188,20 @@ def judge(
     owner = {unit: k for k, body in enumerate(bodies) for unit in body.units}
     ends = [sorted((owner[u], owner[v])) for u, v in meetings.pairs]
     owners = [f"{bodies[i].name}-{bodies[j].name}" for i, j in ends]
-    near, meet = (distances[free] < d_b).mean(axis=0), distances <= 0
+    near, meet = (distances[free] < d_b).mean(axis=0), distances <= 0.0
     built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
     kept, unwatched = np.ones(len(names), dtype=bool), {}
     for k in np.argsort(-near):  # the nearest pair first: without it, others may be needed
         without = kept & (np.arange(len(names)) != k)
-        blind = _share(~meet[real][:, without].any(axis=1))
+        blind = _share(~np.any(meet[real][:, without], axis=1))
         if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
             kept, unwatched[names[k]] = without, BY_LINKS if names[k] in built else BY_BODIES
-    truly = {*compress(owners, hits.any(axis=0))}
-    met = [*compress(names, kept & meet.any(axis=0))]
+    truly = {*compress(owners, np.any(hits, axis=0))}
+    met = [*compress(names, kept & np.any(meet, axis=0))]
     near = dict(compress(zip(names, near.tolist(), strict=True), kept))
     spurious = tuple(name for name in met if name not in truly)
     always = tuple(name for name in met if near[name] > ALWAYS)
-    seen = meet[:, kept].any(axis=1)
+    seen = np.any(meet[:, kept], axis=1)
     missed, false = _share(~seen[real]), _share(seen[~real])
     cost = (
         _MISSED_COST * max(0.0, missed - _MISSED)
@@ -226,22 +222,17 @@ def _share(flags: Array) -> float:
 class Detection(NamedTuple):
     """Collisions of links in random postures that the fit has not used, and the undetected ones.
 
-    A colliding posture is detected if the bodies of any pair overlap, because avoidance prevents
-    the overlap.
+    A posture is detected if the bodies of any pair overlap: avoidance prevents the overlap.
     """
 
-    looked_at: int
-    """Number of random postures."""
-    postures: int
-    """Number of postures in which hulls of links collide."""
+    looked_at: int  # number of random postures
+    postures: int  # number of postures in which hulls of links collide
     undetected: int
     """Number of these postures in which meshes of links collide, but no pair of bodies overlaps."""
     watched: int
     """Number of collisions of links whose bodies are a pair, of two bodies in one posture once."""
-    missed: int
-    """Number of these collisions in which the bodies of the pair do not overlap."""
-    deepest: float
-    """[m] largest distance of these bodies in a missed collision; 0 without one."""
+    missed: int  # number of these collisions in which the bodies of the pair do not overlap
+    deepest: float  # [m] largest distance of these bodies in a missed collision; 0 without one
     blind: tuple[str, ...]
     """Pairs whose bodies do not overlap in more than half of the collisions of their links, in
     random postures and those that a search has found together."""
@@ -263,7 +254,7 @@ class Detection(NamedTuple):
 
 
 def detection_of(
-    model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float, workers: Workers = ALONE
+    model: RobotModel, geometry: Geometry, d_b: float, workers: Workers = ALONE
 ) -> Detection:
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
@@ -319,7 +310,7 @@ def detection_of(
 
 
 def _left_out(
-    model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Mapping[str, LinkGeometry]
+    model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Geometry
 ) -> tuple[int, str]:
     """`left_out` and `rule` of `Detection`; nested links do not count."""
     units, q_m = met.units, met.random.q_m
@@ -408,7 +399,7 @@ def _ranked(
                 continue
             owner = {unit: k for k, group in enumerate([mobile, *groups]) for unit in group}
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
-            missed = _share(~hits[:, watched].any(axis=1))
+            missed = _share(np.all(~hits[:, watched], axis=1))
             uneven = sum(len(group) ** 2 for group in groups)
             least = _BODY_COST * (count + 1)
             ranked.append((least + _MISSED_COST * missed, uneven, groups, least))

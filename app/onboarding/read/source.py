@@ -63,11 +63,8 @@ def read_robot(
 ) -> tuple[Element, list[str], Collection[str]]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    Arguments and third result are those of `read_source`. The second result has a sentence on each
-    shape that is removed.
-
-    Raises:
-        RobotFileError: As for `read_source`, or as for `mesh_address` of a required mesh.
+    Arguments, third result and errors are those of `read_source`. The second result has a sentence
+    on each shape that is removed. The errors of required meshes are those of `mesh_address`.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
@@ -81,11 +78,10 @@ def read_robot(
 
 
 def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
-    """Why a visual or collision element is removed; empty if it is kept.
+    """Why a visual or collision element is removed; empty if it is kept, with a new mesh address.
 
-    A shape of size 0 is removed. A visual mesh that is missing or unreadable is removed if the link
-    has a collision element; any other such mesh is an error. The address of any other mesh becomes
-    the result of `mesh_address`.
+    A shape of size 0 is removed, and a visual mesh that is missing or unreadable if the link has a
+    collision element; any other such mesh is an error.
     """
     if (shape := element.find("geometry/*")) is None:
         return ""
@@ -112,7 +108,7 @@ def _needless(element: Element, link: Element, folder: Path, packages: Folders |
 def read_source(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, Collection[str]]:
-    """Read the `<robot>` of a URDF or xacro, and the names of the arguments that a xacro uses.
+    """The `<robot>` of a URDF or xacro, and the names of arguments that a xacro declares or uses.
 
     The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
     elements lose the namespace of `<robot>`. With `arguments` None, a xacro is refused.
@@ -143,11 +139,10 @@ def read_source(
 def _plain_xml(text: str) -> Element:
     """The root, without blanks at the ends of attributes and without its own namespace."""
     robot = ElementTree.fromstring(text)
-    own = robot.tag.rpartition("}")[0] + "}"
+    own = robot.tag.removesuffix(robot.tag.rpartition("}")[2])
     for each in robot.iter():
         each.attrib = {key: value.strip() for key, value in each.items()}
-        if len(own) > 1 and isinstance(each.tag, str):
-            each.tag = each.tag.removeprefix(own)
+        each.tag = each.tag.removeprefix(own)
     return robot
 
 
@@ -182,7 +177,7 @@ def mesh_address(reference: str, folder: Path, packages: Folders | None = None) 
     """
     search = partial(_package_folders, folder=folder, named=packages or {})
     meant = spellings(reference)
-    places = (place for each in meant for place in mesh_places(each, folder, search))
+    places = chain.from_iterable(mesh_places(each, folder, search) for each in meant)
     if (found := next(filter(isfile, places), None)) is None:
         raise RobotFileError(f"mesh {reference}: {_missing(meant[-1], folder, search)}")
     if found.suffix.lower() not in FORMATS:
@@ -226,7 +221,7 @@ def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Pa
     """
     scheme, package, path = _split_address(reference)
     own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
-    yield from (each / path for each in (packages(package) if scheme in _IN_PACKAGE else own))
+    yield from (top / path for top in (packages(package) if scheme in _IN_PACKAGE else own))
 
 
 def _missing(reference: str, folder: Path, packages: Packages) -> str:
@@ -273,8 +268,8 @@ def _installed_address(path: Path) -> str | None:
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:
     """Where a missing package was searched, and the option that helps; `inner` is a file in it."""
-    holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
-    found = "FOLDER" if holder is None else f"{holder}, which contains a file of that path"
+    holders = [each for each in (folder, *folder.parents) if isfile(each / inner)]
+    found = f"{holders[0]}, which contains a file of that path" if holders else "FOLDER"
     return (
         f"the package {package!r} is not a folder beside or above {folder}, is not in "
         "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "

@@ -34,10 +34,8 @@ class Joint(NamedTuple):
     kind: str  # type in the URDF
     parent: str
     child: str
-    T_parent_child: pin.SE3
-    """Pose of the child at the position zero."""
-    axis: Array = _X
-    """(3,) unit vector in the child's frame."""
+    T_parent_child: pin.SE3  # pose of the child at the position zero
+    axis: Array = _X  # (3,) unit vector in the child's frame
     lower: float | None = None
     upper: float | None = None
     effort: float | None = None
@@ -77,11 +75,7 @@ class Tree:
         return next(link for link in self.links if link not in self.joint_of)
 
     def check_link(self, name: str, option: str) -> None:
-        """Refuse a name that no link has.
-
-        Raises:
-            RobotFileError: The message names `option` and the existing links.
-        """
+        """Refuse a name that no link has; the message names `option` and the existing links."""
         if name not in self.links:
             raise RobotFileError(
                 f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
@@ -97,11 +91,7 @@ class Tree:
         return found
 
     def chain(self, base: str, tip: str) -> list[Joint]:
-        """The joints on the path from one link to a descendant.
-
-        Raises:
-            RobotFileError: The tip is not a descendant of the base.
-        """
+        """The joints on the path from `base` to `tip`, which must be a descendant."""
         chain, link = [], tip
         while link != base:
             if link not in self.joint_of:
@@ -209,12 +199,12 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     if kind not in kinds:
         near, known = did_you_mean(kind, kinds), ", ".join(kinds)
         raise RobotFileError(f"{where}: its type is {kind!r}{near}; {known} are possible")
-    ends = []
-    for role in ("parent", "child"):
-        ends.append("" if (end := element.find(role)) is None else str(end.get("link")))
-        if ends[-1] not in links:
-            near = did_you_mean(ends[-1], links)
-            raise RobotFileError(f"{where}: its {role} is {ends[-1]!r}, which is not a link{near}")
+    ends = (element.find(role) for role in ("parent", "child"))
+    parent, child = ("" if end is None else str(end.get("link")) for end in ends)
+    for role, link in (("parent", parent), ("child", child)):
+        if link not in links:
+            near = did_you_mean(link, links)
+            raise RobotFileError(f"{where}: its {role} is {link!r}, which is not a link{near}")
     T = origin(element, where)
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = float(np.linalg.norm(axis))
@@ -233,7 +223,7 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     unstated = lacking[0] if len(lacking) == 1 else ""
     limits |= {unstated: 0.0} if unstated else {}
     axis = axis / max(length, 1e-12)
-    return Joint(name, kind, *ends, T, axis, mimic=mimic, unstated=unstated, **limits)
+    return Joint(name, kind, parent, child, T, axis, mimic=mimic, unstated=unstated, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:
@@ -255,12 +245,9 @@ class Arm(NamedTuple):
     """An arm: the joints between the base and the end-effector, and the links of base and arm."""
 
     base: str
-    tip: str
-    """The link that carries the end-effector."""
-    mount: str
-    """The link whose origin is the arm's mount."""
-    joints: tuple[Joint, ...]
-    """The n_m joints of the arm, from the base outwards."""
+    tip: str  # the link that carries the end-effector
+    mount: str  # the link whose origin is the arm's mount
+    joints: tuple[Joint, ...]  # the n_m joints of the arm, from the base outwards
     base_links: tuple[str, ...]
     """`base` and all of its descendants that do not belong to the arm, including wheels."""
     rigid_links: tuple[str, ...]
@@ -355,10 +342,7 @@ def parallel(a: Joint, b: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse an ancestor of the base that has shapes or other children.
-
-    Ancestors above a joint that moves the whole base belong to the world and do not count.
-    """
+    """Refuse an ancestor of the base that has shapes or other children, and is not the world."""
     link = base
     while link in tree.joint_of and tree.joint_of[link].kind not in FREE:
         parent = tree.joint_of[link].parent

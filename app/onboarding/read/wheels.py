@@ -32,30 +32,23 @@ class Steering(NamedTuple):
     numbers: dict[str, tuple[float, str]]
     """Wheelbase [m], largest angle [rad] and rate [rad/s], by the fields of a description, with
     their sources."""
-    rolling: tuple[str, ...]
-    """Joints about which the steered wheels roll."""
-    joints: tuple[str, ...]
-    """Steering joints."""
+    rolling: tuple[str, ...]  # joints about which the steered wheels roll
+    joints: tuple[str, ...]  # steering joints
 
 
 class Wheels(NamedTuple):
     """The driven wheels of a base."""
 
-    left: tuple[str, ...]
-    """Joints of the left wheels."""
+    left: tuple[str, ...]  # joints of the left wheels
     right: tuple[str, ...]
-    r: float
-    """[m] radius; 0 for a holonomic base."""
-    b: float
-    """[m] half track: half of the distance between the wheels; 0 for a holonomic base."""
+    r: float  # [m] radius; 0 for a holonomic base
+    b: float  # [m] half track: half of the distance between the wheels; 0 for a holonomic base
     T_base_floor: pin.SE3
     """Pose of the frame `app.onboarding.ROOT` in the frame of the base's link; x points forward."""
     joint_velocity: float | None
     """[rad/s] speed limit of the wheels, or None if the URDF states none."""
-    how: str
-    """The source of the radius."""
-    steering: Steering | None = None
-    """Only of a car-like base."""
+    how: str  # the source of the radius
+    steering: Steering | None = None  # only of a car-like base
 
 
 class _Wheel(NamedTuple):
@@ -93,11 +86,7 @@ class _Base(NamedTuple):
         return min(heights, default=None)
 
     def wheel(self, joint: Joint) -> _Wheel:
-        """The wheel on a joint.
-
-        Raises:
-            RobotFileError: It is no wheel; the message names the reason.
-        """
+        """The wheel on a joint; a `RobotFileError` names the reason why there is none."""
         tree, axis = self.tree, self.axis(joint)
         if not _is_level(axis):
             raise RobotFileError(f"{joint.name} is not a wheel: its axis is not horizontal")
@@ -137,10 +126,7 @@ def _is_level(axis: Array) -> bool:
 
 
 def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Geometry) -> Arm:
-    """The arm, with the links on wheel suspensions added to `rigid_links`.
-
-    A suspension is a joint that carries wheels and moves little on a level floor.
-    """
+    """The arm, with the links on suspensions of wheels added to `rigid_links`."""
     base, rigid = _Base(tree, arm, geometry), list(arm.rigid_links)
     for link in rigid:
         for joint in tree.children[link]:
@@ -183,8 +169,7 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
 def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
     """Whether the links before the arm's first joint reach as low as the links of the base.
 
-    Then these links belong to the base. An example is a robot whose --base is a frame on the floor,
-    and whose link with wheels and arm is a child of this frame.
+    Then they belong to the base, as for a --base that is a frame on the floor above everything.
     """
     base = _Base(tree, arm, geometry)
     low, floor = base.lowest(arm.segments[0]), base.lowest(arm.base_links)
@@ -192,11 +177,11 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
 
 
 def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
-    """The driven wheels: the wheels whose joints or links are `named`, or the lowest pair.
+    """The driven wheels: the wheels whose joints or links are `named`, or the lowest pair, and
+    others of the same radius on the floor, with the same lateral position as one of these two.
 
-    Other wheels of the same radius on the floor, with the same lateral position as one of these
-    two, are included. A wheel is a link of circular cross-section on a joint that `turns_round`;
-    its parent is rigidly fixed to the base.
+    A wheel is a link of circular cross-section on a joint that `turns_round`; its parent is
+    rigidly fixed to the base.
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
@@ -329,10 +314,7 @@ def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[
 
 
 def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
-    """Pairs of equal wheels on the same axle, the left one first.
-
-    The left wheel has the larger y in the base's link or, on an axle along x, the smaller x.
-    """
+    """Pairs of equal wheels on one axle, first the one with the larger y or, along x, smaller x."""
     pairs = []
     for a, b in combinations(wheels, 2):
         apart = a.centre - b.centre
