@@ -404,7 +404,9 @@ def test_bodies_are_fitted_again_if_new_postures_show_a_gap(
         lambda *_: made.detection._replace(undetected=left.pop(0)),
     )
     bare = compiled(description(made.request, made.parsed), path)
-    work = new_robot._Work(ALONE, lambda _: None, lambda _: None)
+    work = new_robot._Work(
+        ALONE, lambda _: None, lambda _: None, lambda _: pytest.fail("no border")
+    )
     made_again = new_robot._embodied(made.request, made.parsed, bare, path, work)
     assert made_again.detection.undetected == chosen
     assert len({*seeds}) == fits

@@ -37,8 +37,7 @@ from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
 
-MEETING_SAMPLES = 6000
-"""[-] smallest number of random postures in which the distances between hulls are computed."""
+MEETING_SAMPLES = 6000  # [-] smallest number of random postures for the distances between hulls
 _MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random postures
 _URDF = "robot.urdf"  # name of the new URDF in the robot's folder
 _DAMPING = (
@@ -48,11 +47,12 @@ _DAMPING = (
 
 
 class _Work(NamedTuple):
-    """The workers of `finish`, and its reports of steps and of their progress."""
+    """The workers of `finish`, its reports of steps and of their progress, and its borders."""
 
     workers: Workers
     tell: Callable[[str], None]
     on_progress: OnProgress
+    border: Callable[[RobotModel], BorderData]
 
 
 def finish(
@@ -109,18 +109,13 @@ def finish(
         except BudgetError as error:
             raise RobotFileError(f"{request.shown_source}: its meshes: {error}") from None
         with helpers() as workers:
-            work = _Work(workers, say, on_progress)
-            robot, data = _make_robot(request, parsed, urdf, folder, border, work)
+            work = _Work(workers, say, on_progress, border)
+            robot, data = _make_robot(request, parsed, urdf, folder, work)
             return _written(robot, data, folder, work), data
 
 
 def _make_robot(
-    request: Request,
-    parsed: Parsed,
-    urdf: str,
-    folder: Path,
-    border: Callable[[RobotModel], BorderData],
-    work: _Work,
+    request: Request, parsed: Parsed, urdf: str, folder: Path, work: _Work
 ) -> tuple[NewRobot, BorderData]:
     """The robot, still without warnings and lines for guiding, and its border. Writes the URDF."""
     path = folder / _URDF
@@ -131,7 +126,7 @@ def _make_robot(
     request, parsed, model, meetings, (bodies, verdict), detection = fitted
     counted = find_reach(model, work.workers)
     work.tell("sampling the border")
-    data = border(model)
+    data = work.border(model)
     work.tell("choosing the ready posture")
     if request.ready is None:
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE

@@ -19,8 +19,7 @@ from app.robot.model import STABLE_STEPS, RobotModel
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-Sourced = Mapping[str, tuple[Any, str]]
-"""Values with their sources, by the field of the description."""
+Sourced = Mapping[str, tuple[Any, str]]  # values with sources, by the field of the description
 
 _TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from the other limit
 _SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
@@ -29,8 +28,7 @@ _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably de
 _TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
-_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}
-"""[N m], [N] smallest assumed effort."""
+_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}  # [N m], [N] assumed
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 _STRONG = 30.0  # [N m] smallest effort of a strong joint
 _STEP = 1e-3  # [s] time step for which the damping is stable

@@ -36,8 +36,7 @@ class NewRobot:
     request: Request
     parsed: Parsed
     urdf: str  # text of the new URDF
-    content: dict[str, Any]
-    """The description in the form of `RobotDescription`; it refers to the URDF by name."""
+    content: dict[str, Any]  # description in the form of `RobotDescription`
     model: RobotModel
     meetings: Meetings
     bodies: list[FittedBody]

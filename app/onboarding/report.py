@@ -48,7 +48,7 @@ class Pictures(NamedTuple):
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """Draw a robot and its border in a worker process, while another searches lines for guiding."""
+    """Draw a robot and its border, not its lines, which another worker searches meanwhile."""
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)

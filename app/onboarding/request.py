@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from app.config import Config, parameter
-from app.errors import ConfigError, RobotFileError, UnknownNameError
+from app.errors import ConfigError, RobotFileError, check_name
 from app.robot.assets import robot_folder
 from app.strict import MAX_SEEDS, Vector3, check_range
 from app.system import home_expanded
@@ -170,8 +170,7 @@ def check_request(request: Request) -> None:
     from app.robot.description import KINDS
 
     kind = request.kind
-    if kind not in KINDS:
-        raise UnknownNameError("kind of base", kind, KINDS)
+    check_name("kind of base", kind, KINDS)
     for field, bounds in BOUNDS.items():
         value = getattr(request, field)
         if value is None:

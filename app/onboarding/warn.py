@@ -340,10 +340,8 @@ class Carried(NamedTuple):
 
     axis: Axis  # axis of the base's motion
     speed: float  # [m/s or rad/s]
-    place: float
-    """[-] share of the postures in which the arm cannot hold the end-effector's position."""
-    pose: float
-    """[-] share of the postures in which the arm cannot hold both position and orientation."""
+    place: float  # [-] share of the postures in which the arm cannot hold the position
+    pose: float  # [-] share in which it cannot hold both position and orientation
 
     @property
     def text(self) -> str:

@@ -86,12 +86,9 @@ def _sources_text(robot: NewRobot) -> str:
 class HandMade(NamedTuple):
     """Changes that a person makes to a robot."""
 
-    shapes: dict[tuple[str, int], Shape]
-    """New shapes, by the name of the body and the index of the shape."""
-    unwatched: dict[str, str]
-    """All pairs that are not monitored: the reasons by the name of the pair."""
-    ready: tuple[float, ...] | None
-    """(n_m,) [rad or m] the new ready posture, or None for no change."""
+    shapes: dict[tuple[str, int], Shape]  # new ones, by the body's name and the shape's index
+    unwatched: dict[str, str]  # all pairs without monitoring, with the reasons
+    ready: tuple[float, ...] | None  # (n_m,) [rad or m] new ready posture
 
 
 BY_HAND = "set by hand"  # source of a number that a person has changed

@@ -28,8 +28,7 @@ from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
 
-ALWAYS = 0.6
-"""[-] share of the free postures; a pair inside its buffer in more postures is always near."""
+ALWAYS = 0.6  # [-] a pair inside its buffer in a larger share of the free postures is always near
 MARGIN = 0.015  # [m] distance below which a point of a surface counts as reached by another unit
 BUILT_IN = 0.5  # [-] smallest share of the postures in which two nested units touch
 NESTED = BUILT_IN**2
@@ -40,8 +39,7 @@ _MAX_LOOKS = 200  # [-] about this number of postures is searched for touched po
 _OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
 _RARE = 30  # [-] number of colliding random postures of a pair below which more are searched
-ENOUGH = 600
-"""[-] number of colliding postures that is sufficient for shares with an accuracy of 0.5 %."""
+ENOUGH = 600  # [-] number of colliding postures for shares with an accuracy of 0.5 %
 _MORE, _MAX_POSTURES = 1000, 40_000  # [-] postures that are sampled at a time, and in total
 _PARTS = 4  # [-] parts of the random postures, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
@@ -64,8 +62,7 @@ class Meetings:
     """Distances and collisions of units in random postures."""
 
     units: tuple[Unit, ...]
-    pairs: tuple[tuple[int, int], ...]
-    """Pairs of units that are not neighbours, by the indices of the units."""
+    pairs: tuple[tuple[int, int], ...]  # units that are not neighbours, by their indices
     close: frozenset[tuple[int, int]]
     """Pairs that no buffer can monitor: the units are within d_b in most free postures, or they are
     units of the arm that touch, but overlap by at most 3 mm."""
@@ -73,8 +70,7 @@ class Meetings:
     """Pairs of a unit on the base and a unit of the arm that are within d_b in most free postures
     and overlap by more than 5 mm in some postures: joint limits have to prevent the overlap."""
     random: Postures
-    rare: Postures
-    """Colliding postures of pairs that rarely meet in random postures; see `_rare_postures`."""
+    rare: Postures  # of pairs that rarely collide; see `_rare_postures`
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
     """For a pair (u, v): whether v has reached each point of the surface of u."""
 

@@ -29,8 +29,7 @@ class Fit(NamedTuple):
     volume: float  # [m³] volume of the shape
     over_cover: float
     """[-] ratio of the shape's volume to that of the points' hull; infinite for flat points."""
-    protrusion: float
-    """[m] largest extent of the shape beyond the points' hull, along one of 162 directions."""
+    protrusion: float  # [m] largest extent beyond the points' hull, along one of 162 directions
 
 
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
@@ -181,7 +180,7 @@ def hull(points: Array) -> tuple[Array, float]:
 
 
 def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The mesh, cut by planes until no cut saves 3 % of its convex hull's volume and a 3 cm cube.
+    """The mesh, cut by planes until no cut saves both 3 % of its hull's volume and a cube of 3 cm.
 
     A cut saves the volume between the hull of a piece and the hulls of its halves.
     """

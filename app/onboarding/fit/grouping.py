@@ -63,13 +63,11 @@ class Verdict(NamedTuple):
     missed: float  # [-] share of colliding postures in which no pair of bodies overlaps
     false: float  # [-] share of free postures in which a pair of bodies overlaps
     spurious: tuple[str, ...]  # pairs of bodies that overlap although their links never do
-    always: tuple[str, ...]
-    """Monitored pairs that overlap in a posture and are inside their buffer in most free ones."""
+    always: tuple[str, ...]  # monitored, overlap somewhere, inside the buffer in most free postures
     unwatched: dict[str, str]
     """Pairs that are not monitored because they are inside their buffer in most free postures; the
     value is `BY_LINKS` or `BY_BODIES`."""
-    near: dict[str, float]
-    """[-] share of the free postures inside the buffer, by the name of the monitored pair."""
+    near: dict[str, float]  # [-] share of free postures inside the buffer, by monitored pair
     cost: float  # [-] total cost; the best grouping has the smallest
 
 
@@ -227,10 +225,8 @@ class Detection(NamedTuple):
 
     looked_at: int  # number of random postures
     postures: int  # number of postures in which hulls of links collide
-    undetected: int
-    """Number of these postures in which meshes of links collide, but no pair of bodies overlaps."""
-    watched: int
-    """Number of collisions of links whose bodies are a pair, of two bodies in one posture once."""
+    undetected: int  # those in which meshes collide, but no pair of bodies overlaps
+    watched: int  # collisions of links whose bodies are a pair, once for each posture
     missed: int  # number of these collisions in which the bodies of the pair do not overlap
     deepest: float  # [m] largest distance of these bodies in a missed collision; 0 without one
     blind: tuple[str, ...]

@@ -43,8 +43,7 @@ class Ready(NamedTuple):
     """A posture, and the pair that is nearest in it."""
 
     q_m: Array  # (n_m,) [rad or m]
-    beyond_buffer: float
-    """[m] smallest distance of a pair beyond its buffer; negative inside it, inf without a pair."""
+    beyond_buffer: float  # [m] smallest distance of a pair beyond its buffer; inf without a pair
     nearest: str  # displayed name of that pair; empty without a pair
 
 
@@ -105,9 +104,7 @@ _Start = tuple[Array, Array]
 """The start of a line: x, y and the distance from the box around l_m (3,) [m], and the unit vector
 (3,) towards the base."""
 
-INNER = 0.4
-"""[-] share of d_b below which the distance between the arm and a base at rest has to fall on a
-line."""
+INNER = 0.4  # [-] share of d_b below which the distance to a base at rest has to fall on a line
 GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, relative to d_b
 CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line

@@ -8,8 +8,7 @@ import pinocchio as pin
 from app.onboarding.read.links import Geometry, LinkGeometry, in_pieces, swept_shape
 from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 
-Positions = Mapping[str, float]
-"""[rad or m] positions of joints by their names."""
+Positions = Mapping[str, float]  # [rad or m] by the names of the joints
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles in a range of up to 25 rad
 _MOST_TURN = 1e3  # [rad] range above which a joint counts as one without limits

@@ -46,8 +46,7 @@ class Unit(NamedTuple):
     parts: tuple[Part, ...]
     surface: Array  # (N, 3) [m] points on the hulls, in the joint's frame
     owners: Array  # (N,) index of each point's link in `links`
-    beside: bool = False
-    """Whether another joint separates the unit from the arm's chain, such as a head on a torso."""
+    beside: bool = False  # whether another joint separates it from the arm's chain, as a head
 
     @property
     def name(self) -> str:

@@ -26,17 +26,14 @@ _SMALLEST = 1e-3  # [m] smallest size of a mesh
 _DENSEST = 30_000.0  # [kg/m³] largest density of a link; gold has 19,300
 _LIGHTEST = 2.0  # [kg/m³] smallest density of all links of a base or an arm; real ones have 200
 _HEAVIEST = 100.0  # [kg] largest mass with any density: a shape may represent a part of its link
-MOST_FACES = 40_000
-"""[-] largest number of triangles of a mesh; a larger mesh is simplified, but keeps its extent."""
+MOST_FACES = 40_000  # [-] triangles above which a mesh is simplified, but keeps its extent
 _CELL = 3e-4  # [m] edge of the cells in which vertices of a larger mesh are merged
 _MANY = 10_000  # [-] number of points above which a hull uses only the outermost ones
 _HEAVY = 4_000_000  # [bytes] larger mesh files are converted to STL without merging equal vertices
 _SPACING = 0.03  # [m] distance between points on the surface of a hull
 _MAX_POINTS = 1500  # [-] largest number of corners, and of other points, on a hull
-ARM_DENSITY = 1200.0
-"""[kg/m³] density of an arm's links in their hulls; a Panda's links have 1,000 to 1,500."""
-BASE_DENSITY = 450.0
-"""[kg/m³] density of a base's links in their hulls; a Husky has 400, an Omron LD-60 480."""
+ARM_DENSITY = 1200.0  # [kg/m³] of the hulls of an arm's links; a Panda's have 1,000 to 1,500
+BASE_DENSITY = 450.0  # [kg/m³] of the hulls of a base's links; a Husky has 400, an LD-60 480
 _GUESS = 1.0  # [kg m²] largest moment of inertia that is a rough guess, for any mass
 _GYRATION = 5.0, 10.0  # [m], [-] largest radius of gyration; the second is relative to the shapes
 _OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass from the shapes, likewise
@@ -78,8 +75,7 @@ class LinkGeometry(NamedTuple):
         return sum(float(s.hull.volume) for s in self.shapes)
 
 
-Geometry = Mapping[str, LinkGeometry]
-"""The geometry of links by the names of the links."""
+Geometry = Mapping[str, LinkGeometry]  # by the names of the links
 
 
 def read_geometry(tree: Tree) -> Geometry:

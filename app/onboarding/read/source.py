@@ -32,10 +32,8 @@ MESHES = (".stl", ".dae", ".obj")  # endings of mesh files that pybullet reads
 FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
 """Endings of readable mesh files; a file without an ending is read as STL. `new-robot` converts
 formats that pybullet does not read to STL."""
-Packages = Callable[[str], Iterable[Path]]
-"""The possible folders of a ROS package, by its name; the first ones have precedence."""
-Folders = Mapping[str, Path]
-"""Folders of ROS packages by name; they have precedence over all other folders."""
+Packages = Callable[[str], Iterable[Path]]  # possible folders of a ROS package, best first
+Folders = Mapping[str, Path]  # folders of ROS packages, before all others
 _IN_PACKAGE = ("package", "model")  # schemes of addresses in a package
 _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can be relative
 

@@ -40,10 +40,8 @@ class Joint(NamedTuple):
     upper: float | None = None
     effort: float | None = None
     velocity: float | None = None
-    mimic: tuple[str, float, float] | None = None
-    """Name of the joint that this joint follows, multiplier and offset; None without one."""
-    unstated: str = ""
-    """Which of `lower` and `upper` is 0 because only the other is stated; empty if neither."""
+    mimic: tuple[str, float, float] | None = None  # leader, multiplier and offset
+    unstated: str = ""  # which of `lower` and `upper` is 0 because only the other is stated
 
     @property
     def moves(self) -> bool:
@@ -248,10 +246,8 @@ class Arm(NamedTuple):
     tip: str  # the link that carries the end-effector
     mount: str  # the link whose origin is the arm's mount
     joints: tuple[Joint, ...]  # the n_m joints of the arm, from the base outwards
-    base_links: tuple[str, ...]
-    """`base` and all of its descendants that do not belong to the arm, including wheels."""
-    rigid_links: tuple[str, ...]
-    """Links of `base_links` that do not move relative to `base`, or hardly, as on a suspension."""
+    base_links: tuple[str, ...]  # `base` and its descendants outside of the arm, as wheels
+    rigid_links: tuple[str, ...]  # those of them that do not move on `base`, or hardly
     segments: tuple[tuple[str, ...], ...]
     """(n_m + 1) groups of links: the arm's links before its first joint, then the links that each
     joint moves and the next joint does not. Links on other joints, such as fingers, are included.
@@ -342,7 +338,7 @@ def parallel(a: Joint, b: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse an ancestor of the base that has shapes or other children, and is not the world."""
+    """Refuse an ancestor of the base with shapes or other children, unless a joint moves it."""
     link = base
     while link in tree.joint_of and tree.joint_of[link].kind not in FREE:
         parent = tree.joint_of[link].parent

@@ -43,10 +43,8 @@ class Wheels(NamedTuple):
     right: tuple[str, ...]
     r: float  # [m] radius; 0 for a holonomic base
     b: float  # [m] half track: half of the distance between the wheels; 0 for a holonomic base
-    T_base_floor: pin.SE3
-    """Pose of the frame `app.onboarding.ROOT` in the frame of the base's link; x points forward."""
-    joint_velocity: float | None
-    """[rad/s] speed limit of the wheels, or None if the URDF states none."""
+    T_base_floor: pin.SE3  # pose of `app.onboarding.ROOT` in the base's link; x points forward
+    joint_velocity: float | None  # [rad/s] limit of the wheels, if the URDF states it
     how: str  # the source of the radius
     steering: Steering | None = None  # only of a car-like base
 
@@ -169,7 +167,7 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
 def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
     """Whether the links before the arm's first joint reach as low as the links of the base.
 
-    Then they belong to the base, as for a --base that is a frame on the floor above everything.
+    Then they belong to the base: --base may be a frame on the floor, the parent of the real base.
     """
     base = _Base(tree, arm, geometry)
     low, floor = base.lowest(arm.segments[0]), base.lowest(arm.base_links)
