@@ -739,7 +739,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     assert stops.watching_buffer(limits, meetings, 0.15) == (0.15, "")
     monkeypatch.setattr(stops, "LEAST", 1.0)  # no limit may reduce a joint's range
     for posture in (None, ready):
-        assert with_stops(parsed.limits, bare, parsed.arm, meetings, posture) is parsed.limits
+        assert with_stops(parsed.limits, bare, parsed.arm, meetings, posture) == parsed.limits
     smaller, why = stops.watching_buffer(parsed.limits, meetings, 0.15)
     assert "upper is nearer than 0.15 m to base" in why
     pair = (base.index, upper.index)
