@@ -294,7 +294,7 @@ def test_only_wheels_on_the_floor_count_as_steered(
     assert steering is not None
     assert steering.joints == ("left_steer", "right_steer")
     assert steering.rolling == ("left_roll", "right_roll")
-    assert steering.wheelbase == pytest.approx(0.4)
+    assert steering.numbers["wheelbase_m"][0] == pytest.approx(0.4)
     assert any("look" in each for each in held_still(made)) is (place is not None)
 
 

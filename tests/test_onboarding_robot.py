@@ -404,9 +404,10 @@ def test_bodies_are_fitted_again_if_new_postures_show_a_gap(
         lambda *_: made.detection._replace(undetected=left.pop(0)),
     )
     bare = compiled(description(made.request, made.parsed), path)
-    made_again = new_robot._embodied(
-        made.request, made.parsed, bare, path, ALONE, lambda _: None, lambda _: None
+    work = new_robot._Work(
+        ALONE, lambda _: None, lambda _: None, lambda _: pytest.fail("no border")
     )
+    made_again = new_robot._embodied(made.request, made.parsed, bare, path, work)
     assert made_again.detection.undetected == chosen
     assert len({*seeds}) == fits
 
@@ -738,7 +739,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     assert stops.watching_buffer(limits, meetings, 0.15) == (0.15, "")
     monkeypatch.setattr(stops, "LEAST", 1.0)  # no limit may reduce a joint's range
     for posture in (None, ready):
-        assert with_stops(parsed.limits, bare, parsed.arm, meetings, posture) is parsed.limits
+        assert with_stops(parsed.limits, bare, parsed.arm, meetings, posture) == parsed.limits
     smaller, why = stops.watching_buffer(parsed.limits, meetings, 0.15)
     assert "upper is nearer than 0.15 m to base" in why
     pair = (base.index, upper.index)

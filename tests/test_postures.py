@@ -190,7 +190,7 @@ def test_a_line_that_ends_farther_inside_replaces_a_shallow_one(
     monkeypatch.setattr(postures, "_FARTHEST", 0.35)
     monkeypatch.setattr(postures, "_OUTSIDE", 0.2)
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
-    monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
+    monkeypatch.setattr(postures, "_HEIGHTS", ((0.8, 0.0),))
     monkeypatch.setattr(postures, "_front", lambda *_: iter(()))
     model = with_buffer(0.14)
     pairs = pairs_of(model)
@@ -273,7 +273,7 @@ def test_a_missing_line_names_the_obstacles_and_the_largest_buffer_distance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Formerly "it is too short for this --buffer-distance", without a value."""
-    monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
+    monkeypatch.setattr(postures, "_HEIGHTS", ((0.8, 0.0),))
     name = "guiding-lateral"
 
     def found(d_b: float) -> Place | str:
@@ -298,7 +298,7 @@ def test_a_line_just_above_the_base_is_tried_if_no_other_height_works(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A short arm on a low base, for example, cannot reach the heights that are tried first."""
-    monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
+    monkeypatch.setattr(postures, "_HEIGHTS", ((0.0, 3.0),))  # out of reach
     found = find_place(husky_panda(), pairs_of(husky_panda()), "guiding-lateral")
     top = float(MobileBody(husky_panda()).upper[2])
     assert found.start[2] == pytest.approx(top + 0.025, abs=1e-3)

@@ -14,11 +14,10 @@ SIDES = ("guiding-lateral", "guiding-front")
 
 
 def helpers(processes: int | None = None) -> Workers:
-    """Worker processes for `app.onboarding.new_robot.finish`.
+    """Worker processes for `app.onboarding.new_robot.finish`, which import that module at once.
 
-    Their number is `processes`, by default the number of usable cores, but not larger than the
-    length of `SIDES`. When the `with` statement begins, the workers import the module `new_robot`,
-    which takes seconds. If the number is one, this process does the work.
+    Their number is `processes`, by default the number of usable cores, but at most that of `SIDES`.
+    If it is one, this process does the work.
     """
     prepare = partial(import_module, "app.onboarding.new_robot")
     return Workers(prepare, min(processes or usable_cores(), len(SIDES)))

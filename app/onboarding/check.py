@@ -2,8 +2,10 @@
 
 import logging
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from functools import partial
 from importlib.util import find_spec
+from itertools import compress
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -69,8 +71,7 @@ class Row(NamedTuple):
     outcome: Outcome
     """passed, warned, failed, or "nothing to show" if the check has no case that tests it."""
     text: str
-    numbers: dict[str, float]
-    """The measured values by their names."""
+    numbers: dict[str, float]  # the measured values by their names
 
 
 def check_robot(
@@ -151,7 +152,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
     engine = planar_plant(name, model)
     rng, state, n_b = np.random.default_rng(0), RobotState(model), model.n_b
     worst = {"M_difference": 0.0, "nle_difference": 0.0}
-    try:
+    with closing(engine):
         for q_m in sample_joints(model, _STATES, rng):
             qd = np.concatenate([rng.uniform(-1, 1, n_b), rng.uniform(-0.5, 0.5, model.n_m)])
             base_velocity = model.J_m @ qd[:n_b]
@@ -159,8 +160,6 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
             ours = (state.M, state.h)
             for key, theirs, own in zip(worst, engine.mass_and_bias(q_m, qd), ours, strict=True):
                 worst[key] = max(worst[key], float(np.abs(theirs - own).max() / np.abs(own).max()))
-    finally:
-        engine.close()
     most = max(worst.values())
     good = most < _AGREE
     text = f"M and C q̇ + g differ from pinocchio's by {most:.1e} of the largest entry"
@@ -188,24 +187,21 @@ def engines_row(model: RobotModel) -> Row:
 
 def limits_row(model: RobotModel) -> Row:
     """Check the joints' speed and torque limits, the torques against gravity, and the inertias."""
-    names, data = model.description.arm.joints, model.pin.createData()
+    names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
-    strongest = [_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units]
-    limits = zip(names, model.qd_max, model.tau_max, strongest, strict=True)
+    strongest = np.array([_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units])
     wrong = [
-        f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N), above the plausible "
-        f"{_FASTEST:g} and {most:g}"
-        for name, speed, effort, most in limits
-        if speed > _FASTEST or effort > most
+        f"{names[k]} has {model.qd_max[k]:g} rad/s (or m/s) and {efforts[k]:g} N m (or N), above "
+        f"the plausible {_FASTEST:g} and {strongest[k]:g}"
+        for k in np.flatnonzero((model.qd_max > _FASTEST) | (efforts > strongest))
     ]
-    wrong += [f"{name} moves no inertia" for name, m in zip(names, least, strict=True) if m <= 1e-9]
+    wrong += [f"{names[k]} moves no inertia" for k in np.flatnonzero(least <= 1e-9)]
     weak = [
-        f"{name} has {effort:g} of the required {most:.3g} N m (or N)"
-        for name, effort, most in zip(names, model.tau_max, load, strict=True)
-        if effort < most
+        f"{names[k]} has {efforts[k]:g} of the required {load[k]:.3g} N m (or N)"
+        for k in np.flatnonzero(efforts < load)
     ]
-    share = float((load / model.tau_max).max())
+    share = float((load / efforts).max())
     text = f"gravity requires {share:.0%} of a joint's torque limit or less"
     if wrong:
         text = "; ".join(wrong)
@@ -323,7 +319,7 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     near = (d[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
     names = [pair.name for pair in pairs.all]
     numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
-    always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]
+    always = [*compress(names, near > ALWAYS)]
     text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free postures"
     if missing:
         text = f"{', '.join(missing)} can meet the base, but has no reachability"
@@ -351,8 +347,8 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair with l_m has points at the heights that the arm reaches.
 
-    A gap between the lowest and the highest point causes a warning. The row also reports other
-    heights and pairs without points; there the exact offset of l_m replaces the points.
+    A gap between the lowest and the highest point causes a warning. Elsewhere the exact offset of
+    l_m replaces missing points; the row reports these heights and pairs.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -379,9 +375,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     if empty:
         text = f"no points of {', '.join(empty)}"
     if ends:
-        text += (
-            f"; the exact offset replaces the points that the arm does not reach: {', '.join(ends)}"
-        )
+        where = ", ".join(ends)
+        text += f"; the exact offset replaces the points that the arm does not reach: {where}"
     return Row("border", "warned" if empty else "passed", text, numbers)
 
 

@@ -37,14 +37,22 @@ from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
 
-MEETING_SAMPLES = 6000
-"""[-] smallest number of random postures in which the distances between hulls are computed."""
+MEETING_SAMPLES = 6000  # [-] smallest number of random postures for the distances between hulls
 _MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random postures
 _URDF = "robot.urdf"  # name of the new URDF in the robot's folder
 _DAMPING = (
     "chosen: as for the paper's robot, but smaller for a light joint, so that steps of 1 ms are "
     "stable"
 )
+
+
+class _Work(NamedTuple):
+    """The workers of `finish`, its reports of steps and of their progress, and its borders."""
+
+    workers: Workers
+    tell: Callable[[str], None]
+    on_progress: OnProgress
+    border: Callable[[RobotModel], BorderData]
 
 
 def finish(
@@ -62,9 +70,9 @@ def finish(
     `helpers` starts workers after the meshes are read; they do all parallel work except sampling
     the border. `processes` processes sample the border, by default one for each usable core; with
     `sampling`, the parameters of a coarse border, this process samples it alone, because starting
-    others would take longer. `whole` is the result of `whole_robot`, or None, which means that this
-    function calls it. `tell` is called with the name of each step, and `on_progress` with the
-    finished share, 0 to 1, of a long step: bodies, border, lines.
+    others would take longer. `whole` is the result of `whole_robot`, if it is known. `tell` is
+    called with the name of each step, and `on_progress` with the finished share, 0 to 1, of a long
+    one.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
@@ -94,47 +102,43 @@ def finish(
             on_progress=on_progress,
         )
         say("reading the URDF")
-        parsed, urdf = _read_whole(request, whole or whole_robot(request), folder)
+        whole = whole or whole_robot(request)
+        size = mesh_bytes(whole.tree.links.values())
+        try:
+            parsed, urdf = within_budget(_read, request, whole, folder, size=size)
+        except BudgetError as error:
+            raise RobotFileError(f"{request.shown_source}: its meshes: {error}") from None
         with helpers() as workers:
-            robot, data = _make_robot(
-                request, parsed, urdf, folder, border, workers, say, on_progress
-            )
-            robot = _written(robot, data, folder, workers, say, on_progress)
-    return robot, data
+            work = _Work(workers, say, on_progress, border)
+            robot, data = _make_robot(request, parsed, urdf, folder, work)
+            return _written(robot, data, folder, work), data
 
 
 def _make_robot(
-    request: Request,
-    parsed: Parsed,
-    urdf: str,
-    folder: Path,
-    border: Callable[[RobotModel], BorderData],
-    workers: Workers,
-    tell: Callable[[str], None],
-    on_progress: OnProgress,
+    request: Request, parsed: Parsed, urdf: str, folder: Path, work: _Work
 ) -> tuple[NewRobot, BorderData]:
     """The robot, still without warnings and lines for guiding, and its border. Writes the URDF."""
     path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    fitted = _embodied(request, parsed, bare, path, workers, tell, on_progress)
+    fitted = _embodied(request, parsed, bare, path, work)
     request, parsed, model, meetings, (bodies, verdict), detection = fitted
-    counted = find_reach(model, workers)
-    tell("sampling the border")
-    data = border(model)
-    tell("choosing the ready posture")
+    counted = find_reach(model, work.workers)
+    work.tell("sampling the border")
+    data = work.border(model)
+    work.tell("choosing the ready posture")
     if request.ready is None:
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
-        ready, rule = judge_ready(model, data.pairs, np.array(request.ready)), "from --ready"
+        ready, rule = judge_ready(model, data.pairs, np.array(request.ready, float)), "from --ready"
     base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track)
     arm = {
         "ready_position": (tuple(ready.q_m.tolist()), rule),
         "joint_damping": (damping(parsed.limits, parsed.arm, model), _DAMPING),
     }
     content = description(request, parsed, bodies, (base, arm), verdict.unwatched)
-    tell("counting the reachability")
+    work.tell("counting the reachability")
     near = {pair.b for pair in data.pairs.mobile}
     reach = {body: each for body, each in counted if body in near}
     content["reachability"] = {name: each.content() for name, each in reach.items()}
@@ -144,28 +148,17 @@ def _make_robot(
     return NewRobot(request, parsed, urdf, content, model, *fit, {}, {}, held, []), data
 
 
-def _written(
-    robot: NewRobot,
-    data: BorderData,
-    folder: Path,
-    workers: Workers,
-    tell: Callable[[str], None],
-    on_progress: OnProgress,
-) -> NewRobot:
-    """Find lines for guiding, collect all warnings, and write all files but URDF and meshes.
-
-    Returns:
-        The robot with its lines and warnings.
-    """
-    tell("searching lines for guiding")
+def _written(robot: NewRobot, data: BorderData, folder: Path, work: _Work) -> NewRobot:
+    """The robot with lines for guiding and warnings; writes all files but URDF and meshes."""
+    work.tell("searching lines for guiding")
     # An arm that cannot hold its end-effector avoids the base by itself: a fault is acceptable.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
     jobs = [(name, robot.model, data, anyway) for name in names]
-    lines = workers.map(line_from, jobs, on_progress, tells=True)
+    lines = work.workers.map(line_from, jobs, work.on_progress, tells=True)
     # Imported here: matplotlib would delay the start of the workers, which import this module.
     from app.onboarding.report import VIEW, draw, report_html
 
-    pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
+    pictures = work.workers.map(draw, [(robot, data)])  # in a worker that has finished its line
     found = dict(zip(names, lines, strict=True))
     places = {name: each for name, each in found.items() if isinstance(each, Place)}
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
@@ -175,7 +168,7 @@ def _written(
     robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
     weak = push_warning(model, borne_push(model, data.pairs.mobile))
     robot = replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)])
-    tell("writing the report")
+    work.tell("writing the report")
     write_robot(robot, folder)
     drawn = next(pictures)
     write_whole(folder / "report.html", report_html(robot, data, drawn))
@@ -184,12 +177,10 @@ def _written(
 
 
 class _Embodied(NamedTuple):
-    """A robot with fitted bodies; `request` has the final buffer distance, `parsed` the final joint
-    limits.
-    """
+    """A robot with fitted bodies."""
 
-    request: Request
-    parsed: Parsed
+    request: Request  # with the final buffer distance
+    parsed: Parsed  # with the final joint limits
     model: RobotModel
     meetings: Meetings
     grouping: Grouping
@@ -197,30 +188,23 @@ class _Embodied(NamedTuple):
 
 
 def _embodied(
-    request: Request,
-    parsed: Parsed,
-    bare: RobotModel,
-    path: Path,
-    workers: Workers,
-    tell: Callable[[str], None],
-    on_progress: OnProgress,
+    request: Request, parsed: Parsed, bare: RobotModel, path: Path, work: _Work
 ) -> _Embodied:
     """Fit bodies around groups of links, up to three times if a collision remains undetected.
 
-    The result is the fit with the fewest pairs in `Detection.blind`, and among equals the one with
-    the smallest `Detection.undetected`.
+    The result is the fit with the fewest pairs in `Detection.blind`, then `Detection.undetected`.
 
     Raises:
-        RobotFileError: In each fit, a pair is in `Detection.blind`, which means that it misses more
-            than half of its links' collisions; or as for `with_stops` or `find_grouping`.
+        RobotFileError: Each fit has a pair in `Detection.blind`; or as for `with_stops` or
+            `find_grouping`.
     """
-    tell("sampling random postures")
+    work.tell("sampling random postures")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     found: list[_Embodied] = []
     while not found or (found[-1].detection.undetected and len(found) < _MAX_FITS):
         if found:
-            tell("sampling other random postures")
+            work.tell("sampling other random postures")
         meetings = sample_meetings(
             bare,
             units,
@@ -228,7 +212,7 @@ def _embodied(
             seed=request.seed + len(found),
             d_b=request.buffer,
             enough=ENOUGH,
-            workers=workers,
+            workers=work.workers,
         )
         limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
         d_b, why = watching_buffer(limits, meetings, request.buffer)
@@ -237,16 +221,14 @@ def _embodied(
             said = f"the buffer distance is {request.d_b:g} m, because {why} (--buffer-distance)"
             parsed = replace(parsed, changes=(*parsed.changes, said))
             continue
-        tell("fitting bodies")
+        work.tell("fitting bodies")
         count = _count(request, units, [len(each.grouping.bodies) for each in found])
-        grouping = find_grouping(
-            bare, meetings, d_b=request.buffer, count=count, on_progress=on_progress
-        )
+        grouping = find_grouping(bare, meetings, request.buffer, count, work.on_progress)
         limited = replace(parsed, limits=limits)
         unwatched = grouping.verdict.unwatched
         content = description(request, limited, grouping.bodies, unwatched=unwatched)
         model = compiled(content, path)
-        detection = detection_of(model, geometry, request.buffer, workers)
+        detection = detection_of(model, geometry, request.buffer, work.workers)
         found.append(_Embodied(request, limited, model, meetings, grouping, detection))
     best = min(found, key=lambda each: (len(each.detection.blind), each.detection.undetected))
     if best.detection.blind:
@@ -261,9 +243,9 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    The second fit differs by its random postures. Without --bodies, the third fit has one more body
-    than the second, but not more bodies than the arm has moving units with shapes. `found` has the
-    numbers of bodies of the earlier fits, with the base.
+    The second fit differs by its random postures. Without --bodies, the third has one more body, if
+    the arm has more moving units with shapes. `found` has the numbers of bodies, with the base, of
+    the earlier fits.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies
@@ -272,37 +254,27 @@ def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int
 
 
 def parse(request: Request, whole: Whole | None = None) -> Parsed:
-    """Read and check the URDF; `whole` is the result of `whole_robot`, or None to call it here.
+    """Read and check the URDF; `whole` is the result of `whole_robot`, if it is known.
 
     Raises:
-        RobotFileError: The URDF cannot become a robot; the message names the reason and the option
-            that helps.
+        RobotFileError: The URDF cannot become a robot; the message names the reason and an option.
         AssetError, UnknownNameError: As for `whole_robot`.
     """
-    tree, base, tip, arm, changes = whole or whole_robot(request)
+    tree, arm, changes = whole or whole_robot(request)
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(
-            f"no link between {base!r} and {tip!r} has a shape; add a <collision> or <visual> to "
-            "the arm's links, or choose another --tip"
+            f"no link between {arm.base!r} and {arm.tip!r} has a shape; add a <collision> or "
+            "<visual> to the arm's links, or choose another --tip"
         )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
-        arm = find_arm(tree, base, tip, arm.joints[0].child)
+        arm = find_arm(tree, arm.base, arm.tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
     return Parsed(tree, arm, geometry, wheels, inertias, limits, changes)
-
-
-def _read_whole(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
-    """The result of `_read` within the budget of time and memory for the robot's meshes."""
-    size = mesh_bytes(whole.tree.links.values())
-    try:
-        return within_budget(_read, request, whole, folder, size=size)
-    except BudgetError as error:
-        raise RobotFileError(f"{request.shown_source}: its meshes: {error}") from None
 
 
 def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:

@@ -1,5 +1,6 @@
 """The numbers of a description with their sources: limits, damping, base and reachability."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -18,8 +19,7 @@ from app.robot.model import STABLE_STEPS, RobotModel
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-Sourced = Mapping[str, tuple[Any, str]]
-"""Values with their sources, by the field of the description."""
+Sourced = Mapping[str, tuple[Any, str]]  # values with sources, by the field of the description
 
 _TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from the other limit
 _SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
@@ -28,8 +28,7 @@ _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably de
 _TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
-_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}
-"""[N m], [N] smallest assumed effort."""
+_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}  # [N m], [N] assumed
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 _STRONG = 30.0  # [N m] smallest effort of a strong joint
 _STEP = 1e-3  # [s] time step for which the damping is stable
@@ -90,16 +89,16 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
-    effort = [
+    effort = tuple(
         e or round(float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
-    ]
+    )
     why = (
         f"{_GRAVITY_SHARE:g} times the largest gravity load in random postures, at least "
         f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
     )
-    text = _origin({why: missing})
-    return limits._replace(effort=tuple(effort), source=limits.source | {"max_effort": text})
+    source = limits.source | {"max_effort": _origin({why: missing})}
+    return limits._replace(effort=effort, source=source)
 
 
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
@@ -149,21 +148,21 @@ def _assumed_range(joint: Joint) -> tuple[float, float]:
 
 def _range_origin(joints: Sequence[Joint], side: str) -> str:
     """The source of the lower or the upper limits of joints; `side` is `lower` or `upper`."""
-    found: dict[str, list[str]] = {}
+    found = defaultdict[str, list[str]](list)
     for joint in joints:
         low, high = _range(joint)
         if low is high is None:
-            found.setdefault("half a turn in both directions", []).append(joint.name)
+            found["half a turn in both directions"].append(joint.name)
         elif (low if side == "lower" else high) is None:
-            found.setdefault("half a turn", []).append(joint.name)
+            found["half a turn"].append(joint.name)
         elif joint.unstated == side:
-            found.setdefault("0, as the URDF states only the other", []).append(joint.name)
+            found["0, as the URDF states only the other"].append(joint.name)
     return _origin(found)
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
     """Refuse implausible limits; one message names all joints and their corrections."""
-    wrong: dict[str, list[str]] = {}
+    wrong = defaultdict[str, list[str]](list)
     for joint in joints:
         limits = [q for q in _range(joint) if q is not None]
         farthest = max(map(abs, limits), default=0.0)
@@ -180,10 +179,9 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
             why = "have limits of more than two turns, which are probably degrees; write radians "
             why += '(90 degrees are 1.5708), or type="continuous" for a joint without limits'
         else:
-            why = ""
+            continue
         stated = f" ({joint.lower:g} to {joint.upper:g})" if limits else ""
-        wrong.setdefault(why, []).append(joint.name + stated)
-    wrong.pop("", None)
+        wrong[why].append(joint.name + stated)
     if wrong:
         raise RobotFileError("; ".join(f"joints {', '.join(n)} {why}" for why, n in wrong.items()))
 
@@ -262,10 +260,9 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
         return {}
-    if (steering := wheels.steering) is not None:
-        names = ("wheelbase_m", "steering_limit_rad", "steering_rate_radps")
-        values = [round(each, 5) for each in steering[:3]]
-        return dict(zip(names, zip(values, steering.sources, strict=True), strict=True)) | radius
+    if wheels.steering is not None:
+        numbers = wheels.steering.numbers
+        return {name: (round(value, 5), how) for name, (value, how) in numbers.items()} | radius
     track = "measured: half of the distance between the wheels' joints"
     if len(wheels.left) > 1:
         track += "; the effective half track of a base that skids is larger"
@@ -288,10 +285,8 @@ class Reach(NamedTuple):
     B: float
     C: float
     source: str
-    counted: ReachMap | None
-    """The counted map, or None for assumed coefficients."""
-    fit: ReachFit | None
-    """The fit of the counted map, or None."""
+    counted: ReachMap | None  # the counted map, or None for assumed coefficients
+    fit: ReachFit | None  # the fit of the counted map, or None
 
     def content(self) -> dict[str, Any]:
         """The coefficients in the form of a description."""
@@ -328,9 +323,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """Assumed coefficients: a parabola whose peak is at the mean distance of the body's first shape
-    from the mount in random postures.
-    """
+    """Assumed coefficients: a parabola about the mean distance of the first shape to the mount."""
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
     rho = []

@@ -8,7 +8,7 @@ from app.onboarding.fit.collision_sampling import Meetings
 from app.onboarding.fit.grouping import Detection, Verdict
 from app.onboarding.fit.postures import Place, Ready
 from app.onboarding.numbers import Limits, Reach
-from app.onboarding.read.links import LinkGeometry, LinkInertia
+from app.onboarding.read.links import Geometry, LinkInertia
 from app.onboarding.read.tree import Arm, Tree
 from app.onboarding.read.wheels import Wheels
 from app.onboarding.request import Request
@@ -21,7 +21,7 @@ class Parsed:
 
     tree: Tree
     arm: Arm
-    geometry: dict[str, LinkGeometry]
+    geometry: Geometry
     wheels: Wheels
     inertias: dict[str, LinkInertia]
     limits: Limits
@@ -35,24 +35,16 @@ class NewRobot:
 
     request: Request
     parsed: Parsed
-    urdf: str
-    """Text of the new URDF."""
-    content: dict[str, Any]
-    """The description in the form of `RobotDescription`; it refers to the URDF by name."""
+    urdf: str  # text of the new URDF
+    content: dict[str, Any]  # description in the form of `RobotDescription`
     model: RobotModel
     meetings: Meetings
     bodies: list[FittedBody]
-    verdict: Verdict
-    """Quality of the grouping."""
+    verdict: Verdict  # quality of the grouping
     detection: Detection
     ready: Ready
-    reach: dict[str, Reach]
-    """Reachability by the name of the body."""
-    places: dict[str, Place]
-    """Line for guiding by the name of the scenario."""
-    lacking: dict[str, str]
-    """Reason for a missing line, by the name of the scenario."""
-    held: str
-    """Warning that the arm cannot hold its end-effector in place, or empty."""
-    warnings: list[str]
-    """Warnings; each is one sentence."""
+    reach: dict[str, Reach]  # reachability by the name of the body
+    places: dict[str, Place]  # line for guiding by the name of the scenario
+    lacking: dict[str, str]  # reason for a missing line, by the name of the scenario
+    held: str  # warning that the arm cannot hold its end-effector in place, or empty
+    warnings: list[str]  # warnings; each is one sentence

@@ -27,6 +27,8 @@ from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
 Bare = Literal["design", "mistake"]
+"""Whether a link extends beyond its body by design, because no link of a body that is not a
+neighbour can reach these parts."""
 
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
 """Colours of links: None for links inside of their bodies."""
@@ -39,23 +41,14 @@ class Pictures(NamedTuple):
     """Pictures of a new robot: PNG files, and a page with a 3D view."""
 
     bodies: bytes
-    """PNG of the bodies."""
-    border: bytes | None
-    """PNG of the border, or None for a robot without a border."""
-    reach: bytes | None
-    """PNG of the reachability, or None without a counted reachability."""
-    view: str
-    """HTML text of the page `VIEW`."""
-    bare: dict[str, Bare]
-    """Names of the links that extend beyond their bodies, and whether by design or by mistake."""
+    border: bytes | None  # None for a robot without a border
+    reach: bytes | None  # None without a counted reachability
+    view: str  # HTML text of the page `VIEW`
+    bare: dict[str, Bare]  # names of the links that extend beyond their bodies
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """Draw a robot and its border, in a worker process.
-
-    The pictures do not show the lines for guiding. Therefore a worker can draw the pictures while
-    another worker still searches for a line.
-    """
+    """Draw a robot and its border, not its lines, which another worker searches meanwhile."""
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
@@ -90,14 +83,13 @@ VIEW = "bodies.html"  # name of the file that shows links and bodies in three di
 
 def _bare(bare: dict[str, Bare]) -> list[str]:
     """Sentences on the links that extend beyond their bodies."""
-    whys = {
-        "design": "by design: no link of a body that is not a neighbour can reach these parts",
-        "mistake": "by mistake: a link of a body that is not a neighbour can reach these parts",
-    }
     sentences = []
-    for why, text in whys.items():
+    for why, which in (("design", "no"), ("mistake", "a")):
         if links := [link for link, each in bare.items() if each == why]:
-            sentences.append(f"extending beyond their bodies {text}: {', '.join(links)}")
+            sentences.append(
+                f"extending beyond their bodies by {why}: {which} link of a body that is not a "
+                f"neighbour can reach these parts: {', '.join(links)}"
+            )
     return sentences
 
 
@@ -174,24 +166,18 @@ _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
 def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
-    """The bodies over the hulls of the links in the ready posture, from three sides.
-
-    The links have the colours of `COLOURS`.
-    """
+    """The bodies over the hulls of the links (`COLOURS`) in the ready posture, from three sides."""
     model = robot.model
-    placed, units = placements(model, robot.ready.q_m), robot.meetings.units
+    hulls = _hulls(robot, placements(model, robot.ready.q_m), bare)
     bodies = model.placed_meshes(_ORIGIN, robot.ready.q_m)
     colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
-        corners = [moved(p.corners, placed[u.joint]) for u in units for p in u.parts]
-        spans = np.ptp(np.vstack(corners), axis=0)
+        spans = np.ptp(np.vstack([corners for corners, _ in hulls]), axis=0)
         panels = figure.subplots(1, 3, width_ratios=[spans[x] for _, x, _ in _VIEWS])
         for axes, (title, x, y) in zip(panels, _VIEWS, strict=True):
-            for unit in units:
-                for part in unit.parts:
-                    corners, colour = moved(part.corners, placed[unit.joint]), bare.get(part.link)
-                    fill(axes, corners, x, y, COLOURS[colour], 0.55)
+            for corners, colour in hulls:
+                fill(axes, corners, x, y, colour, 0.55)
             for name, mesh in bodies:
                 fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.25)
             axes.autoscale()
@@ -203,10 +189,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
 
 
 def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
-    """The border of each pair with l_m at two heights, or None if no pair has sampled points.
-
-    The heights are half the height of l_m, and d_b / 2 above its top.
-    """
+    """The border of each pair with l_m at half its height and d_b / 2 above its top, or None."""
     model, d_b = robot.model, robot.request.buffer
     eps = model.description.config.border.eps
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
@@ -236,10 +219,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """Counted reachabilities as means over spherical shells, with their fits (9).
-
-    The result is None if no reachability was counted.
-    """
+    """Counted reachabilities as means over spherical shells with their fits (9), or None."""
     counted = {name: r for name, r in robot.reach.items() if r.counted is not None}
     if not counted:
         return None
@@ -259,6 +239,17 @@ def reach_png(robot: NewRobot) -> bytes | None:
         return png_of(figure)
 
 
+def _hulls(
+    robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]
+) -> list[tuple[Array, str]]:
+    """Corners (N, 3) [m] of the hulls of all links, with their colours of `COLOURS`."""
+    return [
+        (moved(part.corners, placed[unit.joint]), COLOURS[bare.get(part.link)])
+        for unit in robot.meetings.units
+        for part in unit.parts
+    ]
+
+
 def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
     """The poses of the joint frames in a posture q_m (n_m,), with the base at the origin."""
     data = model.pin.createData()
@@ -275,23 +266,17 @@ def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -
 
 
 def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
-    patches = [Patch(color=colour, alpha=0.5, label=name) for name, colour in colours.items()]
-    kinds = {
-        None: "enclosed links",
-        "design": "beyond their body by design",
-        "mistake": "beyond their body by mistake",
-    }
-    links = [Patch(color=COLOURS[kind], label=text) for kind, text in kinds.items()]
-    handles = [*patches, *links]
+    handles = [Patch(color=colour, alpha=0.5, label=name) for name, colour in colours.items()]
+    for kind, colour in COLOURS.items():
+        text = f"beyond their body by {kind}" if kind else "enclosed links"
+        handles.append(Patch(color=colour, label=text))
     figure.legend(handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2))
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """Names of the links that extend beyond their body, and whether by design or by mistake.
+    """Names of the links that extend beyond their body.
 
-    By design means that no link of a body that is not a neighbour can reach the part beyond the
-    body. `placed` are the poses of the joint frames in the ready posture, by pinocchio's
-    indices.
+    `placed` are the poses of the joint frames in the ready posture, by pinocchio's indices.
     """
     found: dict[str, Bare] = {}
     for k, body in enumerate(robot.bodies):
@@ -309,16 +294,14 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
 
 def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]) -> str:
     """A page with a 3D view of the links, in the colours of `COLOURS`, and of the bodies."""
-    units = robot.meetings.units
-    hulls = [(moved(p.corners, placed[u.joint]), p.link) for u in units for p in u.parts]
-    links = [(trimesh.convex.convex_hull(p), COLOURS[bare.get(link)], 1.0) for p, link in hulls]
+    hulls = _hulls(robot, placed, bare)
+    links = [(trimesh.convex.convex_hull(points), colour, 1.0) for points, colour in hulls]
     meshes = robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)
     bodies = [(mesh, _BODY, 0.3) for _, mesh in meshes]
     scene = trimesh.Scene()
     for mesh, colour, alpha in (*links, *bodies):
-        r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
         material = trimesh.visual.material.PBRMaterial(
-            baseColorFactor=[r, g, b, int(255 * alpha)],
+            baseColorFactor=[*bytes.fromhex(colour[1:]), int(255 * alpha)],
             alphaMode="BLEND" if alpha < 1 else "OPAQUE",
             doubleSided=True,
         )

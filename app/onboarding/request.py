@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from app.config import Config, parameter
-from app.errors import ConfigError, RobotFileError, UnknownNameError
+from app.errors import ConfigError, RobotFileError, check_name
 from app.robot.assets import robot_folder
 from app.strict import MAX_SEEDS, Vector3, check_range
 from app.system import home_expanded
@@ -103,11 +103,7 @@ class Request:
 
     @property
     def name(self) -> str:
-        """The robot's name.
-
-        Raises:
-            RobotFileError: The folder's name is not a valid name.
-        """
+        """The robot's name; a `RobotFileError` if the folder's name is not a valid name."""
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
             raise RobotFileError(
@@ -174,8 +170,7 @@ def check_request(request: Request) -> None:
     from app.robot.description import KINDS
 
     kind = request.kind
-    if kind not in KINDS:
-        raise UnknownNameError("kind of base", kind, KINDS)
+    check_name("kind of base", kind, KINDS)
     for field, bounds in BOUNDS.items():
         value = getattr(request, field)
         if value is None:
@@ -212,12 +207,9 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
-    """The values of an option by name, from entries of the form `NAME=…`.
+    """The values of an option by name, from entries of the form `NAME=…` or, as in ROS, `NAME:=…`.
 
-    `NAME:=…`, the form of ROS, is accepted too. `what` is the word for the value in an error.
-
-    Raises:
-        ConfigError: An entry has another form.
+    `what` is the word for the value in the `ConfigError` of an entry of another form.
     """
     found = {}
     for each in entries:

@@ -4,10 +4,12 @@
 while the base moves, and whether a person can push the arm against the base.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from app.border.mobile import MobileBody
 from app.config import parameter
@@ -102,9 +104,14 @@ def _postures(robot: NewRobot) -> Iterator[str]:
     always = ", ".join(robot.verdict.always)
     always = f"inside the buffer in most postures: {always}" if always else ""
     whys = {name: always or why for name, why in robot.lacking.items()}
-    for why in dict.fromkeys(whys.values()):
-        names = ", ".join(name for name, each in whys.items() if each == why)
+    for why, names in _grouped(whys):
         yield f"{names}: no line for guiding: {why}"
+
+
+def _grouped(whys: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """The reasons of `whys`, each with all names that have it."""
+    for why in dict.fromkeys(whys.values()):
+        yield why, ", ".join(name for name, each in whys.items() if each == why)
 
 
 def _bodies(robot: NewRobot) -> Iterator[str]:
@@ -178,11 +185,11 @@ def _scale(robot: NewRobot) -> Iterator[str]:
 def _joints(robot: NewRobot) -> Iterator[str]:
     limits, stated = robot.parsed.limits, read_limits(robot.parsed.arm)
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
-    for joint, (low, high, lower, upper) in zip(robot.parsed.arm.joints, ranges, strict=True):
+    for name, (low, high, lower, upper) in zip(robot.parsed.arm.names, ranges, strict=True):
         if (low, high) != (lower, upper):
-            *_, why = limits.source["position_lower"].partition(f"; {joint.name}{STOPPED}")
+            *_, why = limits.source["position_lower"].partition(f"; {name}{STOPPED}")
             yield (
-                f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
+                f"{name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
                 f"before {why.partition('; ')[0]}"
             )
     assumed: dict[str, str] = {}
@@ -195,14 +202,10 @@ def _joints(robot: NewRobot) -> Iterator[str]:
 
 
 def _inertias(robot: NewRobot) -> Iterator[str]:
-    inertias = robot.parsed.inertias
-    assumed: dict[str, list[str]] = {}
-    for link, each in inertias.items():
-        if each.assumed:
-            assumed.setdefault(each.assumed, []).append(link)
-    for why, links in assumed.items():
-        yield f"inertia assumed of {', '.join(links)}: {why}"
-    arm = robot.parsed.arm
+    arm, inertias = robot.parsed.arm, robot.parsed.inertias
+    for why, links in _grouped({link: each.assumed for link, each in inertias.items()}):
+        if why:
+            yield f"inertia assumed of {links}: {why}"
     for joint, links in zip(arm.joints, arm.segments[1:], strict=True):
         if sum(inertias[link].inertia.mass for link in links) <= 0:
             yield f"no link that {joint.name} alone moves has a mass: the inertia is zero"
@@ -224,45 +227,39 @@ def held_still(parsed: Parsed) -> Iterator[str]:
     held = [
         joint.name
         for link in tree.below(arm.base)
-        for joint in tree.children(link)
+        for joint in tree.children[link]
         if joint.moves and joint.name not in own and (link in carried or not turns_round(joint))
     ]
     if held:
-        names = ", ".join(held)
         yield (
             "these joints are not between the base and --tip, so they are fixed at zero or at the "
-            f"limit nearest to zero: {names}"
+            f"limit nearest to zero: {', '.join(held)}"
         )
-    if led := followers(tree, arm.names):
-        names = ", ".join(joint.name for joint in led)
+    if led := ", ".join(joint.name for joint in followers(tree, arm.names)):
         yield (
-            f"these joints follow a joint of the arm (<mimic>), but are fixed here: {names}; the "
+            f"these joints follow a joint of the arm (<mimic>), but are fixed here: {led}; the "
             "bodies cover their whole travel"
         )
-    if free := [joint.name for joint in tree.joints.values() if joint.kind in FREE]:
-        free = [name for name in free if tree.joints[name].child in tree.below(arm.base)[1:]]
-    if free:
-        yield f"planar and floating joints are fixed: {', '.join(free)}"
+    free = [joint for joint in tree.joints.values() if joint.kind in FREE]
+    if names := ", ".join(j.name for j in free if j.child in tree.below(arm.base)[1:]):
+        yield f"planar and floating joints are fixed: {names}"
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
     """Distances by which moving links outside of the arm's chain can leave their bodies."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
-    roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))
-    for carrier in roots:
+    for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
         for body in robot.bodies:
-            joint = model.body_joints[body.name]
             loose = [link for link in body.links if link not in arm.rigid_links]
-            mine = [k for k in loose if filled[k] is not robot.parsed.geometry[k]]
-            outs = {}
-            for link in mine:
-                frame = model.pin.frames[model.pin.getFrameId(link)]
-                if frame.parentJoint == joint and not turns_round(tree.joint_of[link]):
+            outs = [(0.0, "")]
+            for link in (k for k in loose if filled[k] is not robot.parsed.geometry[k]):
+                frame, own = model.pin.frames[model.pin.getFrameId(link)], tree.joint_of[link]
+                if frame.parentJoint == model.body_joints[body.name] and not turns_round(own):
                     corners = moved(filled[link].corners, frame.placement)
-                    outs[link] = float(outside(model, body.name, corners).max())
-            if outs and (out := max(outs.values())) > _OUT:
-                link = max(outs, key=outs.__getitem__)
+                    outs.append((float(outside(model, body.name, corners).max()), link))
+            out, link = max(outs, key=itemgetter(0))
+            if out > _OUT:
                 yield f"{link} can move {out:.2f} m out of its body {body.name}"
 
 
@@ -284,7 +281,7 @@ def wheels_carried(parsed: Parsed) -> list[str]:
     """Continuous joints on fixed links of a separate arm's URDF that do not belong to the arm."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
-    turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
+    turning = [j for link in fixed for j in tree.children[link] if j.kind == "continuous"]
     return [joint.name for joint in turning if joint.name not in parsed.arm.names]
 
 
@@ -316,9 +313,9 @@ def _base(robot: NewRobot) -> Iterator[str]:
             f"the base drives along the {way} axis of {robot.parsed.arm.base}: --mount-xyz is in "
             "the frame of that link"
         )
-    inertias, seen = robot.parsed.inertias, []
-    for link, each in robot.parsed.geometry.items():
-        if link not in inertias or not each.seen_only or not each.shapes:
+    inertias, seen, geometry = robot.parsed.inertias, [], robot.parsed.geometry
+    for link, each in [(k, each) for k, each in geometry.items() if k in inertias]:
+        if not each.seen_only:
             continue
         if inertias[link].assumed and all(shape.kind == "sphere" for shape in each.shapes):
             yield (
@@ -329,8 +326,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
             seen.append(link)
     if seen:
         yield f"links without a collision shape, whose visual shape is used: {', '.join(seen)}"
-    mesh_paths = robot.urdf.count('filename="/')
-    if mesh_paths:
+    if mesh_paths := robot.urdf.count('filename="/'):
         yield (
             f"{mesh_paths} meshes are not in an installed package, so the URDF has their absolute "
             "paths: this description works only on this machine"
@@ -342,14 +338,10 @@ def _base(robot: NewRobot) -> Iterator[str]:
 class Carried(NamedTuple):
     """Shares of postures in which the arm cannot hold the end-effector while the base moves."""
 
-    axis: Axis
-    """Axis of the base's motion."""
-    speed: float
-    """[m/s or rad/s] speed of the base."""
-    place: float
-    """[-] share of the postures in which the arm cannot hold the end-effector's position."""
-    pose: float
-    """[-] share of the postures in which the arm cannot hold both position and orientation."""
+    axis: Axis  # axis of the base's motion
+    speed: float  # [m/s or rad/s]
+    place: float  # [-] share of the postures in which the arm cannot hold the position
+    pose: float  # [-] share in which it cannot hold both position and orientation
 
     @property
     def text(self) -> str:
@@ -384,19 +376,16 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
 def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
-    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' speed
-    limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
-    linear motion. The pose is lost if the position is lost. The pose is lost too if, for all rows,
-    the linear or the angular residual exceeds a tenth of the larger one of linear and angular
-    motion. A lever of 0.3 m converts angular parts to metres.
+    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' speed limits.
+    The position is lost if the residual of the linear rows alone exceeds a tenth of the linear
+    motion. The pose is lost if the position is, or if, for all rows, the linear or the angular
+    residual exceeds a tenth of the larger one of linear and angular motion. A lever of 0.3 m
+    converts angular parts to metres.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
         moved: (6,) [m/s, rad/s] J_base ν, velocity of the end-effector with the arm at rest.
         qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
-
-    Returns:
-        Whether the position is lost, and whether the pose is lost.
     """
     linear, angular = float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
     left = np.linalg.norm(_least(J_arm[:3], moved[:3], qd_max))
@@ -410,10 +399,7 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
 def _least(J: Array, moved: Array, qd_max: Array) -> Array:
     """The smallest residual J q̇ + `moved` with |q̇| ≤ `qd_max`."""
-    from scipy.optimize import lsq_linear
-
-    found = lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls")
-    return J @ found.x + moved
+    return J @ lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls").x + moved
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
@@ -435,8 +421,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
 
-    Each value is the `force_bound` of the nearest pair at rest in one of the postures of
-    `_near_postures`; `pairs` are the pairs with the base. Without pairs, N is 0.
+    Each value is the `force_bound` of the nearest of `pairs`, the pairs with the base, at rest in
+    one of `_near_postures`. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():
@@ -474,8 +460,7 @@ def push_warning(model: RobotModel, borne: Array) -> str:
 def _near_postures(model: RobotModel) -> Array:
     """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base.
 
-    If fewer than 25 of these are found, the arm may be anywhere; if no posture is without contact,
-    the result is the posture at the lower limits.
+    With fewer than 25, the arm may be anywhere; if all have contact, it is at its lower limits.
     """
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))

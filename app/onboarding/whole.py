@@ -5,9 +5,10 @@ processes start.
 """
 
 import logging
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,7 @@ import pinocchio as pin
 from app.errors import DbbError, RobotFileError, check_name
 from app.onboarding import ROOT
 from app.onboarding.read.source import locate, read_robot
-from app.onboarding.read.telescope import as_one_slide
-from app.onboarding.read.tree import Arm, Joint, Tree, find_arm, make_tree
+from app.onboarding.read.tree import MOVING, PARALLEL, Arm, Joint, Tree, find_arm, make_tree
 from app.onboarding.request import Request, named, package_folders
 from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 
@@ -47,12 +47,7 @@ class Whole(NamedTuple):
     """A robot with its arm, before the shapes are read."""
 
     tree: Tree
-    base: str
-    """The link of --base."""
-    tip: str
-    """The link of --tip."""
     arm: Arm
-    """The arm between these links, before its shapes are known."""
     changes: tuple[str, ...]
     """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
 
@@ -62,8 +57,7 @@ def whole_robot(request: Request) -> Whole:
     """Read the robot from one or two files, with distinct names and one joint per telescope.
 
     Raises:
-        RobotFileError: A file is not a URDF, or the requested links do not exist or have no arm
-            between them.
+        RobotFileError: A file is not a URDF, or the links do not exist or have no arm between them.
         UnknownNameError: No xacro declares an argument of --xacro.
         AssetError: A package is not installed.
     """
@@ -74,31 +68,29 @@ def whole_robot(request: Request) -> Whole:
         robot, left_out, declared = read_robot(locate(file), packages, arguments)
         trees.append(make_tree(robot))
         said += left_out
-        known |= declared
+        known.update(declared)
     for name in arguments:
         check_name("argument of --xacro", name, known)
     tree, *arms = trees
     tip = request.tip
     for arm in arms:
         T = pin.SE3(pin.rpy.rpyToMatrix(*request.mount_rpy), np.array(request.mount_xyz))
-        tree, tip = with_arm(tree, arm, request.base, arm.link(tip, "--tip"), T)
+        arm.check_link(tip, "--tip")
+        tree, tip = with_arm(tree, arm, request.base, tip, T)
     tree, names = with_distinct_names(tree)
     base, tip = (names.get(name, name) for name in (request.base, tip))
     tree, joined = as_one_slide(tree, base, tip)
     mount = request.mount and names.get(request.mount, request.mount)
-    return Whole(tree, base, tip, find_arm(tree, base, tip, mount), (*said, *joined))
+    return Whole(tree, find_arm(tree, base, tip, mount), (*said, *joined))
 
 
 def with_arm(tree: Tree, arm: Tree, base: str, tip: str, T: pin.SE3) -> tuple[Tree, str]:
     """A tree with the root of an arm fixed to the link `base`, and the new name of the arm's `tip`.
 
     Links and joints of the arm whose names also occur in `tree` get the prefix `arm_`. T is
-    T_base_arm.
-
-    Raises:
-        RobotFileError: The link `base` does not exist.
+    T_base_arm. A missing link `base` is an error.
     """
-    tree.link(base, "--base")
+    tree.check_link(base, "--base")
     tree = _renamed(tree, {}, _distinct(tree.joints, {ARM_ON_BASE}, tree.joints, "{}_joint"))
     links, joints = (
         _distinct(own, names, {*own, *names}, "arm_{}")
@@ -114,8 +106,8 @@ def with_distinct_names(tree: Tree) -> tuple[Tree, dict[str, str]]:
     """The tree with distinct names, and the new names of its renamed links by the old ones.
 
     A joint with the name of a link or with a reserved name gets the suffix `_joint`, a link with a
-    reserved name the suffix `_link`. This program and pinocchio use the reserved names. In a URDF a
-    link and a joint may have the same name, but pinocchio and MuJoCo cannot distinguish the two.
+    reserved name the suffix `_link`. This program and pinocchio use the reserved names. pinocchio
+    and MuJoCo cannot distinguish a link and a joint of one name, which a URDF may have.
     """
     links = _distinct(tree.links, _OWN_LINKS, {*tree.links, *tree.joints}, "{}_link")
     foreign = {links.get(name, name) for name in tree.links} | _OWN_JOINTS
@@ -147,3 +139,104 @@ def _renamed(tree: Tree, links: Mapping[str, str], joints: Mapping[str, str]) ->
         found[new] = joint._replace(name=new, parent=parent, child=child, mimic=mimic)
     own = {links.get(name, name): link for name, link in tree.links.items()}
     return replace(tree, links=own, joints=found)
+
+
+def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
+    """A tree in which each telescope between two links has one joint, and a sentence on each one.
+
+    A telescope has one independent prismatic joint and others that follow it (`<mimic>`). In the
+    new tree, this joint alone moves the last part, by the sum of all positions. The parts before
+    become children of the last one, on prismatic joints whose limits include all their positions.
+    """
+    if not {base, tip} <= tree.links.keys():
+        return tree, []  # `find_arm` reports this
+    joints, said = dict(tree.joints), []
+    chain = tree.chain(base, tip)
+    for run, parts, sums in _telescopes(chain):
+        leader, *others = sorted(parts, key=lambda joint: joint.mimic is not None)
+        led = _followers(tree, parts, leader.name, abs(sums[-1]))
+        changed = (*led, *_joined(run, parts, sums, leader, others))
+        joints |= {joint.name: joint for joint in changed}
+        said.append(
+            f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
+            f"one joint: the position of {leader.name} is now the sum of their positions"
+        )
+    return replace(tree, joints=joints), said
+
+
+def _telescopes(chain: list[Joint]) -> Iterator[tuple[list[Joint], list[Joint], list[float]]]:
+    """For each telescope: all joints from its first to its last part, the joints of its parts, and
+    the travel of each part along the axis of the first part, for a unit travel of the leader.
+
+    The parts are prismatic and parallel, with only fixed joints between them; all but one follow.
+    """
+    moving = [joint for joint in chain if joint.kind in MOVING]
+    for leader in [joint for joint in moving if joint.mimic is None]:
+        own = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
+        first = moving.index(own[0])
+        together = own == moving[first : first + len(own)]
+        if len(own) > 1 and together and {j.kind for j in own} == {"prismatic"}:
+            run = chain[chain.index(own[0]) : chain.index(own[-1]) + 1]
+            cosines = _directions(run, own)
+            factors = (joint.mimic[1] if joint.mimic else 1.0 for joint in own)
+            sums = [*accumulate(k * f for k, f in zip(map(round, cosines), factors, strict=True))]
+            if min(map(abs, cosines)) > PARALLEL and sums[-1] != 0.0:
+                yield run, own, sums
+
+
+def _directions(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
+    """The cosines of the angles between the axis of the first part and those of all parts."""
+    found, R = [], np.eye(3)
+    for joint in run:
+        R = R @ joint.T_parent_child.rotation
+        if joint in parts:
+            found.append(R @ joint.axis)
+    return [float(found[0] @ axis) for axis in found]
+
+
+def _followers(tree: Tree, parts: Sequence[Joint], leader: str, total: float) -> Iterator[Joint]:
+    """Joints outside a telescope that follow one of its parts; they will follow the leader, whose
+    new position is `total` times its former position.
+    """
+    own = {joint.name: joint.mimic or (leader, 1.0, 0.0) for joint in parts}
+    for joint in tree.joints.values():
+        if joint.name not in own and joint.mimic is not None and joint.mimic[0] in own:
+            name, factor, offset = joint.mimic
+            _, part_factor, part_offset = own[name]
+            mimic = leader, factor * part_factor / total, offset + factor * part_offset
+            yield joint._replace(mimic=mimic)
+
+
+def _joined(
+    run: Sequence[Joint],
+    parts: Sequence[Joint],
+    sums: Sequence[float],
+    leader: Joint,
+    others: Sequence[Joint],
+) -> Iterator[Joint]:
+    """The leader as the only joint of the chain, and the other joints on the last part."""
+    low, high = leader.lower or 0.0, leader.upper or 0.0
+    places, T = {}, pin.SE3.Identity()
+    for joint in run:
+        T = T * joint.motion(joint.mimic[2] if joint in parts and joint.mimic else 0.0)
+        places[joint.name] = T
+    total, end, last = abs(sums[-1]), places[parts[-1].name], parts[-1].child
+    along = places[parts[0].name].rotation @ parts[0].axis * np.sign(sums[-1])
+    yield leader._replace(
+        parent=run[0].parent,
+        child=last,
+        T_parent_child=end,
+        axis=end.rotation.T @ along,
+        lower=total * low,
+        upper=total * high,
+        effort=(leader.effort or 0.0) / total,
+        velocity=(leader.velocity or 0.0) * total,
+    )
+    free = leader._replace(parent=last, effort=0.0, velocity=0.0)
+    for joint, part, factor in zip(others, parts[:-1], sums[:-1], strict=True):
+        place = places[part.name]
+        lower, upper = sorted((factor * np.sign(sums[-1]) - total) * q for q in (low, high))
+        axis, T = place.rotation.T @ along, end.actInv(place)
+        yield free._replace(
+            name=joint.name, child=part.child, T_parent_child=T, axis=axis, lower=lower, upper=upper
+        )

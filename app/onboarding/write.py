@@ -86,12 +86,9 @@ def _sources_text(robot: NewRobot) -> str:
 class HandMade(NamedTuple):
     """Changes that a person makes to a robot."""
 
-    shapes: dict[tuple[str, int], Shape]
-    """New shapes, by the name of the body and the index of the shape."""
-    unwatched: dict[str, str]
-    """All pairs that are not monitored: the reasons by the name of the pair."""
-    ready: tuple[float, ...] | None
-    """(n_m,) [rad or m] the new ready posture, or None for no change."""
+    shapes: dict[tuple[str, int], Shape]  # new ones, by the body's name and the shape's index
+    unwatched: dict[str, str]  # all pairs without monitoring, with the reasons
+    ready: tuple[float, ...] | None  # (n_m,) [rad or m] new ready posture
 
 
 BY_HAND = "set by hand"  # source of a number that a person has changed
@@ -100,24 +97,23 @@ BY_HAND = "set by hand"  # source of a number that a person has changed
 def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     """Write a robot's folder with changes; all other content stays the same.
 
-    If `out` is the folder `source`, the changes are made in place. If `out` is a different folder,
-    it becomes a copy with a new name and title.
+    If `out` is the folder `source`, the changes are made in place. Another folder becomes a copy
+    with a new name and title.
 
     Raises:
         DescriptionError: The result is not a valid description, or the present description cannot
             be read, or not with the time and memory that `within_budget` allows.
         OutputError: `out` is another folder that is not empty, or cannot be written.
     """
-    try:
-        before = file_text(source / "robot.toml")
-    except (OSError, ValueError) as error:
-        raise DescriptionError(f"{source / 'robot.toml'}: cannot be read: {error}") from None
-    in_place = out.resolve() == source.resolve()
+    file, in_place = source / "robot.toml", out.resolve() == source.resolve()
     name = None if in_place else out.name
     try:
+        before = file_text(file)
         text = within_budget(_changed_text, before, name, changes, size=len(before))
     except BudgetError as error:
-        raise DescriptionError(f"{source / 'robot.toml'}: {error}") from None
+        raise DescriptionError(f"{file}: {error}") from None
+    except (OSError, ValueError) as error:
+        raise DescriptionError(f"{file}: cannot be read: {error}") from None
     with temporary_folder() as tried:  # an invalid description must not replace a valid one
         write_whole(tried / "robot.toml", text)
         load_description(tried / "robot.toml")
@@ -162,10 +158,7 @@ _HEADER = (
 
 
 def description_text(content: Mapping[str, Any], title: str) -> str:
-    """The text of `robot.toml`, with comments: the title, and the kind of each number's source.
-
-    Empty tables are left out, such as `lines` of a robot without lines.
-    """
+    """The text of `robot.toml` without empty tables, and with a comment of each number's source."""
     document = tomlkit.document()
     for line in (title, *_HEADER):
         document.add(tomlkit.comment(line))
@@ -180,9 +173,8 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 
 
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
-    """Add comments with the source of each number, up to its first colon.
-
-    A source of less than 80 characters with a semicolon is a comment in full.
+    """Add comments with the source of each number: up to its first colon or, if it has a semicolon
+    and less than 80 characters, in full.
     """
     for key, value in content.items():
         if isinstance(value, Mapping):
@@ -196,11 +188,11 @@ def _comment(item: Any, content: Mapping[str, Any]) -> None:
 def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = None) -> str:
     """The text of the new URDF.
 
-    The root is a frame on the floor with x forward; below it are the base and all descendants of
-    the base. A link without collision shapes gets its visual shapes as collision shapes. A
-    continuous joint becomes a revolute joint with wide limits, and a planar or floating joint
-    becomes fixed, so that all libraries read the same robot. `header` becomes a comment. `home` is
-    the folder of the new URDF; see `mesh_name`.
+    The root is a frame on the floor with x forward; below it are the base and all its descendants.
+    A link without collision shapes gets its visual shapes as collision shapes. So that all
+    libraries read the same robot, a continuous joint becomes a revolute joint with wide limits, and
+    a planar or floating joint becomes fixed. `header` becomes a comment. `home` is the folder of
+    the new URDF; see `mesh_name`.
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -223,10 +215,10 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
 def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
-    For a mesh in `home`, the folder of the new URDF, the result is a relative path, because the
-    folder may be moved. For other meshes, and without `home`, the result is `address`. With `home`,
-    a mesh for which `is_foreign` is true is converted to an STL file in metres in `home`. `where`
-    names the link in an error.
+    For a mesh in `home`, the folder of the new URDF, it is a relative path, because the folder may
+    be moved; for other meshes, and without `home`, it is `address`. With `home`, a mesh for which
+    `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the link in
+    an error.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -264,9 +256,9 @@ def _link(
 def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
     """A joint of the new URDF, whose zero is its position in `rest`, or its old zero.
 
-    `rest` has the positions of the joints at rest. Libraries place a joint that does not move at
-    zero, which can be outside of its limits: a finger would be inside of the gripper. The relation
-    of a mimic joint to its leader stays the same; without a leader, the joint is independent.
+    Libraries place a joint that does not move at zero, which can be outside of its limits: a finger
+    would be inside of the gripper. The relation of a mimic joint to its leader stays the same;
+    without a leader, the joint is independent.
     """
     kind = "fixed" if joint.kind in FREE else joint.kind
     at = rest.get(joint.name, 0.0)
@@ -274,11 +266,11 @@ def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
     element = Element("joint", name=joint.name, type="revolute" if endless else kind)
     SubElement(element, "parent", link=joint.parent)
     SubElement(element, "child", link=joint.child)
-    rpy = _words(pin.rpy.matrixToRpy(T.rotation))
-    SubElement(element, "origin", xyz=_words(T.translation), rpy=rpy)
+    rpy = _words(*pin.rpy.matrixToRpy(T.rotation))
+    SubElement(element, "origin", xyz=_words(*T.translation), rpy=rpy)
     if kind == "fixed":
         return element
-    SubElement(element, "axis", xyz=_words(joint.axis))
+    SubElement(element, "axis", xyz=_words(*joint.axis))
     leader, factor, offset = joint.mimic or ("", 0.0, 0.0)
     if leader in rest:
         offset += factor * rest[leader] - at
@@ -294,17 +286,15 @@ def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
 
 def _add_inertial(link: Element, inertia: pin.Inertia) -> None:
     element = SubElement(link, "inertial")
-    SubElement(element, "origin", xyz=_words(inertia.lever), rpy="0 0 0")
+    SubElement(element, "origin", xyz=_words(*inertia.lever), rpy="0 0 0")
     SubElement(element, "mass", value=f"{inertia.mass:.9g}")
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     values = inertia.inertia[np.triu_indices(3)]
     SubElement(element, "inertia", {n: f"{v:.9g}" for n, v in zip(names, values, strict=True)})
 
 
-def _words(numbers: np.ndarray) -> str:
-    return " ".join(
-        f"{value + 0.0:.12g}" for value in np.where(np.abs(numbers) < 1e-12, 0, numbers)
-    )
+def _words(*numbers: float) -> str:
+    return " ".join(f"{0.0 if abs(x) < 1e-12 else x:.12g}" for x in numbers)
 
 
 def description(
@@ -318,9 +308,8 @@ def description(
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
-    joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics do not
-    need `bodies` and `moving`. `unwatched` has the reason for each pair of bodies that is not
-    monitored, by the pair's name.
+    joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics need
+    neither. `unwatched` has the reason for each pair of bodies that is not monitored, by its name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)
@@ -368,9 +357,5 @@ def _body(body: FittedBody) -> dict[str, Any]:
 
 
 def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
-    """The model of a description and a URDF.
-
-    Raises:
-        DescriptionError: The description is not valid.
-    """
+    """The model of a description and a URDF; invalid descriptions raise a `DescriptionError`."""
     return RobotModel(RobotDescription.model_validate({**content, "urdf": str(urdf)}))

@@ -21,8 +21,7 @@ from app.robot.shapes import Hull
 from app.strict import Array
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
-"""[-] weights of volumes for the arm. A capsule has the smallest weight, because the closest points
-on a capsule do not jump."""
+"""[-] weights of volumes for the arm; the closest points on a capsule do not jump."""
 _MOST = 4  # [-] largest number of shapes of a body
 _SAVES = 0.03  # [-] contacts per free posture that one more shape of l_m has to save
 _LEFT = 0.85  # [-] largest share of the volume of an arm's body that one more shape leaves
@@ -33,14 +32,10 @@ class FittedBody(NamedTuple):
     """A body of the description."""
 
     name: str
-    """Name, such as `lm`."""
-    frame: str
-    """Link whose frame the shapes use."""
+    frame: str  # link whose frame the shapes use
     links: tuple[str, ...]
-    units: tuple[int, ...]
-    """Indices of the units (groups of links) that the body encloses."""
-    fits: tuple[Fit, ...]
-    """Its shapes, in `frame`."""
+    units: tuple[int, ...]  # indices of the units (groups of links) that the body encloses
+    fits: tuple[Fit, ...]  # its shapes, in `frame`
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     """For a link of this body, the links of bodies nearer to the base that are nested with it."""
 
@@ -68,10 +63,9 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[Array]]:
-    """Divisions of the parts into one group, into two groups, and so on, up to four groups.
+    """Divisions of the parts into one group, two groups, and so on, up to four, by hull corners.
 
-    Each group is represented by the corners of its hull. From a division, the one with one group
-    less is made by merging two groups, such that the volume of their hulls grows the least.
+    From a division, the one with one group less is made by the merger that adds the least volume.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, tuple[Array, float]]] = {}  # growth and merged hull
@@ -95,10 +89,7 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
-    """(tries,) [-] mean number of the arm's units that each fit of l_m touches in a free posture.
-
-    Units that are close to the base by design do not count.
-    """
+    """(tries,) [-] mean number of units, not close by design, that a fit touches when free."""
     free = (meetings.random.distances > 0.0).all(axis=1)
     q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
     ends = {v for u, v in meetings.pairs if u in mobile and (u, v) not in meetings.close}
@@ -123,23 +114,21 @@ class ArmFitter:
     def bodies(self, grouping: Sequence[Sequence[int]]) -> list[FittedBody]:
         """The bodies l_1 … l_EE for groups of units, from the base outwards.
 
-        A body encloses those points of its links that units of other bodies can reach; neighbouring
-        bodies do not count. If there are no such points, or if their swept volume is tiny, the body
-        encloses its links completely.
+        A body encloses the points of its links that units of bodies other than its neighbours can
+        reach. Without such points, or if they sweep a tiny volume, it encloses its links
+        completely.
 
         Raises:
             RobotFileError: The links of a group have no shapes.
         """
         names = [*(f"l{k}" for k in range(1, len(grouping))), "lEE"]
-        result = []
-        for k, group in enumerate(grouping):
-            others = [u for j, far in enumerate(grouping) if abs(j - k) > 1 for u in far]
-            if k > 0:
-                others.extend(self._mobile)
-            result.append(self._body(names[k], tuple(group), tuple(sorted(others))))
+        groups, result = [self._mobile, *grouping], []
+        for k, group in enumerate(grouping, 1):
+            others = [u for j, far in enumerate(groups) if abs(j - k) > 1 for u in far]
+            result.append(self._body(names[k - 1], tuple(group), others))
         return result
 
-    def _body(self, name: str, group: tuple[int, ...], others: tuple[int, ...]) -> FittedBody:
+    def _body(self, name: str, group: tuple[int, ...], others: Sequence[int]) -> FittedBody:
         units = [self._meetings.units[k] for k in group]
         needed = [self._meetings.needed(k, others) for k in group]
         whole = [np.ones(len(u.surface), dtype=bool) for u in units]
@@ -158,10 +147,9 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int] | None:
-        """The smallest fit, of one or more shapes, in a joint's frame, and the joint's number.
+        """The smallest fit of one or more shapes in a joint's frame, and the joint's number.
 
-        `masks` select the points of each unit. The result is None if no points are selected, or if
-        their swept volume is below `_SPOT`.
+        It is None if `masks` select no points of the units, or their swept volume is below `_SPOT`.
         """
         pieces = [
             (unit.joint, unit.surface[mask & (unit.owners == k)])
@@ -171,25 +159,24 @@ class ArmFitter:
         if not pieces:
             return None
         used = [joint for joint, _ in pieces]
-        joints = {u.joint: np.zeros((0, 3)) for u in units if min(used) <= u.joint <= max(used)}
+        joints = [unit.joint for unit in units if min(used) <= unit.joint <= max(used)]
         key = b"".join(bytes([joint]) + points.tobytes() for joint, points in pieces)
         if key not in self._known:
             self._known[key] = self._fitted(joints, pieces)
         return self._known[key]
 
     def _fitted(
-        self, joints: Mapping[int, Array], pieces: Sequence[tuple[int, Array]]
+        self, joints: Sequence[int], pieces: Sequence[tuple[int, Array]]
     ) -> tuple[tuple[Fit, ...], int] | None:
-        needed = dict(joints)
-        for joint, points in pieces:
-            needed[joint] = np.vstack([needed[joint], points])
+        none = dict.fromkeys(joints, np.zeros((0, 3)))
+        needed = {k: np.vstack([none[k], *(p for j, p in pieces if j == k)]) for k in none}
         tried = [(v, joint, c) for joint, (c, v) in swept(self._model, needed).items()]
         tried.sort(key=lambda each: each[0])
         if tried[0][0] < _SPOT:
             return None
         fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint) for v, joint, c in tried[:2]]
         one, frame = min(fits, key=lambda each: each[0].volume)
-        seen = [swept(self._model, {**joints, j: p})[frame][0] for j, p in pieces]
+        seen = [swept(self._model, {**none, j: p})[frame][0] for j, p in pieces]
         several = min(
             _divided(seen), key=lambda each: sum(map(hull_volume, each)) / _LEFT ** (len(each) - 1)
         )
@@ -204,18 +191,12 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to 
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """The volumes that the points on a chain of joints sweep, as seen from each joint of the chain.
+    """Corners (N, 3) [m] and volume [m³] of the hull that the points on a chain of joints sweep, as
+    seen from the frame of each joint of the chain.
 
-    Seen from the frame of one joint, the points on other joints move if the joints between them
-    move. For each joint, the result is the hull of all positions of the points in the joint's
-    frame: corners (N, 3) [m], and volume [m³]. The sweep of the points beyond a joint is the same
-    for all frames before this joint, so the sweep over each joint is computed only once in each
-    direction.
-
-    Args:
-        model: The robot.
-        points: (N, 3) [m] points in the frame of each joint, by the joint's number; the numbers are
-            consecutive.
+    `points` (N, 3) [m] are in the frame of each joint, by its number; the numbers are consecutive.
+    Points beyond a joint sweep the same in all frames before it, and vice versa, so the sweep over
+    each joint is computed only once in each direction.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
@@ -232,9 +213,8 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
 def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
     """Corners (M, 3) [m] of the hull that points sweep while one joint moves through its range.
 
-    With `outwards`, the points are in the frame of the joint, and the result is in the frame of the
-    joint before it. Without it, these two frames are exchanged. `data` are the bytes of the points
-    (N, 3) [m]: they are a key for the cache, because other groupings need the same results.
+    With `outwards`, the result for points in the frame of the joint is in that of the joint before
+    it; without, vice versa. `data` are the points' bytes: a key, as other groupings need the same.
     """
     points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))
@@ -243,11 +223,8 @@ def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Arra
         corners = _grown(corners, axis)
     clouds = []
     for position in _positions(model, joint, turns):
-        motion = pin.SE3.Identity()
-        if turns:
-            motion.rotation = pin.exp3(axis * position)
-        else:
-            motion.translation = axis * position
+        turn, shift = (axis * position, np.zeros(3)) if turns else (np.zeros(3), axis * position)
+        motion = pin.SE3(pin.exp3(turn), shift)
         clouds.append(moved(corners, placement * motion if outwards else motion.inverse()))
     return lean_corners(np.vstack(clouds))
 
@@ -255,8 +232,7 @@ def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Arra
 def _grown(points: Array, axis: Array) -> Array:
     """Points (N, 3) [m], moved away from an axis (3,) through the origin by the factor `_SAGITTA`.
 
-    A sweep samples the positions of a joint in steps of `_STEP`. The sampled positions of a point
-    are corners of a polygon. With the factor, this polygon encloses the point's circular path.
+    The polygon of the sampled positions of a point then encloses the point's circular path.
     """
     along = np.outer(points @ axis, axis)
     return along + (points - along) * _SAGITTA
@@ -272,10 +248,8 @@ def _axis(model: RobotModel, joint: int) -> tuple[Array, bool]:
     return (S[3:] if turns else S[:3]), turns
 
 
-def _positions(model: RobotModel, joint: int, turns: bool) -> Sequence[float]:
+def _positions(model: RobotModel, joint: int, turns: bool) -> Array:
     low, high = model.q_lower[joint - 2], model.q_upper[joint - 2]
-    if not turns:
-        return [low, high]
-    if high - low >= 2 * np.pi:
-        return list(np.arange(0.0, 2 * np.pi, _STEP))
-    return list(np.linspace(low, high, max(2, int(np.ceil((high - low) / _STEP)) + 1)))
+    if turns and high - low >= 2 * np.pi:
+        return np.arange(0.0, 2 * np.pi, _STEP)
+    return np.linspace(low, high, max(2, int(np.ceil((high - low) / _STEP)) + 1) if turns else 2)

@@ -3,7 +3,7 @@
 A unit is a group of links that moves as one rigid body (`app.onboarding.fit.units`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, compress, product
 from typing import NamedTuple
@@ -23,27 +23,23 @@ from app.onboarding.fit.units import (
     shape_distances,
     units_of_links,
 )
-from app.onboarding.read.links import LinkGeometry
+from app.onboarding.read.links import Geometry
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
 
-ALWAYS = 0.6
-"""[-] share of the free postures; a pair inside its buffer in more postures is always near."""
+ALWAYS = 0.6  # [-] a pair inside its buffer in a larger share of the free postures is always near
 MARGIN = 0.015  # [m] distance below which a point of a surface counts as reached by another unit
-BUILT_IN = 0.5
-"""[-] smallest share of the postures in which two nested units (rigid groups of links) touch."""
+BUILT_IN = 0.5  # [-] smallest share of the postures in which two nested units touch
 NESTED = BUILT_IN**2
-"""[-] smallest share of random postures in which nested links touch. It is the product of two
-shares: the postures in which the units touch, and among these the postures in which the links
-touch."""
+"""[-] smallest share of random postures in which nested links touch: the product of the shares in
+which their units touch and, among these postures, the links."""
 _FEWEST = 50  # [-] smallest number of free postures for finding close pairs
 _MAX_LOOKS = 200  # [-] about this number of postures is searched for touched points of two units
 _OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
 _RARE = 30  # [-] number of colliding random postures of a pair below which more are searched
-ENOUGH = 600
-"""[-] number of colliding postures that is sufficient for shares with an accuracy of 0.5 %."""
+ENOUGH = 600  # [-] number of colliding postures for shares with an accuracy of 0.5 %
 _MORE, _MAX_POSTURES = 1000, 40_000  # [-] postures that are sampled at a time, and in total
 _PARTS = 4  # [-] parts of the random postures, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
@@ -54,10 +50,8 @@ _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] standard deviations, relative to a joi
 class Postures(NamedTuple):
     """Postures of the arm, with the distances of pairs of units."""
 
-    q_m: Array
-    """(N, n_m) [rad or m]"""
-    distances: Array
-    """(N, pairs) [m] signed distances of hulls."""
+    q_m: Array  # (N, n_m) [rad or m]
+    distances: Array  # (N, pairs) [m] signed distances of hulls
     possible: Array
     """(N,) whether no close pair touches; contacts of nested pairs do not count. Joint limits have
     to prevent the other postures."""
@@ -65,11 +59,10 @@ class Postures(NamedTuple):
 
 @dataclass(frozen=True)
 class Meetings:
-    """Distances and collisions of units (groups of links) in random postures."""
+    """Distances and collisions of units in random postures."""
 
     units: tuple[Unit, ...]
-    pairs: tuple[tuple[int, int], ...]
-    """Pairs of units that are not neighbours, by the indices of the units."""
+    pairs: tuple[tuple[int, int], ...]  # units that are not neighbours, by their indices
     close: frozenset[tuple[int, int]]
     """Pairs that no buffer can monitor: the units are within d_b in most free postures, or they are
     units of the arm that touch, but overlap by at most 3 mm."""
@@ -77,8 +70,7 @@ class Meetings:
     """Pairs of a unit on the base and a unit of the arm that are within d_b in most free postures
     and overlap by more than 5 mm in some postures: joint limits have to prevent the overlap."""
     random: Postures
-    rare: Postures
-    """Colliding postures of pairs that rarely meet in random postures; see `_rare_postures`."""
+    rare: Postures  # of pairs that rarely collide; see `_rare_postures`
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
     """For a pair (u, v): whether v has reached each point of the surface of u."""
 
@@ -102,11 +94,8 @@ class Meetings:
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
         """(N,) whether one of the other units can reach each point of a unit's surface."""
-        mask = np.zeros(len(self.units[unit].surface), dtype=bool)
-        for other in others:
-            if (found := self.met.get((unit, other))) is not None:
-                mask |= found
-        return mask
+        none = np.zeros(len(self.units[unit].surface), dtype=bool)
+        return np.any([none, *(self.met.get((unit, k), none) for k in others)], axis=0)
 
 
 def sample_meetings(
@@ -124,9 +113,8 @@ def sample_meetings(
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
     First `samples` postures are drawn, then further ones until `enough` postures in total have a
-    collision, up to 40,000 postures. With `points`, the field `met` of the result has the points of
-    surfaces that other units reach. `stopped` means that joint limits prevent the collisions of the
-    pairs in `apart`; then these pairs are not in `close`.
+    collision, up to 40,000. With `points`, the result has `met`. `stopped` means that joint limits
+    prevent the collisions of the pairs in `apart`; then these pairs are not in `close`.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -156,7 +144,7 @@ def sample_meetings(
         met: dict[tuple[int, int], Array] = {}
         for masks in workers.map(_met, [(found, model, k) for k in range(len(pairs))]):
             met.update(masks)
-        found = replace(found, met=met)
+        return replace(found, met=met)
     return found
 
 
@@ -165,15 +153,12 @@ def _built_near(
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
     """The fields `close` and `apart` of `Meetings`, and columns of `distances` (N, pairs) [m].
 
-    The columns belong to the close pairs that are not nested. The real robot cannot take a posture
-    in which one of these pairs touches.
+    The columns are those of close pairs that are not nested: the real robot cannot make them touch.
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
-    deep = (distances.min(axis=0) < -_OVERLAP) & ~nested
-    apart = close.intersection(
-        pair for pair, each in zip(pairs, deep, strict=True) if each and units[pair[0]].joint == 1
-    )
+    deep = compress(pairs, (distances.min(axis=0) < -_OVERLAP) & ~nested)
+    apart = close.intersection(pair for pair in deep if units[pair[0]].joint == 1)
     if stopped:
         close -= apart
     return close, apart, [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
@@ -183,9 +168,8 @@ def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset
     """Pairs of the arm's units that touch in `_RARE` postures or more, at most `_GRAZE` deep."""
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
-    return frozenset(
-        pair for pair in compress(pairs, shallow) if min(units[k].joint for k in pair) > 1
-    )
+    touching = compress(pairs, shallow)
+    return frozenset((u, v) for u, v in touching if units[u].joint > 1 < units[v].joint)
 
 
 def _look(_: object, part: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> Array:
@@ -202,8 +186,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
 
     Units are nested if `found.nested` has them, or if they are neighbours that touch in at least
-    `BUILT_IN` of the postures. Two of their links are nested if they touch in at least `BUILT_IN`
-    of the postures in which the units touch. Contacts of other links of these units are collisions.
+    `BUILT_IN` of the postures; two of their links are if they touch in `BUILT_IN` of these.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
@@ -217,12 +200,10 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     return [*compress(product(own, other), _touch_mostly(gaps[met]))]
 
 
-def nested_touches(
-    model: RobotModel, geometry: Mapping[str, LinkGeometry]
-) -> dict[tuple[str, str], float]:
+def nested_touches(model: RobotModel, geometry: Geometry) -> dict[tuple[str, str], float]:
     """[-] share of random postures in which two nested links of a description touch, by the pair.
 
-    `nested_links` finds only shares of at least `NESTED`. The share of a link without a shape is 0.
+    It is 0 for a link without a shape, and at least `NESTED` for those of `nested_links`.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -243,8 +224,7 @@ def _rare_postures(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) colliding postures of pairs that collide in fewer than `_RARE` of the sampled
-    postures.
+    """(N, n_m) postures with collisions of pairs that collide in fewer than `_RARE` sampled ones.
 
     They are variations of the postures in which the pair was nearest. `sampled` are postures (N,
     n_m) and distances (N, pairs) [m].
@@ -270,10 +250,7 @@ def _rare_postures(
 
 
 def free_postures(distances: Array) -> Array:
-    """(N,) whether no hulls with the distances (N, pairs) [m] touch.
-
-    With fewer than 50 such postures, the result is True for all postures.
-    """
+    """(N,) whether no hulls touch, by distances (N, pairs) [m]; all True if fewer than 50 are."""
     free = np.asarray((distances > 0.0).all(axis=1))
     return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
 
@@ -281,7 +258,7 @@ def free_postures(distances: Array) -> Array:
 def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
     """Pairs within d_b [m] in more than `ALWAYS` of the free postures; see `free_postures`."""
     near = (distances[free_postures(distances)] < d_b).mean(axis=0)
-    return frozenset(pair for pair, share in zip(pairs, near, strict=True) if share > ALWAYS)
+    return frozenset(compress(pairs, near > ALWAYS))
 
 
 def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:

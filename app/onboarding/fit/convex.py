@@ -25,22 +25,18 @@ _PLANES = 7  # [-] number of tried planes along each axis
 class Fit(NamedTuple):
     """A convex shape around points."""
 
-    shape: Shape
-    """The shape, in the points' frame."""
-    volume: float
-    """[m³] volume of the shape."""
+    shape: Shape  # the shape, in the points' frame
+    volume: float  # [m³] volume of the shape
     over_cover: float
     """[-] ratio of the shape's volume to that of the points' hull; infinite for flat points."""
-    protrusion: float
-    """[m] largest extent of the shape beyond the points' hull, along one of 162 directions."""
+    protrusion: float  # [m] largest extent beyond the points' hull, along one of 162 directions
 
 
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
     """The shape with the smallest weighted volume around points (N, 3) [m].
 
     `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull.
-    `volume` is the volume [m³] of the points' convex hull. It is None if the volume is not known,
-    or if some points are not corners of the hull.
+    `volume` [m³] is that of the points' convex hull, if it is known and all points are its corners.
     """
     corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -56,9 +52,9 @@ def hull_corners(points: Array) -> Array:
 def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
-    The polytope has a face for each of 642 directions, which are evenly spread after the points are
-    scaled to equal widths along their principal axes. It exceeds the hull by about 0.2 % of the
-    points' extent if the hull is round, and by up to 2 % at edges.
+    The polytope has a face for each of 642 directions, evenly spread after scaling the points to
+    equal widths along their principal axes. It exceeds a round hull by about 0.2 % of the points'
+    extent, and by up to 2 % at edges.
     """
     corners, D = hull_corners(points), directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many
@@ -111,8 +107,7 @@ def fit_capsule(points: Array) -> Capsule:
 def fit_box(points: Array) -> Box:
     """A small box around points, with an edge along an axis of the frame or a principal axis.
 
-    First the box along the axes of the frame is the best one. A rotated box replaces the best box
-    only if its volume is smaller by more than a tenth.
+    A rotated box replaces the best one only if its volume is smaller by more than a tenth.
     """
     straight = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -125,10 +120,9 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope around the points, with a face for each of 42 evenly spread directions.
+    """A polytope around the points, with a face for each of 42 directions; a box if that fails.
 
-    Its frame is at the centre of the points' bounding box, with z along their principal axis. If
-    the polytope cannot be computed, the result is a box.
+    Its frame is at the centre of the points' bounding box, with z along their principal axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -155,10 +149,9 @@ def support(shape: Shape, D: Array) -> Array:
     if isinstance(shape, Box):
         T = shape.placement()
         return D @ T.translation + np.abs(D @ T.rotation) @ np.array(shape.size_m) / 2
-    if isinstance(shape, Hull):
-        T = shape.placement()
-        return D @ T.translation + (D @ T.rotation @ np.array(shape.vertices_m).T).max(axis=1)
-    raise TypeError(f"no support of a {type(shape).__name__}")
+    assert isinstance(shape, Hull)
+    T = shape.placement()
+    return D @ T.translation + (D @ T.rotation @ np.array(shape.vertices_m).T).max(axis=1)
 
 
 def volume_of(shape: Shape) -> float:
@@ -174,8 +167,7 @@ def hull_volume(points: Array) -> float:
 def hull(points: Array) -> tuple[Array, float]:
     """Corners (M, 3) of the convex hull and its volume [m³]; for flat points, the points and 0.
 
-    Fewer than five points count as flat and do not change. Other flat points are rounded to 1 µm,
-    without duplicates.
+    Fewer than five points count as flat. More flat points are rounded to 1 µm, without duplicates.
     """
     points = np.asarray(points, dtype=float)
     if len(points) < 5:
@@ -188,10 +180,9 @@ def hull(points: Array) -> tuple[Array, float]:
 
 
 def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The mesh, cut by planes until no cut saves more than 3 % of the volume of its convex hull.
+    """The mesh, cut by planes until no cut saves both 3 % of its hull's volume and a cube of 3 cm.
 
-    A cut saves the volume between the hull of a piece and the hulls of its halves. No cut saves
-    less than a cube of 3 cm.
+    A cut saves the volume between the hull of a piece and the hulls of its halves.
     """
     whole = hull_volume(mesh.vertices)
     least = max(_SAVED * whole, _CUBE)
@@ -210,8 +201,7 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """The halves of a mesh with the smallest sum of hull volumes; none if no plane cuts the mesh.
 
-    The tried planes are normal to the axes of the frame. The search uses every k-th triangle of a
-    large mesh, and the halves have all triangles.
+    The tried planes are normal to the axes. Only the search thins out a large mesh.
     """
     some = mesh.faces[:: 1 + len(mesh.faces) // _TRIANGLES]
     best, plane = np.inf, None
@@ -230,10 +220,7 @@ def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 @cache
 def directions(subdivisions: int) -> Array:
-    """(K, 3) evenly spread unit vectors, including the axes; read-only.
-
-    K is 42, 162 or 642 for 1, 2 or 3 subdivisions.
-    """
+    """(K, 3) evenly spread unit vectors with the axes; K is 42, 162 or 642 for 1, 2 or 3."""
     spread = np.asarray(trimesh.creation.icosphere(subdivisions=subdivisions).vertices)
     D = np.vstack([spread, np.eye(3), -np.eye(3)])
     D = np.unique(np.round(D / np.linalg.norm(D, axis=1)[:, None], 9), axis=0)
@@ -286,10 +273,7 @@ def _box(points: Array, rpy: Array) -> Box:
 
 
 def _outermost(points: Array) -> Array:
-    """The farthest point in each of 42 directions.
-
-    These points are sufficient for the pose of a shape, but not for its size.
-    """
+    """The farthest point in each of 42 directions: enough for the pose of a shape, not its size."""
     return points[np.unique((points @ directions(1).T).argmax(axis=0))]
 
 

@@ -8,7 +8,7 @@ links are that close by design or if other pairs detect its collisions. A pair d
 if its bodies overlap in the same posture.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import combinations, compress, pairwise, product
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ from app.onboarding.fit.collision_sampling import (
 )
 from app.onboarding.fit.stops import LEAST, contact_margin, detectable
 from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
-from app.onboarding.read.links import LinkGeometry
+from app.onboarding.read.links import Geometry
 from app.onboarding.request import BOUNDS
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -60,21 +60,15 @@ BY_BODIES = "chosen: its bodies are within d_b in most postures; other pairs det
 class Verdict(NamedTuple):
     """The quality of a grouping."""
 
-    missed: float
-    """[-] share of colliding postures in which no pair of bodies overlaps."""
-    false: float
-    """[-] share of free postures in which a pair of bodies overlaps."""
-    spurious: tuple[str, ...]
-    """Pairs of bodies that overlap although their links never do."""
-    always: tuple[str, ...]
-    """Monitored pairs that overlap in a posture and are inside their buffer in most free ones."""
+    missed: float  # [-] share of colliding postures in which no pair of bodies overlaps
+    false: float  # [-] share of free postures in which a pair of bodies overlaps
+    spurious: tuple[str, ...]  # pairs of bodies that overlap although their links never do
+    always: tuple[str, ...]  # monitored, overlap somewhere, inside the buffer in most free postures
     unwatched: dict[str, str]
     """Pairs that are not monitored because they are inside their buffer in most free postures; the
     value is `BY_LINKS` or `BY_BODIES`."""
-    near: dict[str, float]
-    """[-] share of the free postures inside the buffer, by the name of the monitored pair."""
-    cost: float
-    """[-] total cost; the best grouping has the smallest."""
+    near: dict[str, float]  # [-] share of free postures inside the buffer, by monitored pair
+    cost: float  # [-] total cost; the best grouping has the smallest
 
 
 class Grouping(NamedTuple):
@@ -87,7 +81,6 @@ class Grouping(NamedTuple):
 def find_grouping(
     model: RobotModel,
     meetings: Meetings,
-    *,
     d_b: float,
     count: int | None = None,
     on_progress: OnProgress = lambda _: None,
@@ -97,10 +90,10 @@ def find_grouping(
     A unit is a rigid group of links. The unit fixed to the base below the arm belongs to l_1, like
     the paper's link 0, or to l_m if the pairs miss over 0.1 % of its collisions, as for a mast.
 
-    `count` is the number of bodies of the arm. None means four as in the paper or, if four are not
-    sufficient, the best number from two to six. Four are not sufficient if `Verdict.always` or
-    `Verdict.spurious` has a pair, or if more than 0.1 % of all collisions are missed.
-    `on_progress` is called with the finished share of the groupings; each search begins at 0.
+    `count` is the number of bodies of the arm. None means four as in the paper or, if
+    `Verdict.always` or `Verdict.spurious` then has a pair or over 0.1 % of all collisions are
+    missed, the best number from two to six. `on_progress` is called with the finished share of the
+    groupings of each search.
 
     Raises:
         RobotFileError: No grouping into `count` bodies is possible; the message has a valid range.
@@ -109,22 +102,15 @@ def find_grouping(
     found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
     if fixed.links and not _detects(model, found, meetings, fixed.index):
         found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count, on_progress)
-    return found._replace(bodies=with_nested(model, meetings, found.bodies))
-
-
-def with_nested(
-    model: RobotModel, meetings: Meetings, bodies: Sequence[FittedBody]
-) -> list[FittedBody]:
-    """The bodies with the field `nested`."""
-    found = []
-    for k, body in enumerate(bodies):
-        inner = [unit for each in bodies[: max(0, k - 1)] for unit in each.units]
+    bodies = []
+    for k, body in enumerate(found.bodies):
+        inner = [unit for each in found.bodies[: max(0, k - 1)] for unit in each.units]
         nested: dict[str, tuple[str, ...]] = {}
         for u, v in product(inner, body.units):
             for link, own in nested_links(model, meetings, u, v):
                 nested[own] = (*nested.get(own, ()), link)
-        found.append(body._replace(nested=nested))
-    return found
+        bodies.append(body._replace(nested=nested))
+    return found._replace(bodies=bodies)
 
 
 def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
@@ -192,7 +178,7 @@ def judge(
     """The quality of bodies in up to 600 colliding and 600 free random postures of the meetings."""
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))
-    parts = (np.logical_and(possible, real), np.logical_and(possible, ~real))
+    parts = (possible & real, possible & ~real)
     chosen = np.concatenate([np.flatnonzero(part)[:ENOUGH] for part in parts])
     q_m, hits, real = meetings.random.q_m[chosen], collides[chosen], real[chosen]
     free = real if real.all() else ~real
@@ -200,23 +186,21 @@ def judge(
     owner = {unit: k for k, body in enumerate(bodies) for unit in body.units}
     ends = [sorted((owner[u], owner[v])) for u, v in meetings.pairs]
     owners = [f"{bodies[i].name}-{bodies[j].name}" for i, j in ends]
-    near = (distances[free] < d_b).mean(axis=0)
+    near, meet = (distances[free] < d_b).mean(axis=0), distances <= 0.0
     built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
     kept, unwatched = np.ones(len(names), dtype=bool), {}
     for k in np.argsort(-near):  # the nearest pair first: without it, others may be needed
         without = kept & (np.arange(len(names)) != k)
-        blind = (real & ~(distances[:, without] <= 0).any(axis=1)).sum() / max(1, real.sum())
+        blind = _share(~np.any(meet[real][:, without], axis=1))
         if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
             kept, unwatched[names[k]] = without, BY_LINKS if names[k] in built else BY_BODIES
-    names = list(compress(names, kept))
-    distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
-    meet = dict(zip(names, np.any(distances <= 0, axis=0).tolist(), strict=True))
-    truly = {name: hits[:, [each == name for each in owners]].any() for name in names}
-    spurious = tuple(n for n in names if meet[n] and not truly[n])
-    always = tuple(n for n in names if meet[n] and near[n] > ALWAYS)
-    seen = (distances <= 0).any(axis=1)
-    missed = float((real & ~seen).sum() / max(1, real.sum()))
-    false = float((seen & ~real).sum() / max(1, (~real).sum()))
+    truly = {*compress(owners, np.any(hits, axis=0))}
+    met = [*compress(names, kept & np.any(meet, axis=0))]
+    near = dict(compress(zip(names, near.tolist(), strict=True), kept))
+    spurious = tuple(name for name in met if name not in truly)
+    always = tuple(name for name in met if near[name] > ALWAYS)
+    seen = np.any(meet[:, kept], axis=1)
+    missed, false = _share(~seen[real]), _share(seen[~real])
     cost = (
         _MISSED_COST * max(0.0, missed - _MISSED)
         + _FALSE_COST * false
@@ -228,38 +212,35 @@ def judge(
     return Verdict(missed, false, spurious, always, unwatched, near, cost)
 
 
+def _share(flags: Array) -> float:
+    """[-] share of True in flags (N,); 0 without a flag."""
+    return float(flags.sum() / max(1, len(flags)))
+
+
 class Detection(NamedTuple):
     """Collisions of links in random postures that the fit has not used, and the undetected ones.
 
-    A colliding posture is detected if the bodies of any pair overlap, because avoidance prevents
-    the overlap.
+    A posture is detected if the bodies of any pair overlap: avoidance prevents the overlap.
     """
 
-    looked_at: int
-    """Number of random postures."""
-    postures: int
-    """Number of postures in which hulls of links collide."""
-    undetected: int
-    """Number of these postures in which meshes of links collide, but no pair of bodies overlaps."""
-    watched: int
-    """Number of collisions of links whose bodies are a pair. All collisions between two bodies in
-    one posture count once."""
-    missed: int
-    """Number of these collisions in which the bodies of the pair do not overlap."""
-    deepest: float
-    """[m] largest distance of these bodies in a missed collision; 0 without one."""
+    looked_at: int  # number of random postures
+    postures: int  # number of postures in which hulls of links collide
+    undetected: int  # those in which meshes collide, but no pair of bodies overlaps
+    watched: int  # collisions of links whose bodies are a pair, once for each posture
+    missed: int  # number of these collisions in which the bodies of the pair do not overlap
+    deepest: float  # [m] largest distance of these bodies in a missed collision; 0 without one
     blind: tuple[str, ...]
-    """Pairs whose bodies do not overlap in more than half of the collisions of their links.
-    Collisions in random postures, and further ones that a search has found, count together."""
+    """Pairs whose bodies do not overlap in more than half of the collisions of their links, in
+    random postures and those that a search has found together."""
     worst: str
-    """Names of the two units (groups of links) that meet most often in the undetected postures,
-    with the share of these contacts in all random postures; `none` without undetected postures."""
+    """The two units (groups of links) that meet most often in the undetected postures, with the
+    share of these contacts in all random postures; `none` without undetected postures."""
     left_out: int
     """Number of postures that a rule excludes: no pair of bodies overlaps, but links meet that are
     neighbours or close by design. It is extrapolated if more than 300 postures qualify."""
     rule: str
-    """Up to four pairs of links of these postures, the most frequent ones first. Each has its share
-    of all random postures and, if there is one, a d_b with which a pair detects the contacts, or a
+    """Up to four pairs of links of these postures, the most frequent ones first, with the share of
+    all random postures and, if there is one, a d_b with which a pair detects the contacts, or a
     joint range without them."""
 
     @property
@@ -269,14 +250,14 @@ class Detection(NamedTuple):
 
 
 def detection_of(
-    model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float, workers: Workers = ALONE
+    model: RobotModel, geometry: Geometry, d_b: float, workers: Workers = ALONE
 ) -> Detection:
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
-    Contacts that are allowed by design (`neighbours`) do not count. Contacts of two links of the
-    arm that are within d_b [m] by design or overlap by at most 3 mm do not count either. A contact
-    of the base with a link that is within d_b by design counts if the pair is in `Meetings.apart`.
-    `workers` share the random postures.
+    Contacts that are allowed by design (`neighbours`), and contacts of two links of the arm that
+    are within d_b [m] by design or overlap by at most 3 mm, do not count. A contact of the base
+    with a link that is within d_b by design counts if the pair is in `Meetings.apart`. `workers`
+    share the postures.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -307,13 +288,10 @@ def detection_of(
     undetected &= hits.any(axis=1)
     watched = missed = 0
     deepest, blind = 0.0, []
+    owners = [{owner[u], owner[v]} if (u, v) not in met.close else set() for u, v in met.pairs]
     for pair, gap in zip(pairs, gaps.T, strict=True):
-        columns = [
-            k
-            for k, (u, v) in enumerate(met.pairs)
-            if {owner[u], owner[v]} == set(pair) and (u, v) not in met.close
-        ]
-        there = np.any(np.vstack([hits, rare])[:, columns], axis=1)
+        own = [each == set(pair) for each in owners]
+        there = np.any(np.vstack([hits, rare])[:, own], axis=1)
         late = there & (gap > 0.0)
         watched, missed = watched + int(there[:count].sum()), missed + int(late[:count].sum())
         deepest = max(deepest, float(gap[:count][late[:count]].max(initial=0.0)))
@@ -328,33 +306,29 @@ def detection_of(
 
 
 def _left_out(
-    model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Mapping[str, LinkGeometry]
+    model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Geometry
 ) -> tuple[int, str]:
     """`left_out` and `rule` of `Detection`; nested links do not count."""
     units, q_m = met.units, met.random.q_m
-    near = sorted(met.close - met.nested)
-    distant = set(met.pairs)
-    beside = [
-        (a.index, b.index)
-        for a, b in combinations([unit for unit in units if unit.parts], 2)
-        if (a.index, b.index) not in distant and a.joint != b.joint
-    ]
+    near, distant = sorted(met.close - met.nested), set(met.pairs)
+    shaped = combinations([unit for unit in units if unit.parts], 2)
+    apart = [(a.index, b.index) for a, b in shaped if a.joint != b.joint]
+    beside = [pair for pair in apart if pair not in distant]
     sampled = met.random.distances[:, [met.pairs.index(pair) for pair in near]]
     gaps = np.hstack([sampled, hull_distances(model, units, beside, q_m)])
     touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
     rows = np.flatnonzero(touch.any(axis=1))
     rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
     looked = rows[:: -(-len(rows) // _MAX_LOOKED_AT)] if len(rows) else rows
-    real = np.zeros((len(looked), touch.shape[1]), dtype=bool)
-    for k, (u, v) in enumerate([*near, *beside]):  # hulls of adjacent links often overlap
+    real, both = touch[looked], [(units[u], units[v]) for u, v in (*near, *beside)]
+    for k, (a, b) in enumerate(both):  # hulls of adjacent links often overlap
         own = touch[looked, k]
-        real[own, k] = meshes_meet(model, units[u], units[v], geometry, q_m[looked[own]])
+        real[own, k] = meshes_meet(model, a, b, geometry, q_m[looked[own]])
     scale = len(rows) / max(1, len(looked))
     shares = real.sum(axis=0) * scale / len(q_m)
     said = []
     for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]:
-        a, b = (units[unit] for unit in [*near, *beside][k])
-        touching = gaps[:, k] <= contact_margin(gaps[:, k])
+        (a, b), touching = both[k], gaps[:, k] <= contact_margin(gaps[:, k])
         free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
         if k < len(near) and near[k] not in met.grazing:
             free = detectable(met, near[k]) + free
@@ -365,8 +339,8 @@ def _left_out(
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
     """The largest range of one of the `joints` that contains no posture of q_m (N, n_m), as text.
 
-    It is empty if no range has at least a quarter of the joint's range, or of a turn. It is also
-    empty with fewer than `_FEWEST_CONTACTS` postures, because such a range is then a coincidence.
+    It is empty if no range has at least `LEAST` of the joint's range, or of a turn, or with fewer
+    than `_FEWEST_CONTACTS` postures, because such a range is then a coincidence.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
@@ -403,11 +377,10 @@ def _ranked(
 ) -> list[tuple[float, list[list[int]]]]:
     """All divisions of the chain into groups, each with a lower bound of its cost.
 
-    Each group has at least one link with a shape. The lower bound is the cost of the number of
-    bodies. The divisions are in the order of this bound plus the cost of collisions that ideal
-    bodies would miss: two ideal bodies overlap exactly if links of both overlap. `slides` are the
-    units on prismatic joints of the arm; such a unit is not in the group of a unit that is fixed to
-    the base.
+    Each group has at least one link with a shape. The bound is the cost of the number of bodies.
+    The order is that of the bound plus the cost of collisions that ideal bodies would miss: two of
+    these overlap exactly if links of both overlap. No group has a unit that is fixed to the base
+    together with a unit of `slides`, the units on prismatic joints of the arm.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
@@ -419,12 +392,11 @@ def _ranked(
             if any(shaped.isdisjoint(group) for group in groups):
                 continue
             if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
-                continue  # a unit that is fixed to the base shares no body with one that slides
-            owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
-            owner |= dict.fromkeys(mobile, 0)
+                continue
+            owner = {unit: k for k, group in enumerate([mobile, *groups]) for unit in group}
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
-            missed = (~hits[:, watched].any(axis=1)).sum() / max(1, len(hits))
+            missed = _share(np.all(~hits[:, watched], axis=1))
             uneven = sum(len(group) ** 2 for group in groups)
             least = _BODY_COST * (count + 1)
-            ranked.append((least + _MISSED_COST * float(missed), uneven, groups, least))
+            ranked.append((least + _MISSED_COST * missed, uneven, groups, least))
     return [(least, groups) for _, _, groups, least in sorted(ranked)]

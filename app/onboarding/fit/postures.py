@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import islice, pairwise, product
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,75 +42,61 @@ _BAD = 1e3  # [-] offset that makes every quality positive, so that a posture is
 class Ready(NamedTuple):
     """A posture, and the pair that is nearest in it."""
 
-    q_m: Array
-    """(n_m,) [rad or m]"""
-    beyond_buffer: float
-    """[m] smallest distance of a pair beyond its buffer; negative inside it, inf without a pair."""
-    nearest: str
-    """Displayed name of that pair; empty without a pair."""
+    q_m: Array  # (n_m,) [rad or m]
+    beyond_buffer: float  # [m] smallest distance of a pair beyond its buffer; inf without a pair
+    nearest: str  # displayed name of that pair; empty without a pair
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random postures according to `RULE`, with joint positions rounded to 0.01 rad or
-    m.
-
-    `pairs` are the monitored pairs.
-    """
-    rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
-    search, middle = judge.search, judge.search.middle
+    """The best of random postures according to `RULE`, rounded to 0.01 rad or m."""
+    search, mount = PostureSearch(model, pairs, model.description.config.border.d_b), model.p_base()
     span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready posture exceeds one turn
-    postures = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
-    best = max(map(judge.manipulability, postures)) or 1.0
+    random = np.random.default_rng(seed).random((_SAMPLES, model.n_m))
+    postures = search.middle + (random - 0.5) * (1 - 2 * _KEPT) * span
+
+    def manipulability_of(q_m: Array) -> float:
+        search.place(q_m)  # with fewer than 6 joints, only the position counts
+        return manipulability(search.J_ee if model.n_m >= 6 else search.J_ee[:3])
+
+    best = max(map(manipulability_of, postures)) or 1.0
 
     def worth(q_m: Array) -> float:
-        ready = judge.look(q_m)
         return (
             _BAD
-            + 1.5 * min(ready.beyond_buffer, _ENOUGH) / _ENOUGH
-            + judge.manipulability(q_m) / best
-            + judge.placed()
-            - 0.5 * float(np.mean(np.abs(q_m - middle) / span))
+            + 1.5 * min(_ready(search, q_m).beyond_buffer, _ENOUGH) / _ENOUGH
+            + manipulability_of(q_m) / best
+            + _placed(search, mount)
+            - 0.5 * float(np.mean(np.abs(q_m - search.middle) / span))
         )
 
     found = search.best(postures, worth).q_m
     assert found is not None
-    return judge.look(np.round(found, 2))
+    return _ready(search, np.round(found, 2))
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
     """The posture q_m (n_m,), with the smallest distance of a monitored pair beyond its buffer."""
-    return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
+    return _ready(PostureSearch(model, pairs, model.description.config.border.d_b), q_m)
 
 
-class _Judge:
-    def __init__(self, model: RobotModel, pairs: LinkPairs) -> None:
-        self.search = PostureSearch(model, pairs, model.description.config.border.d_b)
-        self._mount = model.p_base()
+def _ready(search: PostureSearch, q_m: Array) -> Ready:
+    search.place(q_m)
+    named = zip(search.distances(), search.names, strict=True)
+    d, name = min(named, key=itemgetter(0), default=(np.inf, ""))
+    return Ready(q_m, float(d - search.d_b), name)
 
-    def look(self, q_m: Array) -> Ready:
-        """The posture q_m (n_m,) with its `beyond_buffer`, and the name of the nearest pair."""
-        self.search.place(q_m)
-        distances = self.search.distances()
-        i = int(np.argmin(distances)) if distances else -1
-        beyond = distances[i] - self.search.d_b if distances else np.inf
-        return Ready(q_m, float(beyond), self.search.names[i] if distances else "")
 
-    def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the end-effector in a posture; if n_m < 6, J has the position's rows."""
-        self.search.place(q_m)
-        return manipulability(self.search.J_ee if len(q_m) >= 6 else self.search.J_ee[:3])
-
-    def placed(self) -> float:
-        """[-] quality of the present pose of the end-effector: up to 1.2; -10 if it is unusable."""
-        at = self.search.state.T_world_ee
-        out = at.translation - self._mount
-        away = float(np.hypot(*out[:2]))
-        if self.search.above_floor() < _FLOOR or away < 0.05:
-            return -10.0
-        ahead = out[0] / away  # 1 in front, 0 beside, -1 behind
-        points = at.rotation[:, 2]
-        outwards = max(float(points[:2] @ out[:2]) / away, -float(points[2]))
-        return 0.5 * max(ahead, 0.6 if ahead > -0.3 else ahead) + 0.7 * outwards
+def _placed(search: PostureSearch, mount: Array) -> float:
+    """[-] quality of the present pose of the end-effector: up to 1.2; -10 if it is unusable."""
+    at = search.state.T_world_ee
+    out = at.translation - mount
+    away = float(np.hypot(*out[:2]))
+    if search.above_floor() < _FLOOR or away < 0.05:
+        return -10.0
+    ahead = out[0] / away  # 1 in front, 0 beside, -1 behind
+    points = at.rotation[:, 2]
+    outwards = max(float(points[:2] @ out[:2]) / away, -float(points[2]))
+    return 0.5 * max(ahead, 0.6 if ahead > -0.3 else ahead) + 0.7 * outwards
 
 
 Point = tuple[float, float, float]
@@ -117,9 +104,7 @@ _Start = tuple[Array, Array]
 """The start of a line: x, y and the distance from the box around l_m (3,) [m], and the unit vector
 (3,) towards the base."""
 
-INNER = 0.4
-"""[-] share of d_b below which the distance between the arm and a base at rest has to fall on a
-line."""
+INNER = 0.4  # [-] share of d_b below which the distance to a base at rest has to fall on a line
 GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, relative to d_b
 CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
@@ -131,6 +116,8 @@ _OUTSIDE = 0.05  # [m] smallest distance of a start from the buffer
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] distances of the end of a line from a base at rest
 _STEP = 0.0125  # [m] step along a line
 _OVER_MOUNT = 0.4  # [m] height above the mount to which the tops of l_m's parts are clipped
+_HEIGHTS = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
+"""Heights of lines, the best ones first: a share [-] of a part's top, and an addition [m]."""
 _JUST_OVER = 0.025  # [m] height above the top of a part of l_m for the last lines
 _SAME_TOP = 0.1  # [m] difference below which the tops of two parts count as equal
 _SHARES = np.linspace(0.1, 1.0, 10)  # [-] steps of the path from a known posture
@@ -150,14 +137,10 @@ _SINGULAR = 1e-9  # [m/(N s)] mobility that regularises a singular posture
 class Place(NamedTuple):
     """A line for guiding with its source."""
 
-    start: Point
-    """[m] start in the frame of the base at the beginning."""
-    move: Point
-    """[m] vector from the start to the end."""
-    nearest: float
-    """[m] smallest distance between the arm and a base at rest on this line."""
-    source: str
-    """Source of the line for the description."""
+    start: Point  # [m] start in the frame of the base at the beginning
+    move: Point  # [m] vector from the start to the end
+    nearest: float  # [m] smallest distance between the arm and a base at rest on this line
+    source: str  # source of the line for the description
 
     def content(self) -> dict[str, Any]:
         """The line in the form of a description."""
@@ -176,14 +159,14 @@ def find_place(
 ) -> Place | str:
     """A line towards the side or the front of the base, or the reason why there is no line.
 
-    A line starts at most 0.425 m from l_m and ends at most 0.125 m from l_m; these are the values
-    of the paper's robot. If the end-effector follows the line without avoidance, the arm touches
-    the base or comes nearer than `INNER` d_b. The order of preference is:
+    A line starts at most 0.425 m from l_m and ends at most 0.125 m from l_m, as for the paper's
+    robot. If the end-effector follows the line without avoidance, the arm touches the base or comes
+    nearer than `INNER` d_b. The order of preference is:
 
     1. lines on which the arm would touch the base, then lines on which it would come nearest;
     2. lines on which the arm best holds its end-effector while the base moves;
-    3. the order of `_front` or `_lateral`, with far starts before near starts; then heights near
-       0.8 times the height of a part of l_m.
+    3. the order of `_front` or `_lateral`, far starts first; then heights near 0.8 of a part of
+    l_m.
 
     Args:
         model: The robot.
@@ -199,15 +182,11 @@ def find_place(
         return found
     hundredths = range(round(100 * parameter("border.d_b").low), round(100 * d_b))
     smaller = [k / 100 for k in reversed(hundredths)]
-
-    def leads(d_b: float) -> bool:
-        return bool(chosen(_Guide(model, pairs, d_b).lines(name), d_b))
-
-    k = bisect_left(smaller, True, key=leads)
-    helps = (
-        f"--buffer-distance {smaller[k]:g} can give a line" if k < len(smaller) else _NOT_SMALLER
+    leads = [f"--buffer-distance {each:g} can give a line" for each in smaller]
+    k = bisect_left(
+        smaller, True, key=lambda d_b: bool(chosen(_Guide(model, pairs, d_b).lines(name), d_b))
     )
-    return f"{guide.obstacles}; {helps}"
+    return f"{guide.obstacles}; {[*leads, _NOT_SMALLER][k]}"
 
 
 def chosen(
@@ -217,11 +196,10 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that comes nearer than `INNER` d_b and has no fault.
+    """The first line that comes nearer than `INNER` d_b and has no fault, of at most three.
 
-    At most three lines are tested. If each of them has a fault, the result is a text with the
-    faults or, with `anyway`, the first of these lines. If no line comes near enough, the result is
-    an empty text.
+    If each has a fault, the result is a text with the faults or, with `anyway`, the first of these
+    lines. If none comes near enough, the text is empty.
     """
     tried: dict[Place, str] = {}
     for line in islice((each for each in lines if each.nearest < INNER * d_b), _MAX_RUNS):
@@ -277,35 +255,32 @@ def line_from(
     job: tuple[str, RobotModel, BorderData, bool],
     on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
-    """Execute `find_place` with `fault_of_run`, in a worker process.
+    """`find_place` with `fault_of_run`, in a worker process.
 
-    `job` has the name of the scenario, the robot, its border data, and the argument `anyway`. In
-    the reported progress, the search for lines and each possible run have equal shares.
+    `job` has the name of the scenario, the robot, its border data, and the argument `anyway`. The
+    search for lines and each possible run have equal shares of the progress.
     """
     name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
     parts = (part_of(on_progress, begin, end) for begin, end in pairwise(ends.tolist()))
-    search = next(parts)
-
-    def fault(place: Place) -> str:
-        return fault_of_run(model, data, name, place, next(parts))
-
-    pairs = data.pairs
-    return find_place(model, pairs, name, fault=fault, anyway=anyway, on_progress=search)
+    return find_place(
+        model,
+        data.pairs,
+        name,
+        on_progress=next(parts),
+        fault=lambda place: fault_of_run(model, data, name, place, next(parts)),
+        anyway=anyway,
+    )
 
 
 class _Candidate(NamedTuple):
     """A possible line; the arm reaches its start with some orientation of the end-effector."""
 
     start: Point
-    inwards: Array
-    """(3,) unit vector towards the base."""
-    length: float
-    """[m] length of the line."""
-    left: float
-    """[m] distance of its end from the side of the base."""
-    nearest: float
-    """[m] smallest distance between the arm and a base at rest."""
+    inwards: Array  # (3,) unit vector towards the base
+    length: float  # [m] length of the line
+    left: float  # [m] distance of its end from the side of the base
+    nearest: float  # [m] smallest distance between the arm and a base at rest
     carried: float
     """[-] mean share of the base's motion that the arm does not compensate, on the part of the line
     inside the buffers; 0 without such a part."""
@@ -329,10 +304,7 @@ class _Candidate(NamedTuple):
 
 
 class _Guide:
-    """Moves the end-effector kinematically along candidate lines.
-
-    The base rests at the origin, and there is no avoidance.
-    """
+    """Moves the end-effector kinematically along lines; the base rests at the origin."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         self.body = MobileBody(model)
@@ -367,7 +339,7 @@ class _Guide:
         """
         mount, body = self._model.p_base(), self.body
         tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
-        heights = [round(h, 3) for h in _heights(tops)]
+        heights = [round(share * top + over, 3) for share, over in _HEIGHTS for top in tops]
         last = [round(top + _JUST_OVER, 3) for top in tops]
         outs = np.arange(_FARTHEST, self._d_b + _OUTSIDE, -_NEARER).round(3).tolist()
         starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
@@ -380,7 +352,7 @@ class _Guide:
                 found.append(line)
         asked: list[_Candidate] = []
         searched = 0
-        for line in sorted(found, key=lambda each: each.rank):  # stable order
+        for line in sorted(found, key=attrgetter("rank")):  # stable order
             if searched == _MAX_STARTS or (asked and line.nearest >= INNER * self._d_b):
                 return
             if any(map(line.is_as, asked)):
@@ -405,21 +377,15 @@ class _Guide:
             yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from a start at height z, which ends early if the arm touches the base.
-
-        It is None if the arm cannot start there, or comes nearer than `_LOWEST` to the floor.
-        """
+        """The line from a start at height z, which ends early at the base; None if it has none."""
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
-        q_m = self._free_at(np.array(p))
-        if q_m is None:
+        if (q_m := self._free_at(np.array(p))) is None:
             return None
         led, least, shares = 0.0, np.inf, []
-        for left in _LEFT_OVER:
+        for left in (left for left in _LEFT_OVER if left < at[2]):
             length = at[2] - left
-            if length <= 0.0:
-                continue
             q_m, nearest, carried, low = self._led(q_m, np.array(p), inwards, led, length)
             if low < _LOWEST:
                 self._obstacles[_FLOOR_ON_LINE] += 1
@@ -432,25 +398,25 @@ class _Guide:
     def _led(
         self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
     ) -> tuple[Array, float, list[float], float]:
-        """Move the arm from the length `begin` [m] of a line to `end` [m], without avoidance.
+        """Move the arm without avoidance between two lengths [m] of a line along `inwards`.
 
-        `q_m` (n_m,) is the posture at `begin`. The line starts at p (3,) [m] and has the direction
-        `inwards` (3,).
+        `q_m` (n_m,) is the posture at `begin`; the line starts at p (3,) [m].
 
         Returns:
             The posture (n_m,) at the end; the smallest distance [m] to the base; for each step
-                inside the buffers, the share [-] of the base's motion that the arm does not
-                compensate; and the smallest distance [m] to the floor.
+            inside the
+                buffers, the share [-] of the base's motion that the arm does not compensate; and
+                the smallest distance [m] to the floor.
         """
-        search, least, carried, low = self._search, np.inf, [], np.inf
-        n_b, speed = self._model.n_b, self._model.description.config.ee_hold.min_speed
+        search, model, least, carried, low = self._search, self._model, np.inf, [], np.inf
+        speed = model.description.config.ee_hold.min_speed
         for led in np.minimum(np.arange(begin, end, _STEP) + _STEP, end):
             q_m = self._pulled(q_m, p + led * inwards)
             nearest = min(search.distances()[: self._mobile])
             least, low = min(least, nearest), min(low, search.above_floor())
             if nearest < self._d_b:
-                moved = search.state.J_ee[:3, :n_b] @ self._model.J_m_inv
-                model, J_ee = self._model, search.state.J_ee
+                J_ee = search.state.J_ee
+                moved = J_ee[:3, : model.n_b] @ model.J_m_inv
                 lost = uncompensated_base_jacobian(J_ee, model.qd_max, model.J_m_inv, speed)
                 carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
         return q_m, float(least), carried, float(low)
@@ -507,21 +473,12 @@ _LED = (
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] heights of the tops of l_m's parts, clipped to `most`, from high to low.
-
-    A top that is less than `_SAME_TOP` below the previous one is left out.
-    """
+    """[m] tops of l_m's parts, at most `most`, from high to low, `_SAME_TOP` or more apart."""
     found: list[float] = []
-    for top in sorted((float(part.upper[2]) for part in body.parts), reverse=True):
-        if not found or min(top, most) < found[-1] - _SAME_TOP:
-            found.append(min(top, most))
+    for top in sorted((min(float(part.upper[2]), most) for part in body.parts), reverse=True):
+        if not found or top < found[-1] - _SAME_TOP:
+            found.append(top)
     return found
-
-
-def _heights(tops: list[float]) -> list[float]:
-    """[m] heights of lines towards parts of l_m with these tops; the best lines are first."""
-    rules = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
-    return [share * top + over for share, over in rules for top in tops]
 
 
 def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
@@ -533,10 +490,9 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 
 
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts of lines towards the sides of the base: left before right.
+    """Starts towards the left and right side, at the mount's x and near both ends of the base.
 
-    Their x is the x of the arm's mount, or is near the front or the rear end of the base. The ends
-    are tried because a base without sideways motion hardly avoids a line towards its axle.
+    The ends are tried because a base without sideways motion hardly avoids a line to its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
@@ -546,9 +502,7 @@ def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts of lines towards the front: 0.1 m to the left of the mount, near the right and the
-    left edge of the base, and straight ahead of the mount.
-    """
+    """Starts towards the front: left of the mount, near both edges of the base, at the mount."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):

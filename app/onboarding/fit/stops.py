@@ -1,8 +1,7 @@
 """Stops: joint limits that prevent collisions of links that are close to the base by design.
 
-These links are within d_b of the base in most postures, so their pairs are not monitored. An
-example is the upper arm of a UR: a limit of the shoulder lift joint prevents its collision with the
-base.
+No pair monitors these links, because they are within d_b of the base in most postures. For the
+upper arm of a UR, a limit of the shoulder lift joint prevents the collision.
 """
 
 from collections.abc import Sequence
@@ -37,10 +36,10 @@ def with_stops(
 ) -> Limits:
     """Joint limits with which no link that is close to the base by design can reach the base.
 
-    For each of these links that reaches the base in a sampled posture, one joint between the base
-    and the link gets narrower limits: the joint that retains the largest share of its range. If no
-    joint retains a quarter of its range, or of a turn, the limits do not change; see
-    `watching_buffer`. `ready` (n_m,) is a posture that the limits have to include, or None.
+    For each of these links that reaches the base in a sampled posture, the joint before the link
+    that retains the largest share of its range gets narrower limits. If no joint retains a quarter
+    of its range, or of a turn, the limits do not change; see `watching_buffer`. `ready` (n_m,) is a
+    posture that the limits have to include, or None.
 
     Raises:
         RobotFileError: Limits can prevent the contact, but none of them include `ready`.
@@ -78,19 +77,15 @@ def with_stops(
             raise RobotFileError(
                 f"--ready: {b.name} can meet {a.name} near this posture; choose another posture"
             )
-    if not stops:
-        return limits
-    why = "; ".join(f"{name}{STOPPED}{text}" for name, text in stops.items())
-    source = limits.source | {
-        field: f"{limits.source[field]}; {why}" for field in ("position_lower", "position_upper")
-    }
+    why = "".join(f"; {name}{STOPPED}{text}" for name, text in stops.items())
+    fields = ("position_lower", "position_upper")
+    source = limits.source | {field: limits.source[field] + why for field in fields}
     return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), source=source)
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] distance up to which two links with some distances (N,) count as in contact.
-
-    It is `MARGIN`, or half of the largest distance if that is less, as for adjacent links.
+    """[m] distance up to which two links with some distances (N,) count as in contact: `MARGIN`, or
+    half of the largest distance if that is less, as for adjacent links.
     """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 
@@ -98,8 +93,8 @@ def contact_margin(distances: Array) -> float:
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
     """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
-    The result is `d_b`, or a smaller value in steps of 0.01 m. A collision that no valid value of
-    `border.d_b` detects is ignored. The second result is the reason of a smaller value, or empty.
+    It is `d_b`, or a smaller value in steps of 0.01 m with its reason. A collision that no valid
+    value of `border.d_b` detects is ignored.
     """
     least, why = d_b, ""
     for u, v in sorted(meetings.close & meetings.apart):
@@ -114,8 +109,8 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
 def _monitored_from(meetings: Meetings, pair: tuple[int, int]) -> float:
     """A d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
 
-    The units are then outside of the buffer in the share `ALWAYS` of the free postures. A pair
-    needs only 1 − `ALWAYS`; the larger share is a reserve for bodies larger than the links.
+    The units are then outside of the buffer in the share `ALWAYS` of the free postures, although
+    1 − `ALWAYS` is sufficient: bodies are larger than the links.
     """
     distances = meetings.random.distances
     gaps = distances[free_postures(distances), meetings.pairs.index(pair)]

@@ -5,26 +5,22 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
-from app.onboarding.read.links import LinkGeometry, in_pieces, swept_shape
+from app.onboarding.read.links import Geometry, LinkGeometry, in_pieces, swept_shape
 from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 
-Positions = Mapping[str, float]
-"""[rad or m] positions of joints by their names."""
+Positions = Mapping[str, float]  # [rad or m] by the names of the joints
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles in a range of up to 25 rad
 _MOST_TURN = 1e3  # [rad] range above which a joint counts as one without limits
 _MOST = 144  # [-] largest number of steps
 
 
-def filled(
-    tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
-) -> dict[str, LinkGeometry]:
+def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, LinkGeometry]:
     """The links' geometry in nearly convex pieces, extended by the motion of some links.
 
-    These links are the links beyond the chain's last link (fingers), the other parts of telescopes,
-    and the links on joints that mimic a joint of the arm. Their pieces cover the motions of
-    `with_travel`. `chain` has the joints of the arm. The shapes are in the frames of the links at
-    rest.
+    These links are those beyond the chain's last link (fingers), the other parts of telescopes, and
+    those on joints that mimic a joint of the arm. Their pieces cover the motions of `with_travel`.
+    `chain` has the joints of the arm.
     """
     pieces = {
         name: each._replace(shapes=tuple(p for shape in each.shapes for p in in_pieces(shape)))
@@ -33,52 +29,45 @@ def filled(
     found = with_travel(tree, pieces, chain[-1].child)
     own = [joint.name for joint in chain]
     for joint in followers(tree, own):
-        beside = [each.name for each in tree.children(joint.parent) if each is not joint]
+        beside = [each.name for each in tree.children[joint.parent] if each is not joint]
         found = with_travel(tree, found, joint.parent, [*own, *beside], [_leader(tree, joint)[0]])
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
-        below = tree.children(slide.child)
+        below = tree.children[slide.child]
         other = [joint.name for joint in below if not (joint.moves and parallel(slide, joint))]
         found = with_travel(tree, found, slide.child, [*own, *other])
     return found
 
 
 def followers(tree: Tree, chain: Sequence[str]) -> list[Joint]:
-    """Joints outside of the arm's chain that follow a joint of the chain (`<mimic>`).
-
-    An example is a torso that rises by half of the arm's lift.
-    """
+    """Joints outside of the arm's chain that follow a joint of it, as a torso can follow a lift."""
     outside = [joint for joint in tree.joints.values() if joint.mimic and joint.name not in chain]
     return [joint for joint in outside if _leader(tree, joint)[0].name in chain]
 
 
 def _leader(tree: Tree, joint: Joint) -> tuple[Joint, float, float]:
-    """The leader of a mimic joint, also through other mimic joints, with multiplier and offset; a
-    joint without <mimic> is its own leader.
-    """
+    """The independent joint that a joint follows through others, with multiplier and offset."""
     multiplier, offset = 1.0, 0.0
     for _ in tree.joints:  # a closed chain of mimic joints ends too
-        if joint.mimic is None or joint.mimic[0] not in tree.joints:
-            break
-        name, factor, shift = joint.mimic
-        offset += multiplier * shift
-        joint, multiplier = tree.joints[name], multiplier * factor
+        if joint.mimic and joint.mimic[0] in tree.joints:
+            name, factor, shift = joint.mimic
+            offset += multiplier * shift
+            joint, multiplier = tree.joints[name], multiplier * factor
     return joint, multiplier, offset
 
 
 def with_travel(
     tree: Tree,
-    geometry: Mapping[str, LinkGeometry],
+    geometry: Geometry,
     carrier: str,
     without: Sequence[str] = (),
     leaders: Sequence[Joint] | None = None,
 ) -> dict[str, LinkGeometry]:
     """Geometry in which the shapes of each descendant of `carrier` cover its sampled positions.
 
-    `leaders` move through their ranges: first one at a time with the others at rest, then all at
-    once, each at the same share of its range. Other combinations of positions are not covered. By
-    default, `leaders` are all moving joints below `carrier`. Mimic joints follow. The shapes are in
-    the frames of the links at rest, see `held_at`. Links beyond the joints in `without` do not
-    change.
+    `leaders`, by default all moving joints below `carrier`, move through their ranges: first one at
+    a time with the others at rest, then all at once, each at the same share of its range. Mimic
+    joints follow. The shapes are in the frames of the links at rest, see `held_at`. Links beyond
+    the joints in `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
@@ -101,9 +90,7 @@ def held_at(joint: Joint) -> float:
 
 
 def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Positions]:
-    """Positions of joints: each leader moves through its range with the others at rest, then all
-    leaders move at once, each at the same share of its range.
-    """
+    """Positions of joints: each leader moves alone, then all at the same share of their ranges."""
     ranges = {joint.name: _range(joint) for joint in leaders}
     rest = {joint.name: held_at(joint) for joint in [*joints, *leaders] if joint.moves}
     for name, values in ranges.items():
@@ -116,7 +103,7 @@ def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Po
 
 
 def _range(joint: Joint) -> list[float]:
-    """Positions of a joint through its range: both ends of a prismatic joint, or steps of an angle.
+    """Both ends of a prismatic joint's range, or steps of an angle.
 
     Without a range, a prismatic joint stays at zero, and other joints make a whole turn.
     """

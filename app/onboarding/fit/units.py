@@ -1,8 +1,8 @@
 """Units: groups of links that move as one rigid body, and distances between their hulls."""
 
-from collections.abc import Mapping, Sequence
-from itertools import product
-from typing import NamedTuple
+from collections.abc import Sequence
+from itertools import product, starmap
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -11,7 +11,7 @@ import trimesh
 
 from app.onboarding import ROOT
 from app.onboarding.fit.convex import directions, hull_corners
-from app.onboarding.read.links import LinkGeometry
+from app.onboarding.read.links import Geometry
 from app.onboarding.read.tree import PARALLEL, Arm
 from app.robot.model import RobotModel
 from app.robot.shapes import convex_hull
@@ -28,10 +28,8 @@ class Part(NamedTuple):
     """One hull of a unit; a `Unit` is a group of links that moves as one rigid body."""
 
     link: str
-    corners: Array
-    """(N, 3) [m] corners of the hull, in the joint's frame."""
-    reach: Array
-    """(K,) [m] largest coordinates of the hull along `directions(2)`."""
+    corners: Array  # (N, 3) [m] corners of the hull, in the joint's frame
+    reach: Array  # (K,) [m] largest coordinates of the hull along `directions(2)`
 
 
 class Unit(NamedTuple):
@@ -39,21 +37,16 @@ class Unit(NamedTuple):
 
     index: int
     """In `make_units`, 0 is the base, and 1 the links that are fixed to the base below the arm.
-    Then each joint of the arm has one or two units: the unit beside the arm, if any, and the unit
-    of the arm."""
+    Then each joint of the arm has one or two units: one beside the arm, if any, and the arm's."""
     frame: str
     """Link whose frame is that of the joint; the floor point for the first two units. In
     `units_of_links`, the `frame` of the body."""
     links: tuple[str, ...]
-    joint: int
-    """Number of the joint in pinocchio."""
+    joint: int  # number in pinocchio
     parts: tuple[Part, ...]
-    surface: Array
-    """(N, 3) [m] points on the hulls, in the joint's frame."""
-    owners: Array
-    """(N,) index of each point's link in `links`."""
-    beside: bool = False
-    """Whether another joint separates the unit from the arm's chain, such as a head on a torso."""
+    surface: Array  # (N, 3) [m] points on the hulls, in the joint's frame
+    owners: Array  # (N,) index of each point's link in `links`
+    beside: bool = False  # whether another joint separates it from the arm's chain, as a head
 
     @property
     def name(self) -> str:
@@ -62,9 +55,7 @@ class Unit(NamedTuple):
         return max(sizes, key=sizes.__getitem__, default=self.links[0])
 
 
-def make_units(
-    model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
-) -> tuple[Unit, ...]:
+def make_units(model: RobotModel, arm: Arm, geometry: Geometry) -> tuple[Unit, ...]:
     """The units in the order of `Unit.index`."""
     wanted = [(ROOT, arm.base_links, 1, False), (ROOT, arm.segments[0], 1, False)]
     rows = zip(arm.joints, arm.segments[1:], arm.beside[1:], strict=True)
@@ -79,10 +70,8 @@ def make_units(
     )
 
 
-def units_of_links(
-    model: RobotModel, geometry: Mapping[str, LinkGeometry]
-) -> dict[str, list[Unit]]:
-    """Units of the links that each body of a description encloses, by the name of the body.
+def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit]]:
+    """Units of the links of each body of a description, by the name of the body.
 
     Each body has one unit for each joint that moves some of its links. The units are numbered
     consecutively.
@@ -111,7 +100,7 @@ def _unit(
     frame: str,
     links: tuple[str, ...],
     joint: int,
-    geometry: Mapping[str, LinkGeometry],
+    geometry: Geometry,
 ) -> Unit:
     parts, surface, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     D = directions(2)
@@ -138,9 +127,8 @@ def moved(points: Array, T: pin.SE3) -> Array:
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether contacts of the units a and b are allowed by design.
 
-    Contacts are allowed in three cases. The units are on the same joint. A single joint separates
-    the units, and both belong to the arm's chain (`beside` is False). Only parallel prismatic
-    joints separate the units, as in a telescope.
+    The units are on the same joint, or only parallel prismatic joints separate them, as in a
+    telescope, or a single joint separates them, and both belong to the arm's chain (not `beside`).
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -163,8 +151,8 @@ def shape_distances(
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
     `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions,
-    with the base at the origin. With 150 or more pairs of shapes, only distances below 0.5 m are
-    exact; a larger result means only that the distance is at least 0.5 m.
+    with the base at the origin. With 150 or more pairs of shapes, results from 0.5 m are lower
+    bounds.
     """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
@@ -175,7 +163,7 @@ def shape_distances(
     starts, shapes = [], []
     for a, b in pairs:
         starts.append(len(shapes))
-        shapes += [(i, j) for i in ids[a] for j in ids[b]]
+        shapes += product(ids[a], ids[b])
     for i, j in shapes:
         geometry.addCollisionPair(pin.CollisionPair(i, j))
     found = np.empty((len(q_m), len(pairs)))
@@ -207,29 +195,25 @@ def shape_distances(
     return found
 
 
-def meshes_meet(
-    model: RobotModel, a: Unit, b: Unit, geometry: Mapping[str, LinkGeometry], q_m: Array
-) -> Array:
+def meshes_meet(model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array) -> Array:
     """(N,) whether the meshes of the units a and b touch in the postures q_m (N, n_m)."""
     data, request = model.pin.createData(), coal.CollisionRequest()
     first, second = (
         [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
         for u in (a, b)
     )
-    found = np.zeros(len(q_m), dtype=bool)
-    for row, posture in enumerate(q_m):
+
+    def touch(one: tuple[int, Any], two: tuple[int, Any]) -> bool:
+        T = data.oMf[one[0]].actInv(data.oMf[two[0]])
+        at, here = coal.Transform3s(T.rotation, T.translation), coal.Transform3s()
+        return bool(coal.collide(one[1], here, two[1], at, request, coal.CollisionResult()))
+
+    found = []
+    for posture in q_m:
         q = model.configuration((0.0, 0.0, 0.0), posture)
         pin.framesForwardKinematics(model.pin, data, q)
-        for (i, shape), (j, other) in product(first, second):
-            T = data.oMf[i].actInv(data.oMf[j])
-            at = coal.Transform3s(T.rotation, T.translation)
-            met = coal.collide(
-                shape, coal.Transform3s(), other, at, request, coal.CollisionResult()
-            )
-            if met:
-                found[row] = True
-                break
-    return found
+        found.append(any(starmap(touch, product(first, second))))
+    return np.array(found, dtype=bool)
 
 
 def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
@@ -257,8 +241,7 @@ def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
     """The hulls of each link that has a shape, by the name of the link."""
     shapes: dict[str, list[Placed]] = {}
     for unit in units:
-        for part in unit.parts:
-            placed = unit.joint, pin.SE3.Identity(), convex_hull(part.corners)
+        for part, placed in zip(unit.parts, hulls(unit), strict=True):
             shapes.setdefault(part.link, []).append(placed)
     return shapes
 

@@ -3,7 +3,7 @@
 import codecs
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, iterparse
@@ -26,17 +26,14 @@ _SMALLEST = 1e-3  # [m] smallest size of a mesh
 _DENSEST = 30_000.0  # [kg/m³] largest density of a link; gold has 19,300
 _LIGHTEST = 2.0  # [kg/m³] smallest density of all links of a base or an arm; real ones have 200
 _HEAVIEST = 100.0  # [kg] largest mass with any density: a shape may represent a part of its link
-MOST_FACES = 40_000
-"""[-] largest number of triangles of a mesh; a larger mesh is simplified, but keeps its extent."""
+MOST_FACES = 40_000  # [-] triangles above which a mesh is simplified, but keeps its extent
 _CELL = 3e-4  # [m] edge of the cells in which vertices of a larger mesh are merged
 _MANY = 10_000  # [-] number of points above which a hull uses only the outermost ones
 _HEAVY = 4_000_000  # [bytes] larger mesh files are converted to STL without merging equal vertices
 _SPACING = 0.03  # [m] distance between points on the surface of a hull
 _MAX_POINTS = 1500  # [-] largest number of corners, and of other points, on a hull
-ARM_DENSITY = 1200.0
-"""[kg/m³] density of an arm's links in their hulls; a Panda's links have 1,000 to 1,500."""
-BASE_DENSITY = 450.0
-"""[kg/m³] density of a base's links in their hulls; a Husky has 400, an Omron LD-60 480."""
+ARM_DENSITY = 1200.0  # [kg/m³] of the hulls of an arm's links; a Panda's have 1,000 to 1,500
+BASE_DENSITY = 450.0  # [kg/m³] of the hulls of a base's links; a Husky has 400, an LD-60 480
 _GUESS = 1.0  # [kg m²] largest moment of inertia that is a rough guess, for any mass
 _GYRATION = 5.0, 10.0  # [m], [-] largest radius of gyration; the second is relative to the shapes
 _OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass from the shapes, likewise
@@ -51,22 +48,16 @@ class LinkShape(NamedTuple):
     mesh: trimesh.Trimesh
     """Triangles of the shape, in the link's frame [m]. A mesh file with more than `MOST_FACES`
     triangles is simplified."""
-    hull: trimesh.Trimesh
-    """Convex hull of the shape, in the link's frame [m]."""
-    surface: Array
-    """(N, 3) [m] corners of the hull and points on its faces, in the link's frame."""
-    kind: str
-    """Tag of the geometry: box, cylinder, sphere, capsule or mesh."""
-    radius: float | None
-    """[m] radius of a cylinder, sphere or capsule; None for other shapes."""
+    hull: trimesh.Trimesh  # convex hull of the shape, in the link's frame [m]
+    kind: str  # tag of the geometry
+    radius: float | None  # [m] radius of a cylinder, sphere or capsule; None for other shapes
 
 
 class LinkGeometry(NamedTuple):
     """The collision shapes of a link, or its visual shapes if it has no collision shape."""
 
     shapes: tuple[LinkShape, ...]
-    seen_only: bool
-    """Whether the shapes are visual ones."""
+    seen_only: bool  # whether the shapes are visual ones
 
     @property
     def corners(self) -> Array:
@@ -76,7 +67,7 @@ class LinkGeometry(NamedTuple):
     @property
     def surface(self) -> Array:
         """(N, 3) [m] points on the surface of all hulls, in the link's frame."""
-        return np.vstack([np.zeros((0, 3)), *(s.surface for s in self.shapes)])
+        return np.vstack([np.zeros((0, 3)), *(_surface(s.hull) for s in self.shapes)])
 
     @property
     def volume(self) -> float:
@@ -84,17 +75,16 @@ class LinkGeometry(NamedTuple):
         return sum(float(s.hull.volume) for s in self.shapes)
 
 
-def read_geometry(tree: Tree) -> dict[str, LinkGeometry]:
-    """Read the geometry of each link; the keys are the names of the links.
+Geometry = Mapping[str, LinkGeometry]  # by the names of the links
 
-    Raises:
-        RobotFileError: As for `link_geometry`.
-    """
+
+def read_geometry(tree: Tree) -> Geometry:
+    """The geometry of each link; errors as for `link_geometry`."""
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """Read the geometry of one link, from the first of the tags that the link has.
+    """The geometry of one link, from the first of the tags that the link has.
 
     Raises:
         RobotFileError: A mesh is missing or unreadable, a number is invalid, or a size is probably
@@ -131,7 +121,7 @@ def _shape(element: Element, where: str) -> LinkShape:
             f"{where}: its mesh is {1e3 * size:.2g} mm long{stated}; remove the scale of a mesh "
             "that is in metres, or correct the unit in its file"
         )
-    return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
+    return LinkShape(mesh.apply_transform(T), hull, shape.tag, radius)
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
@@ -139,11 +129,8 @@ def in_pieces(shape: LinkShape) -> list[LinkShape]:
     pieces = convex_pieces(shape.mesh) if shape.kind == "mesh" else []
     if len(pieces) < 2:
         return [shape]
-    hulls = [hull_mesh(_outermost(np.asarray(piece.vertices), 4)) for piece in pieces]
-    return [
-        shape._replace(mesh=piece, hull=hull, surface=_surface(hull))
-        for piece, hull in zip(pieces, hulls, strict=True)
-    ]
+    corners = (_outermost(np.asarray(piece.vertices), 4) for piece in pieces)
+    return [shape._replace(mesh=m, hull=hull_mesh(p)) for m, p in zip(pieces, corners, strict=True)]
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
@@ -151,16 +138,11 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
     corners = np.asarray(shape.hull.vertices)
     hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in motions]))
     meshes = [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
-    mesh = trimesh.util.concatenate(meshes)
-    return shape._replace(mesh=mesh, hull=hull, surface=_surface(hull), radius=None)
+    return shape._replace(mesh=trimesh.util.concatenate(meshes), hull=hull, radius=None)
 
 
 def _triangles(path: Path) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file.
-
-    Raises:
-        RobotFileError: The file cannot be read, or has no triangles.
-    """
+    """The triangles [m] of all parts of a mesh file; errors as for `read_mesh`."""
     name = f"mesh {path}"
     end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
     try:
@@ -194,7 +176,7 @@ _loaded = lru_cache(maxsize=64)(_triangles)
 def read_mesh(
     path: Path, where: str, read: Callable[[Path], trimesh.Trimesh] = _triangles
 ) -> trimesh.Trimesh:
-    """Read the triangles [m] of all parts of a mesh file; `where` names the link in an error.
+    """The triangles [m] of all parts of a mesh file; `where` names the link in an error.
 
     Raises:
         RobotFileError: The file cannot be read, or has no triangles.
@@ -205,16 +187,14 @@ def read_mesh(
         raise RobotFileError(f"{where}: {error}") from None
 
 
-def load_mesh(path: Path, where: str) -> trimesh.Trimesh:
-    """`read_mesh` with a cache by the path; `where` and the errors are those of `read_mesh`."""
-    return read_mesh(path, where, _loaded)
+load_mesh = partial(read_mesh, read=_loaded)  # with a cache by the path
 
 
 def _damage(begin: bytes, size: int, end: str, *, missing: bool) -> str:
-    """The probable damage of an unreadable mesh file, with advice; empty if none is recognised.
+    """Advice for an unreadable mesh file, or empty.
 
-    `begin` is the first part of the file, `size` the size of the file [bytes], `end` its format;
-    `missing` means that its reader has not found another file.
+    `begin` is the first part of the file, `size` its size [bytes], `end` its format; `missing`
+    means that its reader has not found another file.
     """
     if end == "gltf":  # a text with commas between numbers
         if missing:
@@ -260,21 +240,15 @@ _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
 
 def _states_unit(path: Path) -> bool:
-    """Whether a COLLADA file states another unit than the metre, or another upward axis than z.
-
-    The result is also True if the XML is not well-formed or cannot be decoded.
+    """Whether a COLLADA file has another unit than the metre or up axis than z, or no readable XML.
 
     Raises:
         RobotFileError: The unit is not a number above zero.
     """
-    depth, asset = 0, Element("asset")
     try:
-        with path.open("rb") as file:
-            for event, element in iterparse(file, ("start", "end")):
-                depth += 1 if event == "start" else -1
-                if event == "end" and depth == 1 and element.tag.endswith("asset"):
-                    asset = element
-                    break
+        with path.open("rb") as file:  # the first <asset> is the file's own
+            found = (element for _, element in iterparse(file) if element.tag.endswith("asset"))
+            asset = next(found, Element("asset"))
     except (SyntaxError, ValueError, LookupError):  # XML that is not well-formed; an encoding
         return True
     unit, up = asset.find("{*}unit"), asset.findtext("{*}up_axis", "").strip()
@@ -285,17 +259,14 @@ def _states_unit(path: Path) -> bool:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether `new-robot` has to convert a mesh file to STL.
-
-    The result is True if other libraries cannot read the file, ignore its unit or upward axis, or
-    need very long.
+    """Whether `new-robot` has to convert a mesh file to STL: other libraries cannot read it, ignore
+    its unit or upward axis, or need very long.
     """
     end = path.suffix.lower()
     with path.open("rb") as file:
         marked = file.read(len(_MARK)) == _MARK
-    if marked or end not in MESHES or path.stat().st_size > _HEAVY:
-        return True
-    return end == ".dae" and _states_unit(path)
+    large = path.stat().st_size > _HEAVY
+    return marked or large or end not in MESHES or (end == ".dae" and _states_unit(path))
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
@@ -321,10 +292,7 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """The farthest points in 642 directions (`fineness` 3) or 2,562 (4).
-
-    Up to `_MANY` points are returned unchanged.
-    """
+    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; all of up to `_MANY`."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
@@ -345,14 +313,13 @@ class LinkInertia(NamedTuple):
     """The inertia of a link."""
 
     inertia: pin.Inertia
-    assumed: str
-    """How the inertia was estimated; empty if the URDF states it, or if it is zero."""
+    assumed: str  # how the inertia was estimated; empty if the URDF states it, or if it is zero
 
 
 def read_inertias(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], *, assume: bool
+    tree: Tree, arm: Arm, geometry: Geometry, *, assume: bool
 ) -> dict[str, LinkInertia]:
-    """The inertia of the base and of each link below it; the keys are the names of the links.
+    """The inertia of the base and of each link below it, by the name of the link.
 
     A link without an `<inertial>`, and all links of a joint that moves no mass, get masses by
     volume. `assume` permits a URDF that states no mass for the whole arm.
@@ -367,22 +334,28 @@ def read_inertias(
     solid = {link: each for link, each in massive.items() if geometry[link].volume > _FLAT}
     for link, each in solid.items():
         _check_inertia(f"link {link!r}", each, geometry[link])
-    for links in (arm.base_links, moving):
-        _check_density({link: solid[link].mass for link in links if link in solid}, geometry)
+    for links in ([k for k in part if k in solid] for part in (arm.base_links, moving)):
+        mass = sum(solid[link].mass for link in links)
+        volume = sum(geometry[link].volume for link in links)
+        if mass < _LIGHTEST * volume:
+            raise RobotFileError(
+                f"links {', '.join(links)}: {mass:.3g} kg in {1e3 * volume:.3g} l in total looks "
+                "like tonnes; masses of a URDF are in kilograms; without an <inertial> of a link, "
+                "its mass is assumed from its volume"
+            )
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(
             "no link of the arm has a mass: torques cannot be computed; add <inertial>, or set "
             f"--assume-inertia to assume {ARM_DENSITY:g} kg/m³ in the hulls of its links"
         )
 
-    def chosen(link: str, inertia: pin.Inertia | None) -> LinkInertia:
+    found = {}
+    for link, inertia in stated.items():
         density = BASE_DENSITY if link in arm.base_links else ARM_DENSITY
-        return _chosen(inertia, geometry[link], density)
-
-    found = {link: chosen(link, inertia) for link, inertia in stated.items()}
+        found[link] = _chosen(inertia, geometry[link], density)
     for links in arm.segments[1:]:  # each joint has to move a mass
         if sum(found[link].inertia.mass for link in links) <= _TINY:
-            found |= {link: chosen(link, None) for link in links}
+            found |= {link: _chosen(None, geometry[link], ARM_DENSITY) for link in links}
     return found
 
 
@@ -407,30 +380,17 @@ def _check_inertia(where: str, stated: pin.Inertia, shapes: LinkGeometry) -> Non
     )
 
 
-def _check_density(masses: Mapping[str, float], geometry: Mapping[str, LinkGeometry]) -> None:
-    """Refuse masses of all links of a base or an arm that are too small for their shapes."""
-    mass, volume = sum(masses.values()), sum(geometry[link].volume for link in masses)
-    if mass < _LIGHTEST * volume:
-        raise RobotFileError(
-            f"links {', '.join(masses)}: {mass:.3g} kg in {1e3 * volume:.3g} l in total looks like "
-            "tonnes; masses of a URDF are in kilograms; without an <inertial> of a link, its mass "
-            "is assumed from its volume"
-        )
-
-
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
     """The stated inertia, with moments if only a mass is stated; or one from the volume."""
     if geometry.volume <= _FLAT:
         return LinkInertia(stated or pin.Inertia.Zero(), "")
     if stated is None:
-        why = f"{density:g} kg/m³ in its hull"
-        return LinkInertia(_of_volume(geometry, density), why)
+        return LinkInertia(_of_volume(geometry, density), f"{density:g} kg/m³ in its hull")
     if stated.mass <= _TINY or np.abs(stated.inertia).max() > _TINY:
         return LinkInertia(stated, "")
     shape = _of_volume(geometry, 1.0)
-    spread = shape.inertia * (stated.mass / shape.mass)
-    inertia = pin.Inertia(stated.mass, stated.lever, spread)
-    return LinkInertia(inertia, "its mass spread over its hull")
+    spread = pin.Inertia(stated.mass, stated.lever, shape.inertia * (stated.mass / shape.mass))
+    return LinkInertia(spread, "its mass spread over its hull")
 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
@@ -454,20 +414,18 @@ def _stated(link: Element) -> pin.Inertia | None:
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None
-    mass = float(numbers(element.find("mass"), "value", (0.0,), where)[0])
-    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    I = element.find("inertia")
-    xx, xy, xz, yy, yz, zz = (float(numbers(I, key, (0.0,), where)[0]) for key in keys)
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    moments = np.linalg.eigvalsh(tensor)
-    if mass < 0 or moments.min() < -1e-6 * max(1.0, np.abs(tensor).max()):
+    mass, I = float(numbers(element.find("mass"), "value", (0.0,), where)[0]), np.zeros((3, 3))
+    for i, j in zip(*np.triu_indices(3), strict=True):
+        key = f"i{'xyz'[i]}{'xyz'[j]}"
+        I[i, j] = I[j, i] = numbers(element.find("inertia"), key, (0.0,), where)[0]
+    moments = np.linalg.eigvalsh(I)
+    if mass < 0 or moments.min() < -1e-6 * max(1.0, np.abs(I).max()):
         raise RobotFileError(
             f"{where}: a mass of {mass:g} kg with moments of inertia of "
             f"{', '.join(f'{value:.3g}' for value in moments)} kg m² is impossible: "
             "no value may be negative"
         )
-    T = origin(element, where)
-    return T.act(pin.Inertia(mass, np.zeros(3), _possible(tensor)))
+    return origin(element, where).act(pin.Inertia(mass, np.zeros(3), _possible(I)))
 
 
 def _possible(tensor: Array) -> Array:

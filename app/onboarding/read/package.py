@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from encodings.aliases import aliases
 from functools import lru_cache
+from itertools import compress
 from os.path import isfile  # False also for a name that is too long for a file
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -29,9 +30,8 @@ FOLDER = "package"  # name of the folder in a robot's own folder into which a zi
 LARGEST_ARCHIVE = 100_000_000  # [bytes] largest zip
 LARGEST_CONTENT = 500_000_000  # [bytes] largest expanded size of all files
 MOST_FILES = 2000  # [-] largest number of files
-KEPT = (".urdf", ".xml", *FORMATS[:-1], ".bin")
-"""Endings of the unpacked files, besides licences; other files, such as programs, are left out. A
-`.bin` file has the numbers of a `.gltf`."""
+KEPT = (".urdf", ".xml", *FORMATS[:-1], ".bin")  # the last: numbers of a .gltf
+"""Endings of the unpacked files, besides licences; other files, such as programs, are left out."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest list; an entry has 46 bytes and a name
 _LONGEST_NAME = 200  # [characters]
@@ -99,7 +99,7 @@ def _check_size(archive: Path) -> None:
 
 
 def _checked(infos: list[zipfile.ZipInfo], where: str) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    """The files of a zip by their paths, without folders; `where` begins the error's message."""
+    """The files of a zip by their paths, without folders; `where` is its name for a message."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         raise RobotFileError(
@@ -109,8 +109,7 @@ def _checked(infos: list[zipfile.ZipInfo], where: str) -> dict[PurePosixPath, zi
     if len(infos) > MOST_FILES:
         raise RobotFileError(f"{where}: {len(infos):,} files; the limit is {MOST_FILES:,}")
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
-    for info in infos:
-        path = _path(info, where)
+    for path, info in ((_path(info, where), info) for info in infos):
         is_folder = info.orig_filename.endswith(("/", "\\"))
         if not is_folder and found.setdefault(path, info) is not info:
             raise RobotFileError(f"{where}: it contains the file {str(path)!r} twice")
@@ -123,22 +122,18 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
     if not info.flag_bits & _UTF8 and not name.isascii():
         name = _as_stored(name.encode("cp437"))
     name = name.replace("\\", "/")  # as Windows PowerShell writes them
-    problem = None
-    if name.startswith("/"):
-        problem = "is an absolute path"
-    elif re.match(r"[A-Za-z]:", name):
-        problem = "is a path of Windows, with a drive"
-    elif ".." in PurePosixPath(name).parts:
-        problem = "leads out of the zip by '..'"
-    elif not name.isprintable() or not name.strip("/. ") or len(name) > _LONGEST_NAME:
-        problem = "is not a file name"
-    elif stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
-        problem = "is a link or a device, not a file"
-    elif info.flag_bits & 1:
-        problem = "is locked by a password"
-    elif info.compress_type not in _BOUNDED:
-        problem = "is packed by another method than deflate"
-    if problem is not None:
+    unnamed = not name.isprintable() or not name.strip("/. ") or len(name) > _LONGEST_NAME
+    kinds = (0, stat.S_IFREG, stat.S_IFDIR)
+    problems = {
+        "is an absolute path": name.startswith("/"),
+        "is a path of Windows, with a drive": re.match(r"[A-Za-z]:", name),
+        "leads out of the zip by '..'": ".." in PurePosixPath(name).parts,
+        "is not a file name": unnamed,
+        "is a link or a device, not a file": stat.S_IFMT(info.external_attr >> 16) not in kinds,
+        "is locked by a password": info.flag_bits & 1,
+        "is packed by another method than deflate": info.compress_type not in _BOUNDED,
+    }
+    for problem in compress(problems, problems.values()):
         raise RobotFileError(
             f"{where}: {name[:_LONGEST_NAME]!r} {problem}; "
             "zip the package's folder itself, with plain files below it"
@@ -149,12 +144,10 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip into a robot's folder; returns its URDF, with relative paths of all meshes.
 
-    `file` is the path of the URDF in the zip; None is possible if the zip has only one URDF.
+    `file` is the path of the URDF in the zip, or None for the only URDF.
 
     Raises:
-        RobotFileError: One of the cases of `unpack`; or the zip does not have the URDF `file`, or,
-            without `file`, not exactly one URDF; or the URDF refers to a mesh that is not in the
-            zip.
+        RobotFileError: As for `unpack`, or the URDF or one of its meshes is not in the zip.
     """
     root = (folder / FOLDER).resolve()
     path = root / _chosen_urdf(unpack(archive, root), archive.name, file)
@@ -165,15 +158,17 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
 def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
     """The URDF `file` among the files `names` of the zip `where`; with None, the only URDF."""
     found = _urdfs(names)
-    if file is not None and file not in found:
+    if file is not None:
+        if file in found:
+            return file
         there = ", ".join(found) or "(none)"
         raise RobotFileError(f"{where}: no URDF {file!r} in it; there are: {there}")
-    if len(found) > 1 and file is None:
+    if len(found) > 1:
         raise RobotFileError(
             f"{where}: it has {len(found)} URDFs; name one by --file: {', '.join(found[:20])}"
         )
     if found:
-        return file or found[0]
+        return found[0]
     xacro = next((name for name in names if name.endswith(".xacro")), None)
     if xacro is not None:
         raise RobotFileError(
@@ -191,7 +186,7 @@ def _urdfs(names: list[str]) -> list[str]:
 
 def _tie_meshes(path: Path, root: Path) -> None:
     """Replace the addresses of meshes in a URDF by paths relative to the URDF."""
-    robot = read_source(path)
+    robot = read_source(path)[0]
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
         if Path(reference).suffix.lower() not in FORMATS:
@@ -207,15 +202,12 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     """The mesh below `root` to which an address refers; `folder` is the folder of the URDF."""
     names = spellings(reference)
     names += [_as_stored(each) for name in names for each in _encoded(name)]
+    printable = filter(str.isprintable, dict.fromkeys(names))  # like all names in a zip
 
     def search(package: str) -> list[Path]:
         return [*_named_folders(package, root), folder, *folder.parents]
 
-    places = [
-        place.resolve()
-        for name in filter(str.isprintable, dict.fromkeys(names))  # like all names in a zip
-        for place in mesh_places(name, folder, search)
-    ]
+    places = (each.resolve() for name in printable for each in mesh_places(name, folder, search))
     below = [place for place in places if place.is_relative_to(root)]
     if not below:
         raise RobotFileError(
@@ -261,20 +253,14 @@ _MAX_NAMES = 500  # [-] largest number of links, and of joints, that a list on t
 class Contents(NamedTuple):
     """Names in a URDF."""
 
-    links: tuple[str, ...]
-    """All links, in the order of the file."""
-    endless: tuple[str, ...]
-    """Joints of the type continuous."""
-    root: str
-    """The root link, which is probably the base."""
-    last: str
-    """The link with the largest number of joints to the root, which is probably the tip."""
+    links: tuple[str, ...]  # all links, in the order of the file
+    endless: tuple[str, ...]  # joints of the type continuous
+    root: str  # probably the base
+    last: str  # probably the tip: the link with the largest number of joints to the root
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The names of links and joints in the first 20 URDFs of a zip, by the URDF's path in the zip.
-
-    Unreadable URDFs are left out. The unpacked files are deleted.
+    """The names of links and joints in the first 20 readable URDFs of a zip, by their paths in it.
 
     Raises:
         RobotFileError: As for `unpack`, or no URDF of the zip can be read.
@@ -294,7 +280,7 @@ def look_into(archive: Path) -> dict[str, Contents]:
 
 
 def _contents(path: Path) -> Contents:
-    robot = read_source(path)
+    robot = read_source(path)[0]
     for tag, least in (("link", 1), ("joint", 0)):
         count = len(robot.findall(tag))
         if not least <= count <= _MAX_NAMES:

@@ -3,7 +3,8 @@
 import os
 import re
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
 from itertools import chain
@@ -31,12 +32,8 @@ MESHES = (".stl", ".dae", ".obj")  # endings of mesh files that pybullet reads
 FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
 """Endings of readable mesh files; a file without an ending is read as STL. `new-robot` converts
 formats that pybullet does not read to STL."""
-Packages = Callable[[str], Iterable[Path]]
-"""The possible folders of a ROS package, by its name; the first ones have precedence."""
-Folders = Mapping[str, Path]
-"""Folders of ROS packages by name; they have precedence over all other folders."""
-Names = frozenset[str]
-"""Names of the arguments of a xacro."""
+Packages = Callable[[str], Iterable[Path]]  # possible folders of a ROS package, best first
+Folders = Mapping[str, Path]  # folders of ROS packages, before all others
 _IN_PACKAGE = ("package", "model")  # schemes of addresses in a package
 _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can be relative
 
@@ -46,7 +43,7 @@ def locate(source: str) -> Path:
 
     Raises:
         RobotFileError: The file does not exist.
-        AssetError: The package is not installed, or does not have the file.
+        AssetError: As for `resolve_package_uri`.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
@@ -61,16 +58,13 @@ def locate(source: str) -> Path:
 
 def read_robot(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
-) -> tuple[Element, list[str], Names]:
+) -> tuple[Element, list[str], Collection[str]]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    The arguments are those of `read_source`. The second result has a sentence on each shape that
-    is removed, the third the names of the arguments that a xacro declares or uses.
-
-    Raises:
-        RobotFileError: As for `read_source`, or as for `mesh_address` of a required mesh.
+    Arguments, third result and errors are those of `read_source`. The second result has a sentence
+    on each shape that is removed. The errors of required meshes are those of `mesh_address`.
     """
-    robot, known = _read(path, packages, arguments)
+    robot, known = read_source(path, packages, arguments)
     said = []
     for link in robot.findall("link"):
         for tag in ("visual", "collision"):
@@ -82,22 +76,21 @@ def read_robot(
 
 
 def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
-    """Why a visual or collision element is removed; empty if it is kept.
+    """Why a visual or collision element is removed; empty if it is kept, with a new mesh address.
 
-    A shape of size 0 is removed. A visual mesh that is missing or unreadable is removed if the link
-    has a collision element; any other such mesh is an error. The address of any other mesh becomes
-    the result of `mesh_address`.
+    A shape of size 0 is removed, and a visual mesh that is missing or unreadable if the link has a
+    collision element; any other such mesh is an error.
     """
     if (shape := element.find("geometry/*")) is None:
         return ""
-    sizes = [shape.get(key) for key in ("size", "radius", "length", "scale")]
-    stated = [floats(size, n) for size in sizes if size is not None for n in (1, 3)]
-    if not all(all(each or (1.0,)) for each in stated):
+    sizes = [shape.get(key, "") for key in ("size", "radius", "length", "scale")]
+    stated = [floats(size, n) or [1.0] for size in sizes for n in (1, 3)]
+    if not all(map(all, stated)):
         return f"its {shape.tag} has the size 0"
     if shape.tag != "mesh":
         return ""
     try:
-        if not (file := shape.get("filename", "")):
+        if not (file := shape.get("filename")):
             raise RobotFileError(
                 f"link {link.get('name')!r}: a mesh has no filename; name its file, or remove "
                 "the shape"
@@ -112,8 +105,8 @@ def _needless(element: Element, link: Element, folder: Path, packages: Folders |
 
 def read_source(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
-) -> Element:
-    """Read the `<robot>` of a URDF or xacro.
+) -> tuple[Element, Collection[str]]:
+    """The `<robot>` of a URDF or xacro, and the names of arguments that a xacro declares or uses.
 
     The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
     elements lose the namespace of `<robot>`. With `arguments` None, a xacro is refused.
@@ -122,13 +115,6 @@ def read_source(
         RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
             macros cannot be expanded.
     """
-    return _read(path, packages, arguments)[0]
-
-
-def _read(
-    path: Path, packages: Folders | None, arguments: Mapping[str, str] | None
-) -> tuple[Element, Names]:
-    """The result of `read_source`, and the names of a xacro's arguments."""
     text, known = xml_text(path), frozenset[str]()
     robot = _plain_xml(text)
     if left := _unexpanded(text, robot):
@@ -151,11 +137,10 @@ def _read(
 def _plain_xml(text: str) -> Element:
     """The root, without blanks at the ends of attributes and without its own namespace."""
     robot = ElementTree.fromstring(text)
-    own = robot.tag.rpartition("}")[0] + "}"
+    own = robot.tag.removesuffix(robot.tag.rpartition("}")[2])
     for each in robot.iter():
         each.attrib = {key: value.strip() for key, value in each.items()}
-        if len(own) > 1 and isinstance(each.tag, str):
-            each.tag = each.tag.removeprefix(own)
+        each.tag = each.tag.removeprefix(own)
     return robot
 
 
@@ -181,37 +166,32 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
 
 
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
-    """The address of a mesh for the new URDF.
+    """The address of a mesh for the new URDF: `package://…` in an installed package, else its path.
 
-    It is `package://…` if the file belongs to an installed package, otherwise the file's path.
-
-    Args:
-        reference: Address of the mesh in a URDF. Each of its `spellings` is tried.
-        folder: The folder of that URDF.
-        packages: Folders of ROS packages by name.
+    `reference` is its address in a URDF in `folder`. Each of its `spellings` is tried.
 
     Raises:
         RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
     """
     search = partial(_package_folders, folder=folder, named=packages or {})
     meant = spellings(reference)
-    for spelling in meant:
-        if (found := next(filter(isfile, mesh_places(spelling, folder, search)), None)) is not None:
-            if found.suffix.lower() not in FORMATS:
-                known = ", ".join(FORMATS[:-1])
-                raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
-            if found.suffix.lower() != ".3mf":  # an archive, which counts as a placeholder
-                with found.open("rb") as file:
-                    refuse_placeholder(file.read(1024), f"mesh {found}")
-            return _installed_address(found) or str(followed(found))
-    raise RobotFileError(f"mesh {reference}: {_missing(meant[-1], folder, search)}")
+    places = chain.from_iterable(mesh_places(each, folder, search) for each in meant)
+    if (found := next(filter(isfile, places), None)) is None:
+        raise RobotFileError(f"mesh {reference}: {_missing(meant[-1], folder, search)}")
+    if found.suffix.lower() not in FORMATS:
+        known = ", ".join(FORMATS[:-1])
+        raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
+    if found.suffix.lower() != ".3mf":  # an archive, which counts as a placeholder
+        with found.open("rb") as file:
+            refuse_placeholder(file.read(1024), f"mesh {found}")
+    return _installed_address(found) or str(followed(found))
 
 
 def spellings(reference: str) -> list[str]:
     """Possible spellings of an address in the file system, without repetition.
 
-    These are the unchanged address, the address without URL escapes (`%20`), with slashes instead
-    of backslashes, and with both changes; and each of them in the Unicode normal forms NFD and NFC.
+    These are the unchanged address, without URL escapes (`%20`), with slashes instead of
+    backslashes, and with both changes; and each of them in the Unicode normal forms NFD and NFC.
     """
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
@@ -221,12 +201,9 @@ def spellings(reference: str) -> list[str]:
 
 
 def _split_address(reference: str) -> tuple[str, str, str]:
-    """Scheme, package and path of an address; only schemes of `_IN_PACKAGE` have a package.
-
-    A Windows drive letter is not a scheme. Several slashes count as one.
-    """
+    """Scheme, package and path of an address; only schemes of `_IN_PACKAGE` have a package."""
     scheme, mark, rest = reference.partition(":")
-    if not mark or len(scheme) == 1:
+    if not mark or len(scheme) == 1:  # a Windows drive letter
         return "", "", reference
     scheme, path = scheme.lower(), re.sub("//+", "/", rest.removeprefix("//"))
     if scheme in _IN_PACKAGE:
@@ -238,11 +215,11 @@ def _split_address(reference: str) -> tuple[str, str, str]:
 def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Path]:
     """Possible files of a mesh: in its package, or relative to the URDF's folder or the two above.
 
-    Only paths, and addresses with the scheme `package`, `model` or `file`, have possible files.
+    Addresses with a scheme other than `package`, `model` or `file` have none.
     """
     scheme, package, path = _split_address(reference)
     own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
-    yield from (each / path for each in (packages(package) if scheme in _IN_PACKAGE else own))
+    yield from (top / path for top in (packages(package) if scheme in _IN_PACKAGE else own))
 
 
 def _missing(reference: str, folder: Path, packages: Packages) -> str:
@@ -276,19 +253,21 @@ def _near(root: Path, path: str) -> str:
 def _installed_address(path: Path) -> str | None:
     """`package://…` of a file in an installed package, or None."""
     full = path.resolve()
-    for share in share_folders():
-        if full.is_relative_to(share.resolve()):
-            return f"package://{full.relative_to(share.resolve()).as_posix()}"
-    for parent in full.parents:
-        if parent.name and parent in [root.resolve() for root in package_roots(parent.name)]:
-            return f"package://{parent.name}/{full.relative_to(parent).as_posix()}"
-    return None
+    shares = [share.resolve() for share in share_folders()]
+    packages = (
+        each.parent
+        for each in full.parents
+        if each.name and each in [root.resolve() for root in package_roots(each.name)]
+    )
+    inside = chain(filter(full.is_relative_to, shares), packages)
+    top = next(inside, None)
+    return top and f"package://{full.relative_to(top).as_posix()}"
 
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:
     """Where a missing package was searched, and the option that helps; `inner` is a file in it."""
-    holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
-    found = "FOLDER" if holder is None else f"{holder}, which contains a file of that path"
+    holders = [each for each in (folder, *folder.parents) if isfile(each / inner)]
+    found = f"{holders[0]}, which contains a file of that path" if holders else "FOLDER"
     return (
         f"the package {package!r} is not a folder beside or above {folder}, is not in "
         "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
@@ -297,18 +276,16 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
 
 
 def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[Path]:
-    """The possible folders of a package, in the order of search.
-
-    If `named` has the package, its folder there is the only one. If not, the folders are beside and
-    above the URDF, then in ROS's search paths, then those of installed packages.
+    """The possible folders of a package, in the order of search: the one in `named` alone, or else
+    those beside and above the URDF, in ROS's search paths, and of installed packages.
     """
     if package in named:
         yield named[package]
         return
     for parent in (folder, *folder.parents):
         beside = (each.parent for each in parent.glob("*/package.xml"))
-        for each in chain((parent, parent / package), beside):
-            if isdir(each) and package in (each.name, _stated_name(each)):
+        for each in filter(isdir, chain((parent, parent / package), beside)):
+            if package in (each.name, _stated_name(each)):
                 yield each
     first, second = (  # ROS 1, ROS 2
         [Path(each) for each in os.environ.get(name, "").split(os.pathsep) if each]
@@ -323,17 +300,15 @@ def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[
 
 def _stated_name(folder: Path) -> str:
     """The name in a folder's `package.xml`, or empty; a downloaded folder can have another name."""
-    try:
-        with (folder / "package.xml").open("rb") as file:
-            found = re.search(rb"<name>\s*([\w.-]+)", file.read(1 << 16))
-    except OSError:
-        return ""
-    return found[1].decode() if found else ""
+    with suppress(OSError), (folder / "package.xml").open("rb") as file:
+        if found := re.search(rb"<name>\s*([\w.-]+)", file.read(1 << 16)):
+            return found[1].decode()
+    return ""
 
 
 def _expanded(
     path: Path, text: str, packages: Folders, arguments: Mapping[str, str]
-) -> tuple[str, Names]:
+) -> tuple[str, frozenset[str]]:
     """The result of `_urdf_of` for a xacro file, whose own text is `text`."""
     if find_spec("xacrodoc") is None:
         raise RobotFileError(
@@ -374,7 +349,9 @@ class _Arguments(dict[str, str]):
         return super().__getitem__(name)
 
 
-def _urdf_of(path: Path, packages: Folders, arguments: Mapping[str, str]) -> tuple[str, Names]:
+def _urdf_of(
+    path: Path, packages: Folders, arguments: Mapping[str, str]
+) -> tuple[str, frozenset[str]]:
     """The URDF of a xacro, and the names of the arguments that the xacro declares or uses.
 
     The library finds packages as `mesh_address` does. Macros can produce unlimited text or never

@@ -1,9 +1,10 @@
 """The links and joints of a URDF as a checked tree, and the arm in it."""
 
-from collections import Counter
+import operator
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
@@ -30,22 +31,17 @@ class Joint(NamedTuple):
     """
 
     name: str
-    kind: str
-    """Type in the URDF."""
+    kind: str  # type in the URDF
     parent: str
     child: str
-    T_parent_child: pin.SE3
-    """Pose of the child at the position zero."""
-    axis: Array = _X
-    """(3,) unit vector in the child's frame."""
+    T_parent_child: pin.SE3  # pose of the child at the position zero
+    axis: Array = _X  # (3,) unit vector in the child's frame
     lower: float | None = None
     upper: float | None = None
     effort: float | None = None
     velocity: float | None = None
-    mimic: tuple[str, float, float] | None = None
-    """Name of the joint that this joint follows, multiplier and offset; None without one."""
-    unstated: str = ""
-    """Which of `lower` and `upper` is 0 because only the other is stated; empty if neither."""
+    mimic: tuple[str, float, float] | None = None  # leader, multiplier and offset
+    unstated: str = ""  # which of `lower` and `upper` is 0 because only the other is stated
 
     @property
     def moves(self) -> bool:
@@ -76,36 +72,24 @@ class Tree:
         """The link that is the child of no joint."""
         return next(link for link in self.links if link not in self.joint_of)
 
-    def link(self, name: str, option: str) -> str:
-        """Return `name` if it is the name of a link.
-
-        Raises:
-            RobotFileError: It is not; the message names `option` and the existing links.
-        """
+    def check_link(self, name: str, option: str) -> None:
+        """Refuse a name that no link has; the message names `option` and the existing links."""
         if name not in self.links:
             raise RobotFileError(
                 f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
                 f"links: {_some(self.links)}"
             )
-        return name
-
-    def children(self, link: str) -> list[Joint]:
-        """The joints whose parent is a link."""
-        return self._children.get(link, [])
 
     @cached_property
-    def _children(self) -> dict[str, list[Joint]]:
-        found: dict[str, list[Joint]] = {}
+    def children(self) -> defaultdict[str, list[Joint]]:
+        """The joints below each link, by the name of the link."""
+        found = defaultdict[str, list[Joint]](list)
         for joint in self.joints.values():
-            found.setdefault(joint.parent, []).append(joint)
+            found[joint.parent].append(joint)
         return found
 
     def chain(self, base: str, tip: str) -> list[Joint]:
-        """The joints on the path from one link to a descendant.
-
-        Raises:
-            RobotFileError: The tip is not a descendant of the base.
-        """
+        """The joints on the path from `base` to `tip`, which must be a descendant."""
         chain, link = [], tip
         while link != base:
             if link not in self.joint_of:
@@ -122,24 +106,19 @@ class Tree:
     ) -> tuple[str, ...]:
         """A link and its descendants, in the order from the link outwards.
 
-        Links beyond the joints in `without` are left out. If `moving` is False, links beyond
-        revolute, continuous and prismatic joints are left out too.
+        Links beyond the joints in `without` are left out. If `moving` is False, links beyond joints
+        of the kinds `MOVING` are left out too.
         """
         found = [link]
         for name in found:
-            found += [
-                j.child
-                for j in self.children(name)
-                if j.name not in without and (moving or j.kind not in MOVING)
-            ]
+            joints = [j for j in self.children[name] if moving or j.kind not in MOVING]
+            found += [joint.child for joint in joints if joint.name not in without]
         return tuple(found)
 
     def pose(self, link: str, base: str) -> pin.SE3:
         """T_base_link of a descendant of the base, with all joints at zero."""
-        T = pin.SE3.Identity()
-        for joint in self.chain(base, link):
-            T = T * joint.T_parent_child
-        return T
+        steps = (joint.T_parent_child for joint in self.chain(base, link))
+        return reduce(operator.mul, steps, pin.SE3.Identity())
 
 
 def _some(names: Iterable[str]) -> str:
@@ -156,11 +135,14 @@ def make_tree(robot: Element) -> Tree:
 
     Raises:
         RobotFileError: A name is empty or not unique, a joint refers to a missing link, the links
-            form a closed chain or are not connected, or a number is invalid or probably in another
-            unit.
+            are not a tree, or a number is invalid or probably in another unit.
     """
     for tag in ("link", "joint"):
-        _check_unique(tag, robot)
+        for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():
+            if not name:
+                raise RobotFileError(f"a {tag} has no name")
+            if count > 1:
+                raise RobotFileError(f"{count} {tag}s have the name {name!r}; names must be unique")
     links = {str(link.get("name")): link for link in robot.findall("link")}
     if not links:
         near = did_you_mean("link", {str(each.tag) for each in robot})
@@ -184,8 +166,8 @@ def make_tree(robot: Element) -> Tree:
 def _set_own_colour(visual: Element, rgba: Sequence[float] | None) -> None:
     """Replace the materials of a visual by one of the colour `rgba`; without a colour, remove them.
 
-    The new material has no texture, and its name is its colour. Thus materials of two robots with
-    one name keep their colours, also in libraries that read only the first material of a name.
+    Its name is its colour. Thus materials of two robots with one name keep their colours, also in
+    libraries that read only the first material of a name.
     """
     for material in visual.findall("material"):
         visual.remove(material)
@@ -193,15 +175,6 @@ def _set_own_colour(visual: Element, rgba: Sequence[float] | None) -> None:
         words = " ".join(f"{value:.6g}" for value in rgba)
         material = SubElement(visual, "material", name=f"rgba {words}")
         SubElement(material, "color", rgba=words)
-
-
-def _check_unique(tag: str, robot: Element) -> None:
-    """Refuse names of links or joints that are missing, empty or not unique."""
-    for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():
-        if not name:
-            raise RobotFileError(f"a {tag} has no name")
-        if count > 1:
-            raise RobotFileError(f"{count} {tag}s have the name {name!r}; names must be unique")
 
 
 def _check_connected(tree: Tree) -> None:
@@ -220,15 +193,12 @@ def _check_connected(tree: Tree) -> None:
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
     name, kind = str(element.get("name")), str(element.get("type"))
-    where = f"joint {name!r}"
-    if kind not in (*MOVING, *FREE, "fixed"):
-        known = ", ".join((*MOVING, *FREE))
-        near = did_you_mean(kind, ("fixed", *MOVING, *FREE))
-        raise RobotFileError(f"{where}: its type is {kind!r}{near}; fixed, {known} are possible")
-    parent, child = (
-        "" if (end := element.find(role)) is None else str(end.get("link"))
-        for role in ("parent", "child")
-    )
+    where, kinds = f"joint {name!r}", ("fixed", *MOVING, *FREE)
+    if kind not in kinds:
+        near, known = did_you_mean(kind, kinds), ", ".join(kinds)
+        raise RobotFileError(f"{where}: its type is {kind!r}{near}; {known} are possible")
+    ends = (element.find(role) for role in ("parent", "child"))
+    parent, child = ("" if end is None else str(end.get("link")) for end in ends)
     for role, link in (("parent", parent), ("child", child)):
         if link not in links:
             near = did_you_mean(link, links)
@@ -240,14 +210,16 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         raise RobotFileError(f"{where}: its axis is zero")
     mimic = None
     if (found := element.find("mimic")) is not None:
-        factor = float(numbers(found, "multiplier", (1.0,), where)[0])
-        offset = float(numbers(found, "offset", (0.0,), where)[0])
+        (factor,), (offset,) = (
+            numbers(found, key, (usual,), where).tolist()
+            for key, usual in (("multiplier", 1.0), ("offset", 0.0))
+        )
         mimic = str(found.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
     lacking = [key for key in keys if limits[key] is None]
     unstated = lacking[0] if len(lacking) == 1 else ""
-    limits |= dict.fromkeys(filter(None, [unstated]), 0.0)
+    limits |= {unstated: 0.0} if unstated else {}
     axis = axis / max(length, 1e-12)
     return Joint(name, kind, parent, child, T, axis, mimic=mimic, unstated=unstated, **limits)
 
@@ -271,16 +243,11 @@ class Arm(NamedTuple):
     """An arm: the joints between the base and the end-effector, and the links of base and arm."""
 
     base: str
-    tip: str
-    """The link that carries the end-effector."""
-    mount: str
-    """The link whose origin is the arm's mount."""
-    joints: tuple[Joint, ...]
-    """The n_m joints of the arm, from the base outwards."""
-    base_links: tuple[str, ...]
-    """`base` and all of its descendants that do not belong to the arm, including wheels."""
-    rigid_links: tuple[str, ...]
-    """Links of `base_links` that do not move relative to `base`, or hardly, as on a suspension."""
+    tip: str  # the link that carries the end-effector
+    mount: str  # the link whose origin is the arm's mount
+    joints: tuple[Joint, ...]  # the n_m joints of the arm, from the base outwards
+    base_links: tuple[str, ...]  # `base` and its descendants outside of the arm, as wheels
+    rigid_links: tuple[str, ...]  # those of them that do not move on `base`, or hardly
     segments: tuple[tuple[str, ...], ...]
     """(n_m + 1) groups of links: the arm's links before its first joint, then the links that each
     joint moves and the next joint does not. Links on other joints, such as fingers, are included.
@@ -298,15 +265,15 @@ class Arm(NamedTuple):
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """Find the arm between the links `base` and `tip`.
 
-    If `mount` is None, the mount is the parent link of the arm's first joint; if this parent is the
+    With `mount` None, the mount is the parent link of the arm's first joint; if this parent is the
     base, the mount is the child link of this joint.
 
     Raises:
         RobotFileError: A link does not exist, the joints between the two links do not form an arm,
             or as for `_nothing_above`; the message names the option.
     """
-    tree.link(base, "--base")
-    tree.link(tip, "--tip")
+    tree.check_link(base, "--base")
+    tree.check_link(tip, "--tip")
     chain = tree.chain(base, tip)
     _nothing_above(tree, base)
     joints = [joint for joint in chain if joint.moves]
@@ -336,15 +303,15 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     fixed_part = on_chain[: on_chain.index(first.parent) + 1]
     if mount is None:
         mount = first.parent if first.parent != base else first.child
-    elif tree.link(mount, "--mount") not in (*fixed_part, first.child):
+    tree.check_link(mount, "--mount")
+    if mount not in (*fixed_part, first.child):
         raise RobotFileError(
             f"--mount: {mount!r} is not between --base and the first joint {first.name!r}; "
             f"choose from: {', '.join(fixed_part[1:]) or first.child}"
         )
-    segments = [tree.below(mount, without=[first.name]) if mount in fixed_part[1:] else ()]
-    for joint, following in zip(joints, [*joints[1:], None], strict=True):
-        without = [] if following is None else [following.name]
-        segments.append(tree.below(joint.child, without=without))
+    names = [joint.name for joint in joints]
+    segments = [tree.below(mount, without=names) if mount in fixed_part[1:] else ()]
+    segments += [tree.below(joint.child, without=names) for joint in joints]
     beside = [_beside(tree, part, joints) for part in segments[:-1]]
     cut = [first.name, *([tree.joint_of[mount].name] if segments[0] else [])]
     base_links = tree.below(base, without=cut)
@@ -371,14 +338,11 @@ def parallel(a: Joint, b: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse an ancestor of the base that has shapes or other children.
-
-    Ancestors above a joint that moves the whole base belong to the world and do not count.
-    """
+    """Refuse an ancestor of the base with shapes or other children, unless a joint moves it."""
     link = base
     while link in tree.joint_of and tree.joint_of[link].kind not in FREE:
         parent = tree.joint_of[link].parent
-        beside = [j.child for j in tree.children(parent) if j.child != link]
+        beside = [j.child for j in tree.children[parent] if j.child != link]
         solid = any(tree.links[parent].findall(tag) for tag in ("collision", "visual"))
         if beside or solid:
             what = f"child links {', '.join(beside)}" if beside else "shapes"

@@ -1,6 +1,7 @@
 """The drive of a base: driven wheels, which are found by their shape, and steered wheels."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import combinations
 from typing import NamedTuple
 
@@ -9,9 +10,9 @@ import pinocchio as pin
 from scipy.linalg import null_space
 
 from app.errors import RobotFileError
-from app.onboarding.read.links import LinkGeometry, LinkShape, link_geometry
+from app.onboarding.read.links import Geometry, LinkShape, link_geometry
 from app.onboarding.read.tree import Arm, Joint, Tree
-from app.onboarding.request import Request
+from app.onboarding.request import Request, option
 from app.strict import Array
 
 _LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
@@ -28,39 +29,24 @@ _TRAVEL = 0.5  # [-] largest travel of a rigid suspension, relative to the wheel
 class Steering(NamedTuple):
     """The steered front wheels of a car-like base."""
 
-    wheelbase: float
-    """[m] distance between rear and front axle."""
-    limit: float
-    """[rad] largest steering angle."""
-    rate: float
-    """[rad/s] largest steering rate."""
-    rolling: tuple[str, ...]
-    """Joints about which the steered wheels roll."""
-    joints: tuple[str, ...]
-    """Steering joints."""
-    sources: tuple[str, str, str]
-    """The sources of the first three fields."""
+    numbers: dict[str, tuple[float, str]]
+    """Wheelbase [m], largest angle [rad] and rate [rad/s], by the fields of a description, with
+    their sources."""
+    rolling: tuple[str, ...]  # joints about which the steered wheels roll
+    joints: tuple[str, ...]  # steering joints
 
 
 class Wheels(NamedTuple):
     """The driven wheels of a base."""
 
-    left: tuple[str, ...]
-    """Joints of the left wheels."""
+    left: tuple[str, ...]  # joints of the left wheels
     right: tuple[str, ...]
-    """Joints of the right wheels."""
-    r: float
-    """[m] radius; 0 for a holonomic base."""
-    b: float
-    """[m] half track: half of the distance between the wheels; 0 for a holonomic base."""
-    T_base_floor: pin.SE3
-    """Pose of the frame `app.onboarding.ROOT` in the frame of the base's link; x points forward."""
-    joint_velocity: float | None
-    """[rad/s] speed limit of the wheels, or None if the URDF states none."""
-    how: str
-    """The source of the radius."""
-    steering: Steering | None = None
-    """The steered wheels of a car-like base."""
+    r: float  # [m] radius; 0 for a holonomic base
+    b: float  # [m] half track: half of the distance between the wheels; 0 for a holonomic base
+    T_base_floor: pin.SE3  # pose of `app.onboarding.ROOT` in the base's link; x points forward
+    joint_velocity: float | None  # [rad/s] limit of the wheels, if the URDF states it
+    how: str  # the source of the radius
+    steering: Steering | None = None  # only of a car-like base
 
 
 class _Wheel(NamedTuple):
@@ -70,44 +56,89 @@ class _Wheel(NamedTuple):
     r: float
     how: str
 
+    @property
+    def bottom(self) -> float:
+        """[m] height of the lowest point in the base's link."""
+        return float(self.centre[2] - self.r)
 
-def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> Arm:
-    """The arm, with the links on wheel suspensions added to `rigid_links`.
 
-    A suspension is a joint that carries wheels and moves little on a level floor: see `_suspends`.
-    """
-    rigid = list(arm.rigid_links)
+class _Base(NamedTuple):
+    """A base, with all links and shapes of its robot."""
+
+    tree: Tree
+    arm: Arm
+    geometry: Geometry
+
+    def pose(self, link: str) -> pin.SE3:
+        """The pose of a link in the base's link, with all joints at zero."""
+        return self.tree.pose(link, self.arm.base)
+
+    def axis(self, joint: Joint) -> Array:
+        """(3,) axis of a joint in the base's link, with all joints at zero."""
+        return self.pose(joint.child).rotation @ joint.axis
+
+    def lowest(self, links: Sequence[str]) -> float | None:
+        """[m] height of the lowest point of links in the base's link, or None without shapes."""
+        places = [(self.pose(k), self.geometry[k].corners) for k in links]
+        heights = [float((p @ T.rotation[2]).min() + T.translation[2]) for T, p in places if len(p)]
+        return min(heights, default=None)
+
+    def wheel(self, joint: Joint) -> _Wheel:
+        """The wheel on a joint; a `RobotFileError` names the reason why there is none."""
+        tree, axis = self.tree, self.axis(joint)
+        if not _is_level(axis):
+            raise RobotFileError(f"{joint.name} is not a wheel: its axis is not horizontal")
+        places = {k: tree.pose(k, joint.child) for k in tree.below(joint.child, moving=False)}
+        touched = [(s, T) for link, T in places.items() for s in self.geometry[link].shapes]
+        if not touched:
+            raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
+        try:
+            r, how = _radius(touched, joint)
+        except RobotFileError:  # a wheel may collide as a box: then its visual shape counts
+            looks = {k: link_geometry(tree.links[k], ("visual", "collision")) for k in places}
+            seen = [(s, places[link]) for link, each in looks.items() for s in each.shapes]
+            r, how = _radius(seen, joint)
+        return _Wheel(joint, self.pose(joint.child).translation.copy(), axis, r, how)
+
+    def stands(self, joint: Joint, floor: float) -> bool:
+        """Whether a joint carries a wheel that touches the floor, at the height `floor` [m]."""
+        with suppress(RobotFileError):
+            return abs(self.wheel(joint).bottom - floor) < _ON_FLOOR
+        return False
+
+    def suspends(self, joint: Joint, wheels: Sequence[_Wheel]) -> bool:
+        """Whether a joint hardly moves its wheels while they stand on a level floor.
+
+        A spring has a travel of less than `_TRAVEL` times the wheels' radius. A rocker turns about
+        a horizontal axis between its wheels, so a level floor keeps it at zero.
+        """
+        if joint.kind == "prismatic":
+            return _range(joint) < _TRAVEL * min(wheel.r for wheel in wheels)
+        axis, at = self.axis(joint), self.pose(joint.child).translation
+        rises = [float(np.cross(axis, wheel.centre - at)[2]) for wheel in wheels]
+        return _is_level(axis) and min(rises) < 0.0 < max(rises)
+
+
+def _is_level(axis: Array) -> bool:
+    return bool(np.linalg.norm(axis[:2]) >= _LEVEL)
+
+
+def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Geometry) -> Arm:
+    """The arm, with the links on suspensions of wheels added to `rigid_links`."""
+    base, rigid = _Base(tree, arm, geometry), list(arm.rigid_links)
     for link in rigid:
-        for joint in tree.children(link):
+        for joint in tree.children[link]:
             if joint.name in arm.names or joint.kind not in ("prismatic", "revolute"):
                 continue
             below = [tree.joint_of[name] for name in tree.below(joint.child)]
-            try:
-                wheels = [_wheel(tree, arm, geometry, j) for j in below if _rolls(tree, arm, j)]
-            except RobotFileError:
-                continue
-            if wheels and _suspends(tree, arm, joint, wheels):
-                rigid += tree.below(joint.child, moving=False)
+            rolling = [j for j in below if turns_round(j) and _is_level(base.axis(j))]
+            with suppress(RobotFileError):  # one of them is no wheel
+                if rolling and base.suspends(joint, [base.wheel(j) for j in rolling]):
+                    rigid += tree.below(joint.child, moving=False)
     return arm._replace(rigid_links=tuple(rigid))
 
 
-def _suspends(tree: Tree, arm: Arm, joint: Joint, wheels: Sequence[_Wheel]) -> bool:
-    """Whether a joint hardly moves the wheels that it carries while they stand on a level floor.
-
-    A spring has a travel of less than `_TRAVEL` times the wheels' radius. A rocker turns about a
-    horizontal axis between its wheels, so a level floor keeps it at zero.
-    """
-    if joint.kind == "prismatic":
-        return _range(joint) < _TRAVEL * min(wheel.r for wheel in wheels)
-    T = tree.pose(joint.child, arm.base)
-    axis = T.rotation @ joint.axis
-    rises = [float(np.cross(axis, wheel.centre - T.translation)[2]) for wheel in wheels]
-    return bool(np.linalg.norm(axis[:2]) >= _LEVEL) and min(rises) < 0.0 < max(rises)
-
-
-def find_drive(
-    request: Request, tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]
-) -> Wheels:
+def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wheels:
     """Find the driven wheels of a base, and the steering of a car-like one.
 
     For a holonomic base, or with --wheel-radius, the URDF's wheels are not used: the floor is at
@@ -116,9 +147,10 @@ def find_drive(
     Raises:
         RobotFileError: The URDF lacks wheels or steering; the message names an option that helps.
     """
+    base = _Base(tree, arm, geometry)
     given = request.wheel_radius is not None and request.half_track is not None
     if request.kind == "holonomic" or given:
-        if (low := _lowest(tree, arm, geometry, arm.base_links)) is None:
+        if (low := base.lowest(arm.base_links)) is None:
             raise RobotFileError(
                 f"--base: no link of {arm.base!r} has a shape; add a <collision> to one, or set a "
                 "different --base"
@@ -126,67 +158,50 @@ def find_drive(
         floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, low]))
         r, b = request.wheel_radius or 0.0, request.half_track or 0.0
         return Wheels((), (), r, b, floor, None, "from --wheel-radius" if given else "")
-    wheels = _find_wheels(tree, arm, geometry, request.wheels)
+    wheels = _find_wheels(base, request.wheels)
     if request.kind != "car-like":
         return wheels
-    steering = _find_steering(request, tree, arm, geometry, wheels.T_base_floor)
-    return wheels._replace(steering=steering)
+    return wheels._replace(steering=_find_steering(request, base, wheels.T_base_floor))
 
 
-def _lowest(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], links: Sequence[str]
-) -> float | None:
-    """[m] height of the lowest point of links in the base's frame, or None without shapes."""
-    places = [
-        (tree.pose(link, arm.base), geometry[link].corners)
-        for link in links
-        if geometry[link].shapes
-    ]
-    heights = [float((corners @ T.rotation[2]).min() + T.translation[2]) for T, corners in places]
-    return min(heights, default=None)
-
-
-def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> bool:
+def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
     """Whether the links before the arm's first joint reach as low as the links of the base.
 
-    Then these links belong to the base. An example is a robot whose --base is a frame on the floor,
-    and whose link with wheels and arm is a child of this frame.
+    Then they belong to the base: --base may be a frame on the floor, the parent of the real base.
     """
-    low = _lowest(tree, arm, geometry, arm.segments[0])
-    floor = _lowest(tree, arm, geometry, arm.base_links)
+    base = _Base(tree, arm, geometry)
+    low, floor = base.lowest(arm.segments[0]), base.lowest(arm.base_links)
     return low is not None and (floor is None or low < floor + _ON_FLOOR)
 
 
-def _find_wheels(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], named: tuple[str, str] | None
-) -> Wheels:
-    """The driven wheels: the wheels whose joints or links are `named`, or the lowest pair.
+def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
+    """The driven wheels: the wheels whose joints or links are `named`, or the lowest pair, and
+    others of the same radius on the floor, with the same lateral position as one of these two.
 
-    Other wheels of the same radius on the floor, with the same lateral position as one of these
-    two, are included. A wheel is a link of circular cross-section that `_rolls`; its parent is
+    A wheel is a link of circular cross-section on a joint that `turns_round`; its parent is
     rigidly fixed to the base.
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
-    for joint in tree.joints.values():
-        if joint.parent in arm.rigid_links and joint.name not in arm.names and turns_round(joint):
+    tree, arm = base.tree, base.arm
+    turning = [joint for joint in tree.joints.values() if turns_round(joint)]
+    for joint in turning:
+        if joint.parent in arm.rigid_links and joint.name not in arm.names:
             try:
-                found[joint.name] = _wheel(tree, arm, geometry, joint)
+                found[joint.name] = base.wheel(joint)
             except RobotFileError as error:
                 reasons[joint.name] = str(error)
     if named is not None:
-        left, right = (_named(tree, arm, found, reasons, name) for name in named)
+        left, right = (_named(base, found, reasons, name) for name in named)
         if not _mirrored([left, right]):
             raise RobotFileError(
                 f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
                 f"{right.r:.4f} m are not two equal wheels on one axle: name one wheel on each side"
             )
     else:
-        turn = ", ".join(found)
-        turning = [each for each in tree.joints.values() if turns_round(each)]
         hung = [_hung(tree, each) for each in turning if each.child in arm.base_links]
-        why = f"{turn}: no two are on one axle" if found else "; ".join(filter(None, hung))
-        why = why or "no joint turns without limits"
+        why = "; ".join(filter(None, hung)) or "no joint turns without limits"
+        why = f"{', '.join(found)}: no two are on one axle" if found else why
         why = "; ".join([*reasons.values(), why] if found else [*reasons.values()] or [why])
         helps = "set --wheels LEFT RIGHT, their joints; " if found or reasons else ""
         left, right = _driven(_mirrored(list(found.values())), f"{arm.base!r} ({why}); {helps}")
@@ -201,9 +216,10 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
             "set --wheel-radius and --half-track if the URDF has no such wheels; or --kind "
             "holonomic if the base drives sideways too"
         )
-    lowest = min(left.centre[2] - left.r for left, _ in pairs)
-    pairs = [p for p in pairs if p[0].centre[2] - p[0].r < lowest + _SAME_PLACE]
-    if max(p[0].r for p in pairs) > (1 + _ALIKE) * min(p[0].r for p in pairs):
+    lowest = min(left.bottom for left, _ in pairs)
+    pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
+    radii = [left.r for left, _ in pairs]
+    if max(radii) > (1 + _ALIKE) * min(radii):
         names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
         raise RobotFileError(
             f"--wheels: pairs of different radius may be the driven ones: {names}; "
@@ -217,33 +233,30 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])
-    floor = float(np.mean([left.centre[2] - left.r, right.centre[2] - right.r]))
-    like = {
-        w.joint.name: w
-        for w in wheels
-        if abs(w.r - left.r) <= _ALIKE * left.r and abs(w.centre[2] - w.r - floor) < _SAME_PLACE
-    }
-    y = {name: float(w.centre @ sideways) for name, w in like.items()}
-    y_left, y_right = (float(w.centre @ sideways) for w in (left, right))
-    sides = [[n for n in like if abs(y[n] - own) < _SAME_PLACE] for own in (y_left, y_right)]
-    middle = np.mean([np.mean([like[n].centre for n in side], axis=0) for side in sides], axis=0)
+    floor = float(np.mean([left.bottom, right.bottom]))
+    alike = [w for w in wheels if abs(w.r - left.r) <= _ALIKE * left.r]
+    like = [w for w in alike if abs(w.bottom - floor) < _SAME_PLACE]
+    y = [float(wheel.centre @ sideways) for wheel in (left, right)]
+    sides = [[w for w in like if abs(w.centre @ sideways - own) < _SAME_PLACE] for own in y]
+    middle = np.mean([np.mean([w.centre for w in side], axis=0) for side in sides], axis=0)
     rotation = np.column_stack([forward, sideways, [0.0, 0.0, 1.0]])
     T = pin.SE3(rotation, np.array([middle[0], middle[1], floor]))
     speed = min((w.joint.velocity for w in (left, right) if w.joint.velocity), default=None)
-    lefts, rights = map(tuple, sides)
-    return Wheels(lefts, rights, left.r, abs(y_left - y_right) / 2, T, speed, left.how)
+    lefts, rights = (tuple(w.joint.name for w in side) for side in sides)
+    return Wheels(lefts, rights, left.r, abs(y[0] - y[1]) / 2, T, speed, left.how)
 
 
 def _named(
-    tree: Tree, arm: Arm, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
+    base: _Base, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
 ) -> _Wheel:
     """The wheel of `found` on a named joint or link; an error states why it is no wheel."""
+    tree = base.tree
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is not None and joint.name in found:
         return found[joint.name]
     if joint is None:
         why = f"there is no joint or link {name!r}"
-    elif joint.child not in arm.base_links:
+    elif joint.child not in base.arm.base_links:
         why = f"{name!r} is not on the base"
     elif not turns_round(joint):
         why = f"{joint.name} is not a wheel: it is {joint.kind}"
@@ -276,32 +289,8 @@ def _range(joint: Joint) -> float:
     return (joint.upper or 0.0) - (joint.lower or 0.0)
 
 
-def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
-    """Whether a joint `turns_round` about a horizontal axis."""
-    level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
-    return turns_round(joint) and bool(level)
-
-
-def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Joint) -> _Wheel:
-    T = tree.pose(joint.child, arm.base)
-    axis = T.rotation @ joint.axis
-    if np.linalg.norm(axis[:2]) < _LEVEL:
-        raise RobotFileError(f"{joint.name} is not a wheel: its axis is not horizontal")
-    links = tree.below(joint.child, moving=False)
-    places = {link: tree.pose(link, joint.child) for link in links}
-    touched = [(s, T) for link, T in places.items() for s in geometry[link].shapes]
-    if not touched:
-        raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
-    try:
-        r, how = _radius(touched, joint)
-    except RobotFileError:  # a wheel may collide as a box: then its visual shape counts
-        looks = {link: link_geometry(tree.links[link], ("visual", "collision")) for link in links}
-        r, how = _radius([(s, places[k]) for k, each in looks.items() for s in each.shapes], joint)
-    return _Wheel(joint, T.translation.copy(), axis, r, how)
-
-
 def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[float, str]:
-    """[m] radius of all shapes together about a joint's axis, and the name of the largest shape.
+    """[m] radius of all shapes about a joint's axis, and the name of the largest shape.
 
     Each shape has the pose of its link in the frame of the joint's child.
     """
@@ -323,10 +312,7 @@ def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[
 
 
 def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
-    """Pairs of equal wheels on the same axle, the left one first.
-
-    The left wheel has the larger y in the base's link or, on an axle along x, the smaller x.
-    """
+    """Pairs of equal wheels on one axle, first the one with the larger y or, along x, smaller x."""
     pairs = []
     for a, b in combinations(wheels, 2):
         apart = a.centre - b.centre
@@ -339,72 +325,50 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
     return pairs
 
 
-def _find_steering(
-    request: Request,
-    tree: Tree,
-    arm: Arm,
-    geometry: Mapping[str, LinkGeometry],
-    T_base_floor: pin.SE3,
-) -> Steering:
+def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Steering:
     """The upright joints of the base that carry turning links; options override these.
 
     If some of these links are wheels on the floor, only their joints count.
     """
     upright: list[tuple[Joint, list[Joint], float]] = []
-    floor = float(T_base_floor.translation[2])
+    tree, arm, floor = base.tree, base.arm, float(T_base_floor.translation[2])
     for joint in tree.joints.values():
         if joint.parent not in arm.rigid_links or joint.name in arm.names or not joint.moves:
             continue
-        T = T_base_floor.inverse() * tree.pose(joint.child, arm.base)
-        on_it = [j for j in tree.children(joint.child) if j.kind in ("continuous", "revolute")]
+        T = T_base_floor.inverse() * base.pose(joint.child)
+        on_it = [j for j in tree.children[joint.child] if j.kind in ("continuous", "revolute")]
         if abs((T.rotation @ joint.axis)[2]) > _UPRIGHT and on_it:
             upright.append((joint, on_it, float(T.translation[0])))
-    stand = [e for e in upright if any(_stands(tree, arm, geometry, j, floor) for j in e[1])]
-    found = [joint for joint, *_ in stand or upright]
-    rolling = [j.name for _, on_it, _ in stand or upright for j in on_it]
-    places = [x for *_, x in stand or upright]
+    used = [e for e in upright if any(base.stands(j, floor) for j in e[1])] or upright
+    joints, places = [joint for joint, *_ in used], [x for *_, x in used]
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
         raise RobotFileError(
             f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, but two on one axle "
             "are required; set --wheelbase, the distance from the rear to the front axle"
         )
-    wheelbase = request.wheelbase or float(np.mean(places))
-    if wheelbase <= 0:
+    if not request.wheelbase and np.mean(places) <= 0:
         raise RobotFileError(
             "--wheels: the steered wheels are behind the driven ones; set --wheels LEFT RIGHT"
         )
-    limit = request.steering_limit or _tightest(found)
-    speeds = [joint.velocity for joint in found if joint.velocity]
-    rate = request.steering_rate or min(speeds, default=_STEERING_RATE)
-    measured = "measured: from the wheels to the steered"
-    tightest = "from the URDF: the tightest joint"
-    slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
-    sources = (
-        "from --wheelbase" if request.wheelbase else measured,
-        "from --steering-limit" if request.steering_limit else tightest,
-        "from --steering-rate" if request.steering_rate else slowest,
-    )
-    joints = tuple(joint.name for joint in found)
-    return Steering(wheelbase, limit, rate, tuple(rolling), joints, sources)
-
-
-def _stands(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Joint, floor: float
-) -> bool:
-    """Whether a joint carries a wheel that touches the floor, at the height `floor` [m]."""
-    try:
-        wheel = _wheel(tree, arm, geometry, joint)
-    except RobotFileError:
-        return False
-    return abs(float(wheel.centre[2]) - wheel.r - floor) < _ON_FLOOR
-
-
-def _tightest(joints: Sequence[Joint]) -> float:
-    """[rad] the smallest limit of joints to either side."""
     ways = [min(-(j.lower or 0.0), j.upper or 0.0) for j in joints if j.kind == "revolute"]
-    if not ways or not 0.0 < min(ways) < np.pi / 2:
+    tightest = min(ways, default=0.0)
+    if not request.steering_limit and not 0.0 < tightest < np.pi / 2:
         raise RobotFileError(
             "--steering-limit: the URDF has no steered joint with limits below 90° to both sides; "
             "set this option"
         )
-    return min(ways)
+    speeds = [joint.velocity for joint in joints if joint.velocity]
+    slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
+    rate = min(speeds, default=_STEERING_RATE)
+    found = {
+        "wheelbase_m": (float(np.mean(places or 0.0)), "measured: from the wheels to the steered"),
+        "steering_limit_rad": (tightest, "from the URDF: the tightest joint"),
+        "steering_rate_radps": (rate, slowest),
+    }
+    stated = (request.wheelbase, request.steering_limit, request.steering_rate)
+    numbers = {
+        name: (own, f"from {option(name.rpartition('_')[0])}") if own else found[name]
+        for name, own in zip(found, stated, strict=True)
+    }
+    rolling = tuple(joint.name for _, on_it, _ in used for joint in on_it)
+    return Steering(numbers, rolling, tuple(joint.name for joint in joints))
