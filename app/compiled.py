@@ -34,10 +34,9 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     Thus a control loop never waits for a compiler, and a call with an array of a different
     dtype fails. If no folder is writable, each process compiles the kernels that it imports.
 
-    Args:
-        signatures: Types in numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own
-            objects, which are used unchanged. Without signatures the function becomes a part of
-            the kernels that call it, and the first call from Python waits for the compiler.
+    Signatures are in numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own objects,
+    which are used unchanged. Without signatures the function becomes a part of the kernels that
+    call it, and the first call from Python waits for the compiler.
     """
 
     def compile_(function: Function) -> Function:
@@ -164,8 +163,8 @@ def direct(kernel: Function) -> Function:
 def _any_array(signature: str) -> Signature:
     """The signature with array arguments of any strides, also read-only arrays.
 
-    Arrays that are declared contiguous do not change. The arguments of a function without a result
-    do not change either, because the function writes into them.
+    Arrays that are declared contiguous do not change, nor arrays into which the function writes:
+    the arguments of a function without a result.
     """
     arguments, returned = sigutils.normalize_signature(signature)
     if returned == types.void:
@@ -181,10 +180,7 @@ def _any_array(signature: str) -> Signature:
 
 @lru_cache(maxsize=1)
 def _announce_once(saved: bool) -> None:
-    """Print the reason of the delay, once: kernels are being compiled because they are not stored.
-
-    `saved` states whether the kernels can be stored.
-    """
+    """Print once that kernels are being compiled; `saved`: whether they can be stored."""
     never = "at each start; to store them, set NUMBA_CACHE_DIR to a writable folder"
     how_often = "once on this machine" if saved else never
     print(f"dbb: compiling kernels for about a minute, {how_often}", file=sys.stderr)

@@ -33,10 +33,9 @@ class NamedConfig(NamedTuple):
 
 
 def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> str:
-    """The text of a file with value, range (or choices) and meaning of each parameter, and units.
+    """The text of a file: value, range (or choices), unit and meaning of each parameter.
 
-    A comment marks each parameter that differs from the program's default. `name` and `hosts` are
-    those of a `NamedConfig`.
+    A comment marks each parameter that differs from the program's default.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.

@@ -18,11 +18,11 @@ from app.system import cache_folders
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of a kernel's source file, and of the files of the functions that it calls.
+    """Name and digest of a kernel's source file, of the files of the functions that it calls, and
+    of the file with the memory layout of structs.
 
-    The file with the memory layout of structs is included too. Called functions are found by their
-    names in the kernel. The kernel's constants must be in the kernel's file. A digest, unlike a
-    time, does not change if an installation is copied.
+    Called functions are found by their names in the kernel. The kernel's constants must be in the
+    kernel's file. A digest, unlike a time, does not change if an installation is copied.
 
     Raises:
         OSError: A file cannot be read.
@@ -47,7 +47,7 @@ def _folders(file: str, *, make: bool) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
     They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and the
-    cache folders of this user. With `make`, missing cache folders are made.
+    cache folders of this user, which are made with `make`.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:

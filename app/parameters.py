@@ -2,6 +2,7 @@
 
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
+from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from app.strict import Strict
@@ -9,13 +10,15 @@ from app.strict import Strict
 _DECADES = 1000  # [-] smallest ratio of highest to lowest value of a logarithmic scale
 
 
-class Shown(NamedTuple):
-    """Display options of a field, part of the field's `Annotated` type."""
+def number(
+    default: float, low: float, high: float, label: str = "", *, advanced: bool = False
+) -> Any:
+    """A field of a section: a number from `low` to `high`; `label` replaces the field's name.
 
-    label: str = ""
-    """Label that replaces the name."""
-    advanced: bool = False
-    """Whether the parameter is hidden until the user displays all parameters."""
+    An `advanced` parameter is hidden until the user displays all parameters.
+    """
+    extra: dict[str, Any] = {"advanced": advanced}
+    return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
 
 
 class _Tuned(Strict):
@@ -86,16 +89,15 @@ def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
 
     The field's docstring starts with the unit in brackets. A number must have both bounds.
     """
-    marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
-    shown: Shown = marks.get("Shown", Shown())
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
-    common = {
+    common: dict[str, Any] = {
         "path": f"{section}.{name}",
         "default": field.default,
         "help": " ".join(text.split()),
-        "label": shown.label or name.replace("_", " ").capitalize(),
-        "advanced": shown.advanced,
+        "label": field.title or name.replace("_", " ").capitalize(),
+        "advanced": isinstance(extra := field.json_schema_extra, dict) and extra["advanced"],
     }
     if get_origin(field.annotation) is Literal:
         return Choice(choices=get_args(field.annotation), **common)
+    marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
     return Parameter(low=marks["Ge"].ge, high=marks["Le"].le, unit=unit, **common)

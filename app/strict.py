@@ -91,8 +91,7 @@ def explain(
 ) -> str:
     """The error of a record `model` as one line, with `field: valid value` for the first problems.
 
-    `valid_text` returns a text about the valid values, from the place and kind of a problem, or
-    None for pydantic's own text.
+    `valid_text` states the valid values for the place and kind of a problem, or is None.
     """
     texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(texts):
@@ -106,7 +105,8 @@ def problems_of(error: ValidationError) -> list[ErrorDetails]:
 
 
 def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidText) -> str:
-    path = _path(_without_kinds(model, problem["loc"]))
+    records, place = _followed(model, problem["loc"])
+    path = _path(place)
     if problem["type"] == "missing":
         return f"{path}: missing"
     if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
@@ -116,7 +116,7 @@ def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidTex
             return f"{path}: missing"
         return f"{path}: must be one of {context['expected_tags']} (was {context['tag']!r})"
     if problem["type"] == "extra_forbidden":
-        names = sorted({n for c in _records_at(model, problem["loc"][:-1]) for n in c.model_fields})
+        names = sorted({name for record in records for name in record.model_fields})
         hint = did_you_mean(str(problem["loc"][-1]), names)
         return f"{path}: unknown field{hint}; known: {', '.join(names)}"
     text = valid_text(problem["loc"], problem["type"]) or problem["msg"]
@@ -143,36 +143,27 @@ def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
 
 
-def _records_at(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
-    """The record types that are possible at a place of a record."""
-    candidates: list[type[BaseModel]] = [model]
+def _followed(model: type[BaseModel], loc: Place) -> tuple[list[type[BaseModel]], Place]:
+    """The records whose field or item is the last part of a place, and the place without the values
+    of `kind` that pydantic adds for a union.
+    """
+    found, records, place = [model], [model], list[int | str]()
     for part in loc:
-        annotations = [
-            c.model_fields[part].annotation for c in candidates if part in c.model_fields
-        ]
-        if annotations:
-            candidates = [r for a in annotations for r in _records_in(a)]
-        elif isinstance(part, str):  # the tag of a union: keep the record with this tag
-            tagged = [c for c in candidates if part in _tags(c)]
-            candidates = tagged or candidates
-    return candidates
+        records = found
+        if fields := [c.model_fields[part] for c in found if part in c.model_fields]:
+            found = [record for field in fields for record in _records_in(field.annotation)]
+        elif tagged := [c for c in found if part in _tags(c, "kind")]:
+            found = tagged
+            continue
+        else:  # the tag of another union, or the number or key of an item
+            found = [c for c in found if part in _tags(c, "type")] or found
+        place.append(part)
+    return records, tuple(place)
 
 
-def _without_kinds(model: type[BaseModel], loc: Place) -> Place:
-    """The place of an error without the values of `kind` that pydantic adds for a union."""
-    return tuple(
-        part
-        for i, part in enumerate(loc)
-        if not any(
-            part not in c.model_fields and part in _tags(c, ("kind",))
-            for c in _records_at(model, loc[:i])
-        )
-    )
-
-
-def _tags(model: type[BaseModel], names: tuple[str, ...] = ("type", "kind")) -> tuple[object, ...]:
-    fields = (model.model_fields.get(name) for name in names)
-    return tuple(tag for f in fields if f for tag in getattr(f.annotation, "__args__", ()))
+def _tags(model: type[BaseModel], name: str) -> tuple[object, ...]:
+    field = model.model_fields.get(name)
+    return getattr(field.annotation, "__args__", ()) if field else ()
 
 
 def _records_in(annotation: object) -> list[type[BaseModel]]:
@@ -201,9 +192,7 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text with `loads`, a reader of TOML or JSON.
-
-    A `heavy` text is parsed by a child process even if it is short.
+    """Parse an untrusted text with `loads`, a reader of TOML or JSON; `heavy`: in a child process.
 
     Raises:
         ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands
@@ -255,10 +244,9 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """The placeholder that a file is, with advice; empty for other content.
+    """The placeholder that a download or a repository has left in a file's place, with advice.
 
-    A download or a repository leaves a placeholder in a file's place. `content` is the first bytes
-    of the file, or all of them.
+    It is empty for other content. `content` is the first bytes of the file, or all of them.
     """
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
@@ -266,13 +254,13 @@ def placeholder(content: bytes) -> str:
 
 
 def text_of(content: bytes) -> str:
-    """Decode the text of a user's file: UTF-8, or UTF-16 with a byte order mark.
+    """Decode the text of a user's file: UTF-8, or UTF-16 with a byte order mark; it can be empty.
 
     The result has no byte order mark, and only line feeds as line ends.
 
     Raises:
         ValueError: The file has a different encoding, and the message names the line; or the
-            content is a placeholder for the file. An empty content is valid.
+            content is a `placeholder`.
     """
     if content.strip() and (name := placeholder(content)):
         raise ValueError(f"in the place of the file is {name}")

@@ -1,8 +1,7 @@
 """Differences between operating systems, with a fallback for each missing feature.
 
 Linux has all features. macOS, for example, has no real-time policy for a user's process, no set of
-allowed cores and no `malloc_trim`. A missing feature raises no error, and the program works without
-it.
+allowed cores and no `malloc_trim`.
 """
 
 import ctypes
@@ -53,10 +52,9 @@ def usable_cores() -> int:
 def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    On three or more cores, the process also gets a real-time policy if possible. With fewer cores,
-    a real-time process that cannot keep up would leave too little time to other processes. A
-    process that works for 0.5 s without a pause loses the policy permanently. Call this function in
-    the main thread; the threads that the main thread starts afterwards inherit the policy.
+    On three or more cores, the process also gets a real-time policy if possible; it would leave too
+    little time to other processes on fewer cores. A process that works for 0.5 s without a pause
+    loses the policy permanently. Call this function in the main thread, before it starts others.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -82,11 +80,10 @@ def lower_priority(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit processor time [s] and address space [bytes] of this process during the `with`.
+    """Limit the additional processor time [s] and address space [bytes] during the `with`.
 
-    Both limits are additions to the use at the start. Beyond the memory limit, an
-    allocation fails. Beyond the time limit, the system ends the process. macOS limits only the
-    time.
+    Beyond the memory limit, an allocation fails. Beyond the time limit, the system ends the
+    process. macOS limits only the time.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -128,7 +125,7 @@ def lead_group() -> None:
 def end_when_closed(pipe: int) -> None:
     """Let the system end this process when all writers of a pipe have closed the pipe (Linux).
 
-    This works without a thread of the process, so a library that hangs cannot prevent it.
+    It needs no thread of the process, so a library that hangs cannot prevent it.
     """
     with suppress(AttributeError, OSError):
         fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
@@ -151,14 +148,9 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End all processes of a group.
+    """End all processes of a group, if there are any; with `at_once`, they cannot clean up.
 
-    The processes receive SIGTERM, or SIGKILL with `at_once`. A group that does not exist or has
-    ended is not an error.
-
-    Args:
-        leader: Number of the process that leads the group; 0 is the group of this process.
-        at_once: Whether the processes cannot clean up.
+    `leader` is the number of the process that leads the group; 0 is the group of this process.
     """
     # macOS raises a PermissionError for a group that has only ended processes.
     with suppress(ProcessLookupError, PermissionError):
@@ -166,11 +158,10 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock an open file or folder until it is closed.
+    """Lock an open file or folder until it is closed; return whether the lock succeeded.
 
-    Returns:
-        True if the lock succeeded, False if another process has locked the file, None if the file
-        system has no locks.
+    The result is False if another process has locked the file, None if the file system has no
+    locks.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -183,14 +174,10 @@ def claim(file: BinaryIO | int) -> bool | None:
 
 @contextmanager
 def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
-    """A locked folder for an unfinished result, which is removed at the end of the `with` block.
+    """A locked folder in `place` for an unfinished result, which the end of the `with` removes.
 
-    Only one process at a time can use a name. Files that killed processes have left are removed
-    first.
-
-    Args:
-        place: The folder in which the new folder is made.
-        name: Name of the result; default: a random name.
+    Only one process at a time can use a name; the default is a random one. Files that killed
+    processes have left are removed first.
 
     Raises:
         OutputError: Another process still uses the name after a second.
@@ -239,11 +226,9 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The number of the open file that locks a folder of this user, or None.
+    """The number of the open file that locks a folder, or None if another process or user holds it.
 
-    The result is None if another process or user holds the folder. If the file system has no locks,
-    the result depends on `surely`: if True, it is None; if False, it is the number of a file that
-    locks nothing.
+    If the file system has no locks, the file locks nothing; with `surely`, the result is then None.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -386,17 +371,13 @@ def return_freed_memory_early() -> None:
     Each large block is mapped on its own, and all threads share one heap. Without these settings,
     freed blocks between used ones stay in this process, for example those of a former robot.
     """
-    mallopt = getattr(_c_library(), "mallopt", None)
-    if mallopt is not None:
-        mallopt(_MMAP_THRESHOLD, _LARGE)
-        mallopt(_ARENA_MAX, 1)
+    _call_c("mallopt", _MMAP_THRESHOLD, _LARGE)
+    _call_c("mallopt", _ARENA_MAX, 1)
 
 
 def return_freed_memory() -> None:
     """Make glibc return the freed small blocks, which it otherwise keeps between used ones."""
-    trim = getattr(_c_library(), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
+    _call_c("malloc_trim", 0)
 
 
 def home_folder(find: Callable[..., Path]) -> Path | None:
@@ -415,11 +396,8 @@ def home_expanded(path: str) -> Path:
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
     """Folders of this user for files that can be made again: the standard and a temporary folder.
 
-    A user without a home directory, for example in a container, has only the temporary folder.
-
-    Args:
-        make: Whether to create the temporary folder if the caller iterates up to it; readers need
-            only an existing folder.
+    A user without a home directory, for example in a container, has only the temporary folder. With
+    `make`, it is created if the caller iterates up to it.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -455,7 +433,7 @@ def open_standard_files() -> None:
 
     Without this, the next file, pipe or socket would get the number of a standard file and receive
     printed text. Text for a closed standard output raises an OSError, because a result would be
-    lost. Characters outside of the encoding of standard output are printed as codes.
+    lost. Characters outside of the output's encoding are printed as codes.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number
@@ -507,9 +485,14 @@ def decimal_points() -> Iterator[None]:
 
 def flush_c_output() -> None:
     """Flush the output that C code has printed."""
-    flush = getattr(_c_library(), "fflush", None)
-    if flush is not None:
-        flush(None)
+    _call_c("fflush", None)
+
+
+def _call_c(name: str, *args: int | None) -> None:
+    """Call a function of the C library, if the library has the function."""
+    function = getattr(_c_library(), name, None)
+    if function is not None:
+        function(*args)
 
 
 def _c_library() -> ctypes.CDLL | None:

@@ -1,17 +1,67 @@
-"""Closest points by the collision library alone: the oracle of `SmoothPoints`."""
+"""Closest points by `SmoothPoints`, and by the collision library alone, as their oracle."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from app.avoidance.closest_points import _core
-from app.robot.link_pairs import Pair
+from app.avoidance.closest_points import (
+    ClosestPoints,
+    DistanceMonitor,
+    SmoothPoints,
+    _core,
+    mean_nearest,
+)
+from app.robot.link_pairs import Pair, with_parts
 from app.robot.shapes import Capsule, Sphere
 from app.robot.state import RobotState
 
 Array = np.ndarray
+
+
+class Nearest(NamedTuple):
+    """Closest points that move continuously, in the rows of `mean_nearest`."""
+
+    pairs: Sequence[Pair]
+    joints: Array
+    """(k, 2) pinocchio's indices of the joints that move `a` and `b`."""
+    rows: Sequence[Sequence[int]]
+    d: Array
+    """(k,) [m] signed distances."""
+    points: Array
+    """(k, 4, 3) [m] p_a, p_b, n and core of `ClosestPoints`, in the world."""
+
+    def closest(self, i: int) -> ClosestPoints:
+        """The closest points of the i-th pair, with its parts."""
+        found = [ClosestPoints(self.pairs[i], self.d[k], *self.points[k]) for k in self.rows[i]]
+        return with_parts(*found)
+
+
+class SmoothMonitor(DistanceMonitor):
+    """Distances of the collision library, and the closest points of `SmoothPoints`."""
+
+    def find_nearest(self, blend: float) -> Nearest:
+        """The closest points in the present state; `blend` [m] is the smoothing length."""
+        self._distances.update_from(self._state.data)
+        pairs = self._distances.pairs
+        smooth = SmoothPoints(self._state.model, pairs)
+        points = smooth_points(smooth, self._state, blend)
+        d = np.empty(len(points))
+        self._distances.write_distances(d)
+        return Nearest(pairs, smooth.arrays()["pair_joints"], smooth.rows, d, points)
+
+
+def smooth_points(smooth: SmoothPoints, state: RobotState, blend: float) -> Array:
+    """The points of `mean_nearest` in the present state."""
+    fixed = smooth.arrays()
+    placed = [state.data.oMi[joint] for joint in fixed["body_joints"].tolist()]
+    poses = np.concatenate([part for T in placed for part in (T.rotation, T.translation[None])])
+    shapes, triangles, nodes = fixed["shapes"], fixed["triangles"], fixed["nodes"]
+    return mean_nearest(shapes, triangles, nodes, fixed["firsts"], fixed["sought"], poses, blend)
 
 
 class Placed:

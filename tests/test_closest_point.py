@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.avoidance.closest_points import ClosestPoints, DistanceMonitor, SmoothPoints
+from app.avoidance.closest_points import ClosestPoints, SmoothPoints
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller
@@ -13,7 +13,7 @@ from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Hull
 from app.robot.state import RobotState, at_rest
-from tests.nearest import library_nearest
+from tests.nearest import SmoothMonitor, library_nearest, smooth_points
 from tests.robots import husky_panda, with_mobile_shapes
 
 Array = np.ndarray
@@ -28,7 +28,7 @@ class Follower:
 
     def __init__(self, robot: RobotModel, data: BorderData) -> None:
         self.state = RobotState(robot)
-        self._monitor = DistanceMonitor(self.state, data.pairs.mobile)
+        self._monitor = SmoothMonitor(self.state, data.pairs.mobile)
 
     def at(self, q_m: Array, *, smooth: bool) -> ClosestPoints:
         self.state.update(at_rest(self.state.model, q_m))
@@ -120,11 +120,11 @@ def test_kernel_matches_the_librarys_closest_points(pair: tuple[str, str], hull:
     """Boxes or hulls against capsules, in both orders; a face may be nearest."""
     robot = with_mobile_shapes((BENT,)) if hull else husky_panda()
     state, rng, found = RobotState(robot), np.random.default_rng(3), 0
-    smooth = SmoothPoints(state, [Pair(*pair)])
+    smooth = SmoothPoints(state.model, [Pair(*pair)])
     while found < 60:
         pose = rng.uniform(-1.0, 1.0, 3)
         state.update(at_rest(robot, rng.uniform(robot.q_lower, robot.q_upper), pose))
-        (points,) = smooth.find(BLEND)
+        (points,) = smooth_points(smooth, state, BLEND)
         if (points[1] - points[0]) @ points[2] < 0.01:
             continue
         found += 1

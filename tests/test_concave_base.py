@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.avoidance.closest_points import DistanceMonitor, SmoothPoints
+from app.avoidance.closest_points import SmoothPoints
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller
@@ -18,7 +18,7 @@ from app.control.tasks import Reference
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.shapes import Box
 from app.robot.state import Measurement, RobotState
-from tests.nearest import library_nearest
+from tests.nearest import SmoothMonitor, library_nearest, smooth_points
 from tests.qps import Limits
 from tests.robots import husky_panda, with_mobile_shapes
 
@@ -124,7 +124,7 @@ def test_normals_and_points_are_continuous_where_the_nearest_face_changes(
 ) -> None:
     """Steps that are ten times smaller change them less than a fifth as much."""
     controller, m = controller_of(border_data, "dbb", DECK, WALL), in_the_corner(0)
-    monitor = DistanceMonitor(controller.state, border_data.pairs.mobile)
+    monitor = SmoothMonitor(controller.state, border_data.pairs.mobile)
 
     def largest_step(steps: int) -> float:
         found = []
@@ -144,8 +144,8 @@ def test_kernel_agrees_with_the_library_on_the_points_of_each_part() -> None:
     state, blend = RobotState(with_mobile_shapes((DECK, WALL))), 0.005  # [m]
     state.update(in_the_corner(0))
     pairs = [Pair("lm", "lEE"), Pair("lm", "l3")]
-    smooth = SmoothPoints(state, pairs)
-    found = smooth.find(blend)
+    smooth = SmoothPoints(state.model, pairs)
+    found = smooth_points(smooth, state, blend)
     assert smooth.rows == [[0, 2, 3], [1, 4, 5]]
     for pair, rows in zip(pairs, smooth.rows, strict=True):
         for row, parts in zip(rows, (slice(2), slice(1), slice(1, 2)), strict=True):

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller
@@ -17,6 +16,7 @@ from app.control.limits import force_bound, steady_torques
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.trace.snapshot import QUANTITIES
+from tests.nearest import SmoothMonitor
 from tests.robots import random_measurement
 
 
@@ -34,7 +34,7 @@ class Near:
     def __init__(self, robot: RobotModel, border_data: BorderData, seed: int) -> None:
         rng = np.random.default_rng(seed)
         self.state = RobotState(robot)
-        self._monitor = DistanceMonitor(self.state, border_data.pairs.mobile)
+        self._monitor = SmoothMonitor(self.state, border_data.pairs.mobile)
         while True:
             m = random_measurement(rng)
             self.state.update(m._replace(base_velocity=np.zeros(2), qd_m=np.zeros(7)))

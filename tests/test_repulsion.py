@@ -14,6 +14,7 @@ from app.control.tasks import generate_rep_acc
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from tests.nearest import SmoothMonitor
 
 CONFIG = RepulsionConfig(k_p=60.0, k_v=30.0)
 
@@ -92,7 +93,7 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
     """
     rng, state = np.random.default_rng(0), RobotState(robot)
     monitor, reader = (
-        DistanceMonitor(state, data.pairs.mobile),
+        SmoothMonitor(state, data.pairs.mobile),
         PairDistances(robot, list(data.pairs.mobile)),
     )
     errors, h = [], 1e-4

@@ -1,7 +1,6 @@
 """FindActingPoint (Algorithm 3), and the force at the acting point (§3.1).
 
-All points and normals are in the base's frame. The border moves with the base, so only the closest
-point is transformed, instead of fifty thousand points of the border.
+All points and normals are in the base's frame. The border moves with this frame.
 """
 
 import math
@@ -40,18 +39,16 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
 @compiled()
 def uphill(gradient: Array) -> Array:
-    """(3,) ∇S/‖∇S‖ from ∇S (3,); e_x where ∇S = 0: on the wheel axis, this is the limit."""
+    """(3,) ∇S/‖∇S‖ from ∇S (3,); e_x on the wheel axis, where ∇S = 0: the limit from both sides."""
     norm = math.sqrt((gradient**2).sum())
-    if norm > 0.0:
-        return gradient / norm
-    return np.array([1.0, 0.0, 0.0])
+    return gradient / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
 
 
 @compiled()
 def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
     """α (∇S·t / ‖∇S‖) t, (3,) [m]: the step from p_n to p_t, for ∇S (3,), t (3,) and α [m].
 
-    Paper: Eq. (12). On the wheel axis ∇S = 0; the limit of ∇S/‖∇S‖ from both sides is e_x.
+    Paper: Eq. (12).
     """
     return alpha * (uphill(gradient) * t).sum() * t
 
@@ -74,7 +71,7 @@ def find_acting_point(
     Args:
         border: `BORDER` of the robot.
         pair: Number of the pair among the pairs of arm and base (L_m), from 0.
-        score: (9,) coefficients of the score of the pair's body, as `ScoreField.coefficients`.
+        score: (9,) `ScoreField.coefficients` of the pair's body.
         p_b: (3,) [m] closest point on the arm, in the base's frame.
         d: [m] distance of the pair.
         gain: [-] S_0 of `step_size`.
@@ -189,8 +186,7 @@ class ActingPointFinder:
 
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
         """The acting point for p_b (3,) [m] at the distance d [m]; None if l_m has no border."""
+        where = self._border.struct, 0, self._score, np.array(p_b, float), d
         how = force.alpha_gain, force.alpha_min, force.alpha_max
-        found = ActingPoint(
-            *find_acting_point(self._border.struct, 0, self._score, np.array(p_b, float), d, *how)
-        )
+        found = ActingPoint(*find_acting_point(*where, *how))
         return None if math.isnan(found.alpha) else found

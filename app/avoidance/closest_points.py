@@ -16,7 +16,7 @@ from typing_extensions import Self
 
 from app.border.mobile import Shapes, act, is_round, nearest_of
 from app.compiled import compiled
-from app.robot.link_pairs import ClosestPoints, Pair, PairDistances, with_parts
+from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from app.robot.state import RobotState
@@ -26,39 +26,12 @@ _ALONG = 7  # nodes of a capsule
 _SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # 26 directions
 
 
-class Nearest(NamedTuple):
-    """Closest points that move continuously.
-
-    There are k rows: one for each pair, then one for each convex part of the bodies `a` with
-    several parts.
-    """
-
-    pairs: Sequence[Pair]
-    joints: Array
-    """(k, 2) pinocchio's indices of the joints that move `a` and `b`."""
-    rows: Sequence[Sequence[int]]
-    """For each pair: its own row, then the rows of the parts of `a` if there are several."""
-    d: Array
-    """(k,) [m] signed distances."""
-    points: Array
-    """(k, 4, 3) [m] p_a, p_b, n and core of `ClosestPoints`, in the world."""
-
-    def closest(self, i: int) -> ClosestPoints:
-        """The closest points of the i-th pair, with its parts; they share the rows' memory."""
-        pair, d, points = self.pairs[i], self.d, self.points
-        return with_parts(*[ClosestPoints(pair, d.item(k), *points[k]) for k in self.rows[i]])
-
-
 class DistanceMonitor:
     """Distances of a fixed set of link pairs at the robot's present state."""
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
         """Prepare pairs, whose order is that of the results; each method reads `state` anew."""
-        self._state = state
-        self._distances = PairDistances(state.model, pairs)
-        self._smooth = SmoothPoints(state, pairs)
-        self.rows = self._smooth.rows
-        """For each pair: its own row, then the rows of the parts of `a` if there are several."""
+        self._state, self._distances = state, PairDistances(state.model, pairs)
 
     def find_closest_points(self) -> list[ClosestPoints]:
         """The closest points of every pair, from the collision library.
@@ -68,14 +41,6 @@ class DistanceMonitor:
         """
         self._distances.update_from(self._state.data)
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]
-
-    def find_nearest(self, blend: float) -> Nearest:
-        """Points of `SmoothPoints` with distances of the collision library; `blend` [m] is τ."""
-        self._distances.update_from(self._state.data)
-        points = self._smooth.find(blend)
-        d = np.empty(len(points))
-        self._distances.write_distances(d)
-        return Nearest(self._distances.pairs, self._smooth.joints, self.rows, d, points)
 
     def distances(self) -> tuple[float, ...]:
         """[m] the signed distance of every pair, without the points."""
@@ -96,17 +61,18 @@ class SmoothPoints:
 
     The nearest point of a flat face can be any of its points. Therefore, on each shape of `b` with
     flat faces, the points that are nearest to the nodes of `a` are nodes too.
+
+    `mean_nearest` computes the points; this class has its constant arguments.
+
+    Attributes:
+        rows: For each pair: its own row of the results, then the rows of the convex parts of `a` if
+            there are several.
     """
 
-    def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
-        """Prepare for the bodies of pairs; `find` reads the present `state`."""
-        model, oMi = state.model, state.data.oMi
+    def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
         names = list(dict.fromkeys(body for pair in pairs for body in pair))
         bodies = [_Body.of(model, name) for name in names]
-        # Views of pinocchio's own placements, because repeated access would double the cost.
         self._body_joints = np.array([model.body_joints[name] for name in names], dtype=int)
-        placed = [oMi[joint] for joint in self._body_joints.tolist()]
-        self._placed = [part for T in placed for part in (T.rotation, T.translation[None])]
         self._shapes = Shapes.together([body.shapes for body in bodies])
         self._nodes = np.concatenate([np.empty((0, 4)), *(body.nodes for body in bodies)])
         sizes = [(len(body.shapes.rows), len(body.nodes)) for body in bodies]
@@ -120,13 +86,13 @@ class SmoothPoints:
         self._sought = np.array([*whole, *chain(*parts)], dtype=int).reshape(-1, 4)
         ends = np.cumsum([len(pairs), *map(len, parts)]).tolist()
         self.rows = [[k, *range(*of_parts)] for k, of_parts in enumerate(pairwise(ends))]
-        """For each pair: its own row, then the rows of the parts of `a` if there are several."""
         joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
         self.joints = np.array(joints, dtype=int).reshape(-1, 2)
-        """(k, 2) pinocchio's indices of the joints that move `a` and `b` of each row."""
 
     def arrays(self) -> dict[str, Array]:
-        """Fields of `app.control.inputs.ROBOT`: joints and constant arguments of `mean_nearest`."""
+        """Fields of `app.control.inputs.ROBOT`: constant arguments of `mean_nearest`, the joints of
+        the bodies, and (k, 2) the joints that move `a` and `b` of each row.
+        """
         return {
             "shapes": self._shapes.rows,
             "triangles": self._shapes.triangles,
@@ -136,11 +102,6 @@ class SmoothPoints:
             "body_joints": self._body_joints,
             "pair_joints": self.joints,
         }
-
-    def find(self, blend: float) -> Array:
-        """`points` (k, 4, 3) of `Nearest`; `blend` [m] is τ."""
-        placed = np.concatenate([np.empty((0, 3)), *self._placed])
-        return mean_nearest(*self._shapes, self._nodes, self._firsts, self._sought, placed, blend)
 
 
 class _Body(NamedTuple):
@@ -186,7 +147,7 @@ def _mean_nearest(
     work: Array,
     found: Array,
 ) -> None:
-    """Write p_a, p_b, n and core of one row of `Nearest` into `found` (4, 3).
+    """Write one row of `mean_nearest` into `found` (4, 3).
 
     `a`: all shapes or one part of l_a, `corners`: nodes of l_a, `b` and `nodes`: all of l_b.
     """
@@ -246,7 +207,9 @@ def mean_nearest(
     placed: Array,
     blend: float,
 ) -> Array:
-    """The points (k, 4, 3) of `Nearest`, computed as in `SmoothPoints`.
+    """(k, 4, 3) [m] p_a, p_b, n and core of `ClosestPoints` in the world, as in `SmoothPoints`.
+
+    There is a row for each pair, then one for each convex part of the bodies `a` with several.
 
     Args:
         rows: (P, 16) rows of `Shapes` of all bodies, one body after the other.

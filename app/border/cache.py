@@ -88,7 +88,7 @@ def write(path: Path, header: _Header, arrays: Arrays) -> None:
 
 
 def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
-    """Read a file, verify the checksums, and return the content that `unpack` makes of the arrays.
+    """Read a file, verify the checksums, and return the result of `unpack` for its arrays.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -117,8 +117,7 @@ class BorderData:
     clouds: dict[str, Cloud]
     """P_i of Algorithm 1, the sampled points for each pair of arm and base, by the pair's name."""
     origin: Literal["cache", "shipped", "sampled"]
-    """Origin of the data: "cache" is the user's cache, "shipped" a file of the project, "sampled"
-    a new computation."""
+    """The user's cache, a file of the project, or a new computation."""
 
 
 def load_border_data(
@@ -149,15 +148,8 @@ def load_border_data(
     from app.border.sampling import sample_clouds
 
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
-    clouds = sample_clouds(
-        model,
-        pairs.mobile,
-        sampling,
-        progress=progress,
-        processes=processes,
-        on_progress=on_progress,
-    )
-    data = BorderData(pairs, clouds, "sampled")
+    how: dict[str, Any] = {"progress": progress, "processes": processes, "on_progress": on_progress}
+    data = BorderData(pairs, sample_clouds(model, pairs.mobile, sampling, **how), "sampled")
     key = border_key(model.description, sampling)
     path = _path(assets.cache_folder(), model, key)
     try:
@@ -173,8 +165,8 @@ def kept_border_data(
     """Load the pairs and clouds of a robot, or return None if they are not stored.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is used too, for example that of a robot with another ready posture. A damaged file, or a
-    file with a key other than that in its name, is ignored with a warning.
+    key is used too. A damaged file, or one with a key other than that in its name, is ignored with
+    a warning.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -201,16 +193,13 @@ def _path(folder: Path, model: RobotModel, key: str) -> Path:
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits that depend on all inputs.
 
-    These are the sampling and all data of the robot that determine its pairs and clouds: the
-    bodies' shapes, the pairs that are not monitored, the arm's mount, joints and position limits,
-    and the base's link of the description; the joints of the URDF; and the bytes of the meshes.
-    Sources, colours, masses, gains and the paths of installed packages are not included.
+    These are the sampling and all data of the robot that determine its pairs and clouds. Sources,
+    colours, masses, gains and the paths of installed packages are not included.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
     """
     arm = description.arm
-    urdf = read_urdf(description)
     content = {
         "format": FORMAT,
         "sampling": sampling.model_dump(),
@@ -230,7 +219,7 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
         **({"unwatched": sorted(description.unwatched)} if description.unwatched else {}),
         "kinematics": [  # in canonical XML, without comments and white space
             ElementTree.canonicalize(ElementTree.tostring(joint, "unicode"), strip_text=True)
-            for joint in urdf.iterfind("joint")
+            for joint in read_urdf(description).iterfind("joint")
         ],
     }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -264,9 +253,8 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
 
 
 def _pack(cloud: Cloud) -> dict[str, Array]:
-    """A cloud as arrays of bytes that can be compressed well.
-
-    They are the differences of consecutive blocks, the offsets in the blocks, and the distances.
+    """A cloud as arrays of bytes that compress well: differences of consecutive blocks, offsets in
+    the blocks, and distances.
     """
     blocks = cloud.points // _BLOCK
     order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))

@@ -1,8 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
-A kernel computes the same distances as the collision library. For boxes and round shapes it is
-fifty times faster, so a border for another d_b is immediately available. For a hull the time grows
-with the number of triangles.
+A kernel computes the same distances as the collision library, for boxes and round shapes fifty
+times faster. For a hull the time grows with the number of triangles.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class ConvexPart:
         return distances_and_normals(*self.shapes, points)[:, 0]
 
     def ray_ends(self, origin: Array, rays: Array, start: Array, d_b: float) -> Array:
-        """Compute the distance along each ray to the outer boundary of the shape's offset.
+        """(K,) [m] distances along rays to the outer boundary of the shape's offset; −inf: none.
 
         The distance to a convex shape is a convex function along a ray. From a start at which the
         distance increases, the first Newton step ends at the outer root or beyond, and the next
@@ -55,9 +54,6 @@ class ConvexPart:
             rays: (K, 3) unit vectors of the rays.
             start: (K,) [m] initial estimates along the rays, beyond the shape.
             d_b: [m] distance of the offset from the shape.
-
-        Returns:
-            (K,) [m] distances along the rays; −inf if a ray misses the offset.
         """
         s, ends, left = start.copy(), np.full(len(rays), -np.inf), np.arange(len(rays))
         for _ in range(_MAX_NEWTON):
@@ -132,20 +128,17 @@ class Shapes(NamedTuple):
     @classmethod
     def together(cls, shapes: Sequence[Shapes]) -> Shapes:
         """Combine several records into one, in their order."""
-        rows, triangles = [np.empty((0, 16))], [np.empty((0, 4, 3))]
-        for each in shapes:
-            before = sum(map(len, triangles))
-            moved = each.rows.copy()
-            moved[moved[:, 0] == _HULL, 1:3] += before
-            rows.append(moved)
-            triangles.append(each.triangles)
-        return cls(np.concatenate(rows), np.concatenate(triangles))
+        rows = np.concatenate([np.empty((0, 16)), *(each.rows for each in shapes)])
+        triangles = np.concatenate([np.empty((0, 4, 3)), *(each.triangles for each in shapes)])
+        firsts = np.cumsum([0, *(len(each.triangles) for each in shapes)])[:-1]
+        before = np.repeat(firsts, [len(each.rows) for each in shapes])
+        rows[:, 1:3] += np.where(rows[:, 0] == _HULL, before, 0)[:, None]
+        return cls(rows, triangles)
 
 
 def _triangles(geometry: coal.CollisionGeometry) -> Array:
-    """The triangles (T, 4, 3) of a hull for `Shapes`.
-
-    Very thin triangles, whose normals are wrong because of rounding, are left out.
+    """The triangles (T, 4, 3) of a hull for `Shapes`, without very thin ones: rounding makes their
+    normals wrong.
     """
     points = geometry.points()
     found = (geometry.polygons(i) for i in range(geometry.num_polygons))
@@ -203,9 +196,8 @@ def _hull_distance(
     """Signed distance [m] of the point (x, y, z) [m] to a hull, and the distance's gradient.
 
     Inside the hull, this is the distance to the nearest plane. Outside, the search starts with a
-    point of the hull. All nearer points are beyond the plane through this point that is
-    perpendicular to the line to the query point. Thus a nearer triangle has a corner beyond this
-    plane; only few triangles do.
+    point of the hull. Only few triangles have a corner beyond the plane through this point that is
+    perpendicular to the line to the query point; only these can be nearer.
     """
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):

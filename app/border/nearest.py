@@ -1,11 +1,10 @@
 """The border point nearest to a query point: p_n of Algorithm 3.
 
 The border is a surface, the exact offset of l_m, or consists of points as in the paper, which are
-samples of the surface. The nearest point of the surface moves continuously with the query point. It
-jumps only where two points of the surface are equally near. The time of the search does not depend
-on the density of the samples. The surface is closed, so it also covers regions that the arm never
-reaches. No closest point is ever there, and near such regions the reachability in the score leads
-away from them.
+samples of the surface. The nearest point of the surface moves continuously with the query point; it
+jumps only where two points of the surface are equally near. The surface is closed, so it also
+covers regions that the arm never reaches. No closest point is ever there, and near such regions the
+reachability in the score leads away from them.
 
 At each height, every shape of l_m has a ring: the boundary of its slice of the offset, as a closed
 polygon. Its visible part is outside of the other shapes' offsets. The contour of the union consists
@@ -125,11 +124,11 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """Search the corners of the contour for a point that is nearer than `best`.
+    """Search the corners of the contour for a point that is nearer to p, x + iy [m], than `best`.
 
-    At a corner the outlines of two shapes' offsets cross: one leaves the contour, and the other
-    begins there. End and beginning differ by the interpolation error; the segment between them
-    belongs to the contour. At a corner the tangent is perpendicular to the line to p, x + iy [m].
+    At a corner one outline leaves the contour, and another begins. End and beginning differ by the
+    interpolation error; the segment between them belongs to the contour. At a corner the tangent is
+    perpendicular to the line to p.
     """
     met = np.zeros(len(corners), np.bool_)
     for at, t, begins in corners:
@@ -168,8 +167,8 @@ def _dot(a: complex, b: complex) -> float:
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
     """The fraction along an edge at which the line to p is perpendicular to the contour's tangent.
 
-    `to_p` leads to p from the edge's start. The tangent is interpolated from t to t_next. Without
-    interpolation, the nearest point would jump at vertices: none is nearest to a point inside.
+    `to_p` leads to p from the edge's start. The tangent is interpolated from t to t_next, because
+    otherwise the nearest point would jump at vertices.
     """
     # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
     a = -_dot(edge, t_next - t)
@@ -181,10 +180,8 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 
 @compiled()
 def _shown_part(start: float, end: float) -> tuple[float, float]:
-    """The part of an edge on which a linear function is not negative, as fractions in [0, 1].
-
-    `start` and `end` are the values of the function at the ends of the edge. If both are negative,
-    the first fraction is larger than the second.
+    """The part of an edge, as fractions, where a linear function from `start` to `end` is not
+    negative; if both are negative, the first fraction is larger than the second.
     """
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0
@@ -208,9 +205,8 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
 def nearest_offset(border: Any, at: Array) -> Array:
     """The point on the contour of a `BORDER` nearest to the point `at` (3,) [m].
 
-    If there is no contour at the point's height, the contour of the nearest available height is
-    used, at the point's height. At each height of the table, at least one part of a ring is outside
-    of all other shapes. Blocks of edges are searched in the order of their distance, until the next
+    Without a contour at the point's height, the contour of the nearest height is used, at the
+    point's height. Blocks of edges are searched in the order of their distance, until the next
     block is farther than the nearest point, so the cost hardly grows with the number of shapes.
 
     Returns:
@@ -292,11 +288,10 @@ def nearest_sample(
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and its tangent.
 
-    All are in the base's frame; `pair` is the number of the pair of arm and base. A border of
-    points yields one of its points, if the pair has points at this height. The tangent is then that
-    of `nearest_sample`; where that one is undefined, it is the tangent of the surface. In all other
-    cases the result is a point of the surface, with the tangent of the contour. The surface is the
-    exact offset of l_m for all pairs. Point and tangent are NaN if l_m has no border.
+    All are in the base's frame; `pair` is the number of the pair of arm and base. The result is
+    that of `nearest_sample` if the border consists of points and has some at this height, with the
+    surface's tangent where the sample's is undefined; otherwise it is that of `nearest_offset`.
+    Point and tangent are NaN if l_m has no border.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -323,12 +318,8 @@ class BorderSearch:
     """A border in the form that compiled functions use."""
 
     def __init__(self, table: Table, borders: Sequence[Border] = ()) -> None:
-        """Prepare the search.
-
-        Args:
-            table: The surface at the distance d_b around l_m, `OffsetContours.table`.
-            borders: The sampled border of each pair, for the same d_b; if empty, the search uses
-                only the surface.
+        """Prepare the search of the surface `OffsetContours.table`, or of the sampled border of
+        each pair, for the same d_b.
         """
         points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
         sampled = np.cumsum([0, *map(len, borders)])

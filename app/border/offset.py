@@ -39,7 +39,6 @@ class OffsetContours:
     def __init__(self, model: RobotModel, d_b: float) -> None:
         """Trace all contours for a buffer distance d_b [m]."""
         self.d_b = d_b
-        """[m] buffer distance."""
         traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
         traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
@@ -52,11 +51,7 @@ class OffsetContours:
         return level(self.table.firsts, self.table.heights, z)
 
     def contours(self, z: float) -> list[Array]:
-        """The contour at height z [m] as polygons (K, 2) [m].
-
-        If a part of a ring is inside of another shape's offset, only the remaining, visible pieces
-        of the ring belong to the contour. A shape without a ring at z is left out.
-        """
+        """The contour at height z [m], the visible pieces of all rings, as polygons (K, 2) [m]."""
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
             heights = table.heights[first:end]
@@ -131,14 +126,10 @@ def _outermost(
 
 def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
     """(H, RAYS + 1) [m] signed distance of each vertex from the nearest offset of another shape."""
-    H, V, _ = rings.vertices.shape
-    points = np.concatenate(
-        [rings.vertices, np.broadcast_to(rings.heights[:, None, None], (H, V, 1))], axis=2
-    ).reshape(-1, 3)
-    distances = np.full(len(points), d_b + _ALONE)
-    for other in others:
-        np.minimum(distances, other.distances(points), out=distances)
-    return distances.reshape(H, V) - d_b + _TOUCHING
+    points = np.empty((*rings.vertices.shape[:2], 3))
+    points[..., :2], points[..., 2] = rings.vertices, rings.heights[:, None]
+    found = [each.distances(points.reshape(-1, 3)).reshape(points.shape[:2]) for each in others]
+    return np.min([np.full(points.shape[:2], d_b + _ALONE), *found], axis=0) - d_b + _TOUCHING
 
 
 def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
@@ -170,11 +161,10 @@ class Rings(NamedTuple):
 
 
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:
-    """Trace the offset of a convex shape above the floor, at the distance d_b [m].
+    """Trace the offset of a convex shape above the floor, at the distance d_b [m], if there is any.
 
     Rays start at the centre of the shape. If a slice of the offset does not contain this centre,
-    for example for a slanted shape, the rays at each height start at the centre of the slice. The
-    result has no heights if the offset is below the floor.
+    for example for a slanted shape, the rays at each height start at the centre of the slice.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b)
@@ -253,10 +243,8 @@ class _Tracer:
 
 
 def _vertex_tangents(edges: Array) -> Array:
-    """Unit tangents (H, RAYS + 1) at the vertices of rings, from their edges (H, RAYS).
-
-    Both are numbers x + iy. A tangent is the mean direction of the two adjacent edges; the last
-    tangent is the first.
+    """Unit tangents (H, RAYS + 1) at the vertices of rings: the mean directions of the two adjacent
+    edges (H, RAYS), as x + iy.
     """
     directions = edges / np.abs(edges)
     tangents = directions + np.roll(directions, 1, axis=1)
@@ -267,9 +255,8 @@ def _vertex_tangents(edges: Array) -> Array:
 def _levels(bottom: float, top: float, d_b: float) -> Array:
     """(H,) [m] the heights at which a shape's offset is traced.
 
-    They start at the floor, and are 10 mm apart up to the shape's top, and 10 mm of arc apart above
-    the top. For a shape whose bottom is high above the floor, they start on such an arc below the
-    bottom, or at the floor if the arc reaches the floor.
+    They start at the floor or, for a shape high above the floor, on an arc below its bottom. They
+    are 10 mm apart beside the shape, and 10 mm of arc apart above its top and below its bottom.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

@@ -33,14 +33,9 @@ def reach_bodies(model: RobotModel) -> list[str]:
 class Chain:
     """The joints that move a body, and the coordinates of the body's pose that they determine.
 
-    The base is at the origin.
-
-    The pose of the body that carries the end-effector is the end-effector's pose. The pose of
-    another body consists of the centre of the body's first shape and the direction of that shape's
-    z axis. With six or more joints the pose has six coordinates; with five joints it has five, all
-    but the rotation about the direction; with three or four joints it has the three coordinates of
-    the position. The pose has five or three coordinates instead if the joints cannot change all of
-    them independently.
+    The pose is that of the end-effector or, for a body that does not carry it, of the body's first
+    shape; the base is at the origin. The pose has six coordinates, or five, all but the rotation
+    about the z axis, or the three of the position: as many as the joints can change independently.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
@@ -76,8 +71,8 @@ class Chain:
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
         """T_base_point at joint positions q (k,), and the Jacobian (6, k) of the point's frame.
 
-        The Jacobian is in the axes of this frame, whose z axis is the body's direction. The first
-        three rows are linear, the last three angular; the last row is the rotation about z.
+        The Jacobian is in the axes of this frame: three linear rows, then three angular ones, the
+        last of them about z.
         """
         J = pin.computeJointJacobians(self.pin, self._data, q)
         at = self._data.oMi[len(self.joints)] * self._placement
@@ -109,17 +104,12 @@ class Chain:
 
 
 def _moving_joints(model: RobotModel, body: str) -> list[int]:
-    """Pinocchio's indices of the arm's joints between the base and a body's reference frame."""
+    """Pinocchio's indices of the arm's joints between the base and a body's point."""
     return [joint for joint in model.pin.supports[_carrier(model, body)[0]] if joint > 1]
 
 
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
-    """Pinocchio's index of the joint that moves a body's reference frame, and the frame's pose.
-
-    The pose is in the joint's frame. The reference frame of the body that carries the end-effector
-    is the end-effector's frame. The reference frame of another body is the frame of its first
-    shape.
-    """
+    """Pinocchio's index of the joint that moves a body's point, and T_joint_point of `Chain`."""
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]
         return frame.parentJoint, frame.placement
@@ -130,8 +120,7 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 def free_joints(chain: Chain) -> tuple[int, ...]:
     """Indices of the redundant joints: with these fixed, a pose determines the other joints.
 
-    If several choices are possible, the joints nearest to the body are fixed. The result is empty
-    for a chain without redundancy.
+    If several choices are possible, the joints nearest to the body are fixed.
 
     Raises:
         DescriptionError: For each choice of fixed joints, the Jacobian of the others is singular.
@@ -193,15 +182,8 @@ def sample_reach_map(
 ) -> ReachMap:
     """Compute the mean number of inverse kinematics solutions for a body in the whole workspace.
 
-    The positions form a lattice in a ball around the mount that contains the whole workspace. In
-    the area formula, J has a column for each joint of the chain that is not fixed.
-
-    Args:
-        model: The robot.
-        body: Name of the body.
-        samples: Number of random joint positions.
-        spacing: [m] spacing of the lattice.
-        seed: Seed of the joint positions.
+    The positions form a lattice of `spacing` [m] in a ball around the mount that contains the whole
+    workspace. In the area formula, J has a column for each joint of the chain that is not fixed.
 
     Raises:
         ConfigError: Fewer than three joints move the body.
@@ -258,10 +240,7 @@ def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
 
 
 def lattice(radius: float, spacing: float) -> Array:
-    """(N, 3) int16 steps from the origin to the points of a cubic lattice in a ball.
-
-    `radius` and `spacing` are in the same unit.
-    """
+    """(N, 3) int16 steps to the points of a cubic lattice in a ball; lengths in the same unit."""
     reach = int(np.ceil(radius / spacing))
     along = np.arange(-reach, reach + 1)
     steps = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)

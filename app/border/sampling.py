@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import islice
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -69,7 +70,6 @@ def sample_clouds(
         DescriptionError: The base is too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
-    seeds = np.random.SeedSequence(config.seed).spawn(len(pairs))
     bar = progress_bar("sampling the border", 1.0, shown=progress)
     with bar as update, Workers(make_context, processes) as workers:
 
@@ -77,23 +77,20 @@ def sample_clouds(
             update(share)
             on_progress(share)
 
-        seed_of = dict(zip(pairs, seeds, strict=True))
-        return _Sampler(Context(model.description, config), workers, seed_of, tell).run()
+        return _Sampler(make_context(), workers, pairs, tell).run()
 
 
 class _Sampler:
     """The stages of the sampling, each for all pairs at once so that no core waits."""
 
     def __init__(
-        self,
-        context: Context,
-        workers: Workers,
-        seed_of: dict[Pair, np.random.SeedSequence],
-        on_progress: OnProgress,
+        self, context: Context, workers: Workers, pairs: Sequence[Pair], on_progress: OnProgress
     ) -> None:
         self._voxels, self._config = context.voxels, context.config
-        self._workers, self._seed_of, self._on_progress = workers, seed_of, on_progress
-        self._flood = _SEED_JOBS / (_SEED_JOBS + context.config.sectors)
+        self._workers, self._on_progress = workers, on_progress
+        seeds = np.random.SeedSequence(self._config.seed).spawn(len(pairs))
+        self._seed_of = dict(zip(pairs, seeds, strict=True))
+        self._flood = _SEED_JOBS / (_SEED_JOBS + self._config.sectors)
         """[-] share of the work that is done when the flood starts."""
 
     def run(self) -> dict[str, Cloud]:
@@ -102,9 +99,7 @@ class _Sampler:
         kept = {pair: _rows(start, slice(0)) for pair, start in found.items()}
         tell = part_of(self._on_progress, self._flood, 1.0)
         for _ in range(self._config.rounds):
-            jobs = [
-                job for pair in kept for job in self._sector_jobs(pair, found[pair], kept[pair])
-            ]
+            jobs = [job for pair in kept for job in self._jobs(pair, found[pair], kept[pair])]
             results = self._workers.map(flood_sector, jobs, tell)
             for job, result in zip(jobs, results, strict=True):
                 kept[job.pair] = _joined([kept[job.pair], result])
@@ -112,15 +107,13 @@ class _Sampler:
         return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
 
     def _starts(self) -> dict[Pair, Kept]:
+        """Random postures of each pair."""
         jobs = [(pair, child) for pair, s in self._seed_of.items() for child in s.spawn(_SEED_JOBS)]
-        starts: dict[Pair, Kept] = {}
         tell = part_of(self._on_progress, 0.0, self._flood)
-        results = self._workers.map(sample_shell, jobs, tell)
-        for (pair, _), result in zip(jobs, results, strict=True):
-            starts[pair] = _joined([starts[pair], result]) if pair in starts else result
-        return starts
+        found = iter(self._workers.map(sample_shell, jobs, tell))
+        return {pair: _joined(list(islice(found, _SEED_JOBS))) for pair in self._seed_of}
 
-    def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
+    def _jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
         """One job for each sector that a posture of `given` can start; after the first round, only
         postures of other sectors count. `kept` are this pair's postures so far.
         """
@@ -159,16 +152,11 @@ class Context:
     """The data that the jobs of one process share."""
 
     def __init__(self, description: RobotDescription, config: SamplingConfig) -> None:
-        self.model = RobotModel(description)
-        self.config = config
-        self.body = MobileBody(self.model)
-        self.voxels = Voxels(
-            self.body.lower,
-            self.body.upper,
-            reach=config.d_high,
-            sectors=config.sectors,
-            size=np.array([config.voxel_plan, config.voxel_plan, config.voxel_height]),
-        )
+        self.model, self.config = RobotModel(description), config
+        body = self.body = MobileBody(self.model)
+        size = np.array([config.voxel_plan, config.voxel_plan, config.voxel_height])
+        reach, sectors = config.d_high, config.sectors
+        self.voxels = Voxels(body.lower, body.upper, reach=reach, size=size, sectors=sectors)
 
 
 class SectorJob(NamedTuple):
@@ -190,12 +178,9 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
     found = PairReader(context.model, pair).witnesses(q_m)
-    inside = (found.d > config.d_low) & (found.d < config.d_high)
-    return Kept(
-        q_m[inside].astype(np.float32),
-        quantise_points(found.p_b[inside]),
-        quantise_distances(found.d[inside]),
-    )
+    inside = _rows(found, (found.d > config.d_low) & (found.d < config.d_high))
+    points, distances = quantise_points(inside.p_b), quantise_distances(inside.d)
+    return Kept(inside.q_m.astype(np.float32), points, distances)
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
@@ -243,8 +228,8 @@ class PairReader:
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
         """(N, 3, n_m) Jacobians of body points at p_b (N, 3) [m] in postures q_m (N, n_m).
 
-        The points are fixed to the body, but the closest point also moves on the body. A step that
-        uses these Jacobians is therefore only an estimate.
+        The points are fixed to the body. The closest point also moves on the body, so a step with
+        these Jacobians is only an estimate.
         """
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
         J = np.empty((len(q_m), 6, model.nv))
@@ -276,9 +261,8 @@ class _Flood:
     def run(self, sources: Array) -> tuple[Array, Array]:
         """Flood the open voxels from starting postures (N, n_m) [rad or m].
 
-        As long as voxels next to a batch of postures are open, the batch makes steps into them in
-        up to `retries` + 1 rounds; in each round, one posture makes a step into each of these
-        voxels.
+        In up to `retries` + 1 rounds, one posture of a batch makes a step into each open voxel next
+        to the batch.
 
         Returns:
             The accepted postures (N, n_m) float32 [rad or m], including sources in open voxels, and
@@ -309,10 +293,9 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Step from the `found` postures into each open voxel next to one of their closest points.
+        """Step from the first of the `found` postures next to an open voxel into this voxel.
 
-        If several postures are next to a voxel, the first of them makes the step. Steps that would
-        probably leave the sampled range of distances are left out.
+        Steps that would probably leave the sampled range of distances are left out.
         """
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
         keys = self._voxels.keys(cells)
@@ -331,9 +314,8 @@ class _Flood:
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
         """Compute postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
 
-        J (N, 3, n_m) are the closest points' Jacobians at the postures q. Retries add random
-        self-motion, which grows with the round. Joints that would leave their position limits do
-        not move.
+        J (N, 3, n_m) are the Jacobians at the postures q. Retries add random self-motion, which
+        grows with the round. Joints that would leave their position limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -417,10 +399,7 @@ class Voxels:
         self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns
 
     def cells(self, points: Array) -> Array:
-        """Indices (N, 3) along x, y and z of the cells of points (N, 3) int16 as in `Cloud`.
-
-        A cell can be outside of the grid.
-        """
+        """Cells (N, 3), also outside of the grid, of points (N, 3) int16 as in `Cloud`."""
         return (points - self._origin) // self._size
 
     def keys(self, cells: Array) -> Array:
@@ -442,13 +421,12 @@ class Voxels:
         return np.tile(self._sectors == sector, int(self.shape[2]))
 
     def sectors(self, keys: Array) -> Array:
-        """(…) sector of each voxel, for voxels with the indices `keys` (…)."""
+        """(…) sector of the voxels with the indices `keys` (…)."""
         return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3) int16; −1 if not free.
-
-        `free` (count,) states whether each voxel is free; a cell outside of the grid is not free.
+        """(N, 7) sectors of the voxels at and next to points (N, 3) int16; −1 if not `free`
+        (count,), or outside of the grid.
         """
         keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

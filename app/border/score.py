@@ -70,10 +70,9 @@ class ScoreField:
         return self._fields(p)[..., 0]
 
     def score(self, p: Array) -> Array:
-        """(…) S, with the sign and in the unit of the base's measure.
+        """(…) S at p (…, 3) [m], with the sign and in the unit of the base's measure.
 
-        For the paper's base it is positive in front of the wheel axis. A control step computes it
-        with `score_at`.
+        For the paper's base it is positive in front of the wheel axis.
 
         Paper: Eq. (10).
         Paper: Eq. (11).
@@ -86,11 +85,8 @@ class ScoreField:
 
     def coefficients(self) -> Array:
         """(9,) the argument of `score_at`: the base's measure, its score unit, p_base, A, B, C."""
-        constant, per_square_metre = self.base.measure
-        unit = self.base.score_unit
-        return np.array(
-            [constant, per_square_metre, unit, *self.p_base.tolist(), self.A, self.B, self.C]
-        )
+        measure, unit = self.base.measure, self.base.score_unit
+        return np.array([*measure, unit, *self.p_base.tolist(), self.A, self.B, self.C])
 
     def _fields(self, p: Array) -> Array:
         """(…, 5) R, S and ∇S at the points p (…, 3) [m]."""
@@ -145,9 +141,7 @@ class RadialProfile:
     """(K,) number of values in each shell."""
 
     def peak(self) -> int:
-        """Index of the shell with the largest mean, of those with at least `_FEWEST` values.
-
-        If all shells have fewer values, only those with the most values count.
+        """Index of the shell with the largest mean, of those with `_FEWEST` or the most values.
 
         Raises:
             ValueError: All shells are empty.
@@ -158,9 +152,8 @@ class RadialProfile:
         return int(np.argmax(np.where(enough, self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
-        """The range [m] of distances around the peak in which each shell's mean is high enough.
-
-        Each mean is at least `share` [-] of the peak's mean.
+        """The range [m] of distances around the peak in which the mean of each shell is at least
+        `share` [-] of the peak's mean.
         """
         first = last = self.peak()
         good = self.mean >= share * self.mean[first]
@@ -173,13 +166,7 @@ class RadialProfile:
 
 
 def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProfile:
-    """Compute the means of values in shells around the mount.
-
-    Args:
-        rho: (N,) [m] distances from the mount.
-        reach: (N,) values at these distances.
-        shell: [m] thickness of a shell.
-    """
+    """The means of values `reach` (N,) at distances rho (N,) [m] from the mount, in shells [m]."""
     # A lattice has positions on the border of two shells; their shell must not depend on rounding.
     index = np.floor(np.asarray(rho) / shell + ROUNDING).astype(int)
     size = int(index.max(initial=-1)) + 1
@@ -200,13 +187,12 @@ class ReachFit(NamedTuple):
     C: float
     """[-] C of (9), the best reachability."""
     r_squared: float
-    """[-] share of the variance of the shells' means that (9) explains; each mean is weighted by
-    the number of positions in the shell."""
+    """[-] share of the variance of the shells' means that (9) explains; the number of positions in
+    a shell is the weight of its mean."""
     rms: float
     """[-] root mean square of the residuals of the shells' means, with the same weights."""
     r_squared_positions: float
-    """[-] share of the variance of single positions that (9) explains. The other causes of the
-    variance are the sampling and the direction of a position."""
+    """[-] share of the variance of single positions that (9) explains."""
     rho_min_m: float
     """[m] the smallest fitted distance."""
     rho_max_m: float
@@ -222,10 +208,10 @@ class ReachFit(NamedTuple):
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Fit (9) to positions by least squares with equal weights.
 
+    The fit uses all positions in the shells around the best shell whose mean is at least `share`
+    times the best mean. Below the default, `ScoreField.reachability` replaces (9).
+
     Paper: Eq. (9).
-    The positions are divided into shells by their distance. The fit uses all positions in the
-    shells around the best shell whose mean is at least `share` times the best mean. Below the
-    default share, `ScoreField.reachability` replaces (9) by a different curve.
 
     Args:
         rho: (N,) [m] distance of each position from the arm's mount.
@@ -249,13 +235,15 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
         raise ValueError("the reachability does not decrease on both sides of a best distance")
     B = -b / (2 * a)
     left = y - polynomial(x)
-    r_squared, rms = _radial_quality(x, y, left)
+    values, rest = radial_profile(x, y), radial_profile(x, left)
+    there = values.count > 0
+    mean, missed, weight = values.mean[there], rest.mean[there], values.count[there]
     return ReachFit(
         A_per_m2=float(-a),
         B_m=float(B),
         C=float(c - a * B**2),
-        r_squared=r_squared,
-        rms=rms,
+        r_squared=_explained(mean, missed, weight),
+        rms=float(np.sqrt(np.average(missed**2, weights=weight))),
         r_squared_positions=_explained(y, left),
         rho_min_m=float(x.min()),
         rho_max_m=float(x.max()),
@@ -264,14 +252,6 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
 
 
 def _explained(y: Array, left: Array, weight: Array | None = None) -> float:
+    """[-] R²: share of the variance of y that is not in the residuals `left`."""
     total = np.average((y - np.average(y, weights=weight)) ** 2, weights=weight)
     return float(1 - np.average(left**2, weights=weight) / total) if total > 0 else 1.0
-
-
-def _radial_quality(x: Array, y: Array, left: Array) -> tuple[float, float]:
-    """R² and root mean square residual of the means in shells."""
-    values, rest = radial_profile(x, y), radial_profile(x, left)
-    there = values.count > 0
-    mean, missed, weight = values.mean[there], rest.mean[there], values.count[there]
-    rms = np.sqrt(np.average(missed**2, weights=weight))
-    return _explained(mean, missed, weight), float(rms)

@@ -115,7 +115,7 @@ class Controller:
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
         """The robot's estimated state in the last step with `valid` readings."""
-        smooth = SmoothPoints(self.state, data.pairs.all)
+        smooth = SmoothPoints(model, data.pairs.all)
         self._robot = robot_struct(model, data, smooth)
         views, sizes = pinocchio_views(self.state.data), _sizes(model, data, smooth)
         self.last = ControlStep(sizes, views, data.pairs.all, smooth.rows)

@@ -46,10 +46,8 @@ _WITH_PYBULLET = (
 
 
 def cache_folder() -> Path:
-    """Folder of new borders.
-
-    It is `dbb_cache/` in a writable checkout. Without one, it is the first writable one of the
-    user's cache folders or, if none is writable, the first of them.
+    """Folder of new borders: `dbb_cache/` in a writable checkout, or else the first writable one of
+    the user's cache folders; if none is writable, the first of them.
     """
     if IN_CHECKOUT and is_writable(SHIPPED_CACHE):
         return SHIPPED_CACHE
@@ -110,8 +108,9 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot's description; a delivered robot has precedence over a user's robot of the
-    same name. For an unknown name, the folder that a delivered robot of this name would have.
+    """Folder of a robot's description; a delivered robot has precedence over a user's.
+
+    For an unknown name, it is the folder that a delivered robot of this name would have.
     """
     return next(iter(_folders(name)), ASSETS / name)
 
@@ -149,8 +148,8 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     roots = package_roots(package)
     if not roots:
-        # For other names no installation is advised: the name comes from a file, and anyone can
-        # register it.
+        # For other names no installation is advised: a file has the name, and anyone can register
+        # the name.
         how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
         how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
@@ -260,14 +259,13 @@ def shown_urdf(description: HasUrdf) -> str:
         DescriptionError: As for `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
-    for link in tree.iterfind("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            if (mesh := shape.find("geometry/mesh")) is not None:
-                reference = mesh.get("filename", "")
-                try:
-                    mesh.set("filename", _mesh(reference, folder).resolve().as_uri())
-                except AssetError:
-                    link.remove(shape)
+    for link, shape in _shapes(tree):
+        if (mesh := shape.find("geometry/mesh")) is not None:
+            try:
+                path = _mesh(mesh.get("filename", ""), folder)
+                mesh.set("filename", path.resolve().as_uri())
+            except AssetError:
+                link.remove(shape)
     return ElementTree.tostring(tree, encoding="unicode")
 
 
@@ -279,10 +277,18 @@ def bare_urdf(description: HasUrdf) -> str:
         DescriptionError: As for `read_urdf`.
     """
     tree = read_urdf(description)
-    for link in tree.iterfind("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            link.remove(shape)
+    for link, shape in _shapes(tree):
+        link.remove(shape)
     return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _shapes(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, ElementTree.Element]]:
+    """Each visual and collision shape of a URDF, after its link."""
+    return [
+        (link, shape)
+        for link in tree.iterfind("link")
+        for shape in (*link.findall("visual"), *link.findall("collision"))
+    ]
 
 
 def read_urdf(description: HasUrdf) -> ElementTree.Element:
@@ -309,13 +315,10 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
 
 
 _UTF16 = {
-    codecs.BOM_UTF16_LE: "utf-16",
-    codecs.BOM_UTF16_BE: "utf-16",
-    b"<\0": "utf-16-le",
-    b"\0<": "utf-16-be",
+    **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
+    **{b"<\0": "utf-16-le", b"\0<": "utf-16-be"},
 }
-"""First bytes of a file in UTF-16; a file with other first bytes is read as UTF-8 if it declares
-UTF-16."""
+"""First bytes of a file in UTF-16; with others, a file that declares UTF-16 is read as UTF-8."""
 _KINDS = {
     **dict.fromkeys((b"#usda", b"PXR-USDC"), "a USD file"),
     b"%PDF": "a PDF",
@@ -329,12 +332,10 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse placeholders that a download or a repository can leave instead of a file.
-
-    `content` has the first bytes of the file, or all of them; `where` is its name for the message.
+    """Refuse the `placeholder` of a file; `content` has its first bytes, `where` its name.
 
     Raises:
-        RobotFileError: The content is such a placeholder; the message names its kind.
+        RobotFileError: The content is a placeholder; the message names its kind.
     """
     if name := placeholder(content):
         raise RobotFileError(f"{where}: in the place of the file is {name}")
@@ -379,8 +380,8 @@ def xml_text(path: Path) -> str:
 def refuse_entities(content: bytes | str, path: Path) -> None:
     """Refuse XML that expands, refers to other files or is huge, before parsing a tree.
 
-    `content` is the file's content: bytes in their declared encoding, or text, whose declared
-    encoding is ignored. `path` is its name for the message.
+    `content` is bytes in their declared encoding, or text, whose declared encoding is ignored;
+    `path` is its name for the message.
 
     Raises:
         RobotFileError: The XML declares an entity, as in a "billion laughs" attack; nests deeper or

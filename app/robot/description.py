@@ -29,7 +29,6 @@ from app.strict import (
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
-
 KINDS: dict[str, type[BaseKind]] = {}
 """Kinds of base for descriptions, by their name in `kind`."""
 
@@ -67,14 +66,8 @@ class ArmDescription(Sourced):
         n = len(self.joints)
         if len(set(self.joints)) != n:
             raise ValueError("`joints` names a joint twice")
-        for name in (
-            "position_lower",
-            "position_upper",
-            "max_velocity",
-            "max_effort",
-            "ready_position",
-            "joint_damping",
-        ):
+        limits = "position_lower", "position_upper", "max_velocity", "max_effort"
+        for name in (*limits, "ready_position", "joint_damping"):
             value = getattr(self, name)
             if value is not None and len(value) != n:
                 raise ValueError(f"{name}: needs {n} numbers, one for each joint; has {len(value)}")
@@ -92,8 +85,8 @@ class BodyDescription(Strict):
     """URDF link in whose frame the shapes are."""
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
-    """URDF links that this body encloses: the distances and contacts of the body represent these
-    links. Only a part of a link that cannot meet another body can be outside of this body."""
+    """URDF links that this body encloses, except for parts that cannot meet another body: the
+    distances and contacts of the body represent these links."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """For links in `covers`, the links of other bodies that are nested with them. If nested links
     touch, this does not count as a contact."""
@@ -248,17 +241,16 @@ def load_description(path: Path) -> RobotDescription:
             of its range; the message names file, field and the valid values.
     """
     try:
-        data = from_toml(file_text(path))
+        return RobotDescription.model_validate(from_toml(file_text(path)))
+    except ValidationError as error:  # a kind of ValueError
+        text = explain(error, RobotDescription, _wanted)
     except FileNotFoundError:
-        raise DescriptionError(f"{path}: no such description") from None
+        text = "no such description"
     except OSError as error:
-        raise DescriptionError(f"{path}: cannot be read: {error.strerror}") from None
+        text = f"cannot be read: {error.strerror}"
     except ValueError as error:
-        raise DescriptionError(f"{path}: not a TOML file: {error}") from None
-    try:
-        return RobotDescription.model_validate(data)
-    except ValidationError as error:
-        raise DescriptionError(f"{path}: {explain(error, RobotDescription, _wanted)}") from None
+        text = f"not a TOML file: {error}"
+    raise DescriptionError(f"{path}: {text}")
 
 
 def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:

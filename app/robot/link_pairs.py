@@ -1,15 +1,16 @@
 """§2.1: link pairs that can meet, found once by random sampling, and their present distances."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from typing import NamedTuple
 
+import coal
 import numpy as np
 import pinocchio as pin
 
+from app.compiled import compiled, direct
 from app.robot.model import RobotModel
-from app.robot.state import ShapeDistances
 from app.strict import Array
 
 
@@ -48,16 +49,7 @@ class ClosestPoints(NamedTuple):
 
 def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
     """The closest points of a pair, with the closest points of its parts in the field `parts`."""
-    return closest._replace(parts=parts) if parts else closest
-
-
-def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
-    """The closest points of all pairs, for each convex part of `a` separately.
-
-    The normals of single parts are continuous. In a concave corner of an `a` with several parts,
-    the normal of the pair is between the normals of two near faces.
-    """
-    return [part for pair in pairs for part in pair.parts or (pair,)]
+    return closest._replace(parts=parts)
 
 
 @dataclass(frozen=True)
@@ -85,12 +77,56 @@ class LinkPairs:
         return self.mobile + self.manipulator
 
 
-class PairDistances(ShapeDistances):
-    """Distances and closest points of some pairs, for fast calls from Python.
+def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
+    """Data for distances that depend on the poses of the bodies alone, not on former calls.
+
+    With pinocchio's own requests, each search would start at the result of the last search.
+    """
+    data = pin.GeometryData(geometry)
+    for k in range(len(data.distanceRequests)):
+        data.distanceRequests[k] = coal.DistanceRequest()
+    return data
+
+
+def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
+    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
+
+    Reading the results one by one would take as long as computing them. Each result stores its
+    distance before its normal, and all results have the same size. The present distances are lost.
+    """
+    if len(results) == 0:
+        return np.zeros(0)
+    first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
+    size = (last - first) // max(len(results) - 1, 1)
+    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
+    view = before[:, 1]
+    for k, each in enumerate(results):
+        each.min_distance = float(k)
+    assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
+    return view
+
+
+@compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
+def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
+    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
+
+    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
+    `order` at which each group begins, then m.
+    """
+    for k in range(len(into)):
+        into[k] = values[order[firsts[k]]]
+        for j in range(firsts[k] + 1, firsts[k + 1]):
+            into[k] = min(into[k], values[order[j]])
+
+
+_write_least = direct(_put_least)
+
+
+class PairDistances:
+    """Distances and closest points of some pairs, by the collision library.
 
     Call `update` or `update_from` once for a configuration, before all other methods but `sampled`.
-    The distance of a body of several shapes is that of its nearest shape. `write_distances` writes
-    the distances of all pairs, then those of each part of the bodies `a` with several parts.
+    The distance of a body of several shapes is that of its nearest shape.
 
     Attributes:
         pairs: The pairs, in the order of their indices.
@@ -99,19 +135,24 @@ class PairDistances(ShapeDistances):
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
         self.pairs, self.data = tuple(pairs), model.pin.createData()
-        shapes: list[tuple[int, int]] = []
+        self._model, self._geometry = model, model.geometry.copy()
+        self._geometry.removeAllCollisionPairs()
         groups: list[list[range]] = []
         for pair in self.pairs:
-            first, each = len(shapes), len(model.shape_ids[pair.b])
-            shapes += product(model.shape_ids[pair.a], model.shape_ids[pair.b])
-            whole = range(first, len(shapes))
+            first, each = len(self._geometry.collisionPairs), len(model.shape_ids[pair.b])
+            for shapes in product(model.shape_ids[pair.a], model.shape_ids[pair.b]):
+                self._geometry.addCollisionPair(pin.CollisionPair(*shapes))
+            whole = range(first, len(self._geometry.collisionPairs))
             parts = [range(k, k + each) for k in whole[::each]]
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
-        by_part = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
-        super().__init__(model, shapes, by_part)
+        rows = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
+        self._order = np.concatenate([np.arange(0), *rows])
+        self._firsts = np.cumsum([0, *map(len, rows)])
+        self._placed = geometry_data(self._geometry)
         # References to pinocchio's result objects: requesting these objects again at each step
         # would take longer than computing the distances.
         results = self._placed.distanceResults
+        self._signed = distance_view(results)
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
         """For each pair a list: first the results of all pairs of shapes of `a` and `b`, then, if
         `a` has several parts, the results of each part with the shapes of `b`."""
@@ -120,6 +161,17 @@ class PairDistances(ShapeDistances):
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
         pin.updateGeometryPlacements(self._model.pin, self.data, self._geometry, self._placed, q)
         pin.computeDistances(self._geometry, self._placed)
+
+    def update_from(self, data: pin.Data) -> None:
+        """Compute all distances from pinocchio's data with existing kinematics."""
+        pin.updateGeometryPlacements(self._model.pin, data, self._geometry, self._placed)
+        pin.computeDistances(self._geometry, self._placed)
+
+    def write_distances(self, into: Array) -> None:
+        """Write the signed distances [m] of all pairs into an array, then those of each part of
+        the bodies `a` with several parts.
+        """
+        _write_least(self._signed, self._order, self._firsts, into)
 
     def distance(self, i: int) -> float:
         """[m] signed distance of the i-th pair."""
@@ -142,12 +194,10 @@ class PairDistances(ShapeDistances):
     def closest(self, i: int) -> ClosestPoints:
         """The closest points of the i-th pair, as copies."""
         found = []
-        for results in self._results[i]:
-            at = _nearest(results)
-            p_b, n = at.getNearestPoint2(), at.normal.copy()  # unlike the points it is a view
-            found.append(
-                ClosestPoints(self.pairs[i], at.min_distance, at.getNearestPoint1(), p_b, n, p_b)
-            )
+        for at in map(_nearest, self._results[i]):
+            p_a, p_b = at.getNearestPoint1(), at.getNearestPoint2()
+            n = at.normal.copy()  # unlike the points it is a view
+            found.append(ClosestPoints(self.pairs[i], at.min_distance, p_a, p_b, n, p_b))
         return with_parts(*found)
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
@@ -189,8 +239,8 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
     names = [pair.name for pair in pairs]
     rates = dict(zip(names, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
     least = dict(zip(names, distances.min(axis=0).tolist(), strict=True))
-    lm = model.description.mobile_body.name
-    mobile = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a == lm)
-    manipulator = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a != lm)
     never = tuple(pair for pair in pairs if rates[pair.name] == 0)
+    colliding, lm = [pair for pair in pairs if rates[pair.name] > 0], model.body_names[0]
+    mobile = tuple(pair for pair in colliding if pair.a == lm)
+    manipulator = tuple(pair for pair in colliding if pair.a != lm)
     return LinkPairs(mobile, manipulator, never, rates, least, samples, seed)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 STABLE_STEPS = 3.0  # [-] smallest stable m/(D dt) for a joint with inertia m and damping D
 Options = ParamSpec("Options")
 Result = TypeVar("Result")
+OfModel = Callable[Concatenate["RobotModel", Options], Result]
 
 
 class RobotModel:
@@ -178,15 +179,15 @@ class RobotModel:
         ready = np.array(arm.ready_position)
         limits = zip(self.q_lower, ready, self.q_upper, self.qd_max, self.tau_max, strict=True)
         for name, (lower, at, upper, speed, effort) in zip(arm.joints, limits, strict=True):
-            wrong = None
             if not lower < upper:
                 wrong = f"arm: {name} has lower limit {lower:g} not below upper {upper:g}"
             elif not lower <= at <= upper:
                 wrong = f"arm.ready_position: {name} at {at:g} is outside of [{lower:g}, {upper:g}]"
             elif not (speed > 0 and effort > 0):
                 wrong = f"arm: {name} needs a velocity and an effort limit above zero"
-            if wrong is not None:
-                raise _error(self.description, wrong)
+            else:
+                continue
+            raise _error(self.description, wrong)
 
     def _add_end_effector(self) -> None:
         arm = self.description.arm
@@ -201,17 +202,16 @@ class RobotModel:
         self.ee_frame = self.pin.addFrame(made)
 
     def _add_body(self, body: BodyDescription) -> None:
-        name = body.name
+        name, ids = body.name, []
         frame_id = self._frame(body.frame, f"bodies.{name}.frame")
         frame = self.pin.frames[frame_id]
         for link in body.covers:
             self._frame(link, f"bodies.{name}.covers")
-        joint = self.body_joints[name] = frame.parentJoint
-        self.shape_ids[name] = []
         for i, shape in enumerate(body.shapes):
             T, geometry = frame.placement * shape.placement(), shape.coal_geometry()
-            made = pin.GeometryObject(f"{name}_{i}", joint, frame_id, T, geometry)
-            self.shape_ids[name].append(self.geometry.addGeometryObject(made))
+            made = pin.GeometryObject(f"{name}_{i}", frame.parentJoint, frame_id, T, geometry)
+            ids.append(self.geometry.addGeometryObject(made))
+        self.body_joints[name], self.shape_ids[name] = frame.parentJoint, ids
 
     def _frame(self, name: str, field: str) -> int:
         if not self.pin.existFrame(name):
@@ -227,20 +227,14 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
 
 def kept_per_model(
     most: int,
-) -> Callable[
-    [Callable[Concatenate[RobotModel, Options], Result]],
-    Callable[Concatenate[RobotModel, Options], Result],
-]:
+) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
     """Cache the results of a pure function of a model and hashable values while the model exists.
 
-    All callers share a result and must not change it. A result must not refer to the model: with
-    such a reference, neither of the two would ever be freed. Each model has at most `most` results;
-    a further result replaces the oldest.
+    All callers share a result and must not change it. A result must not refer to the model, because
+    then neither of the two would ever be freed. For each model, the latest `most` results stay.
     """
 
-    def keep(
-        function: Callable[Concatenate[RobotModel, Options], Result],
-    ) -> Callable[Concatenate[RobotModel, Options], Result]:
+    def keep(function: OfModel[Options, Result]) -> OfModel[Options, Result]:
         kept: WeakKeyDictionary[RobotModel, dict[object, Result]] = WeakKeyDictionary()
 
         @wraps(function)
@@ -266,8 +260,7 @@ def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
     """[m] upper bound of the distance between the two ends of a chain of joints.
 
     `links` are the poses of the chain's frames, each in the frame before it. `slides` (2, k) [m]
-    has the lower and upper limits of the sliding joints. The bound is the sum of the lengths of
-    all translations and of the larger absolute limit of each sliding joint.
+    has the lower and upper limits of the sliding joints.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())
@@ -283,9 +276,8 @@ def whole_model(description: RobotDescription) -> pin.Model:
 
 def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, float]:
     """1 for each wheel's joint whose axis points to the left, or up; -1 if mirrored."""
-    data, q = full.createData(), pin.neutral(full)
-    pin.computeJointJacobians(full, data, q)
-    signs = {}
+    data, signs = full.createData(), {}
+    pin.computeJointJacobians(full, data, pin.neutral(full))
     for name in (name for wheels in description.base.wheels for name in wheels.joints):
         joint = full.getJointId(name)
         J = pin.getJointJacobian(full, data, joint, pin.LOCAL_WORLD_ALIGNED)
@@ -314,7 +306,6 @@ def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
         text = f"arm.joints: must be in the order of the chain: {', '.join(chain)}"
         raise _error(description, text)
     if model.nq != 4 + len(chain):
-        text = "arm.joints: each must be revolute or prismatic; "
-        text += "write a continuous joint as revolute with wide limits"
-        raise _error(description, text)
+        text = "each must be revolute or prismatic; write a continuous joint as revolute with wide"
+        raise _error(description, f"arm.joints: {text} limits")
     return model

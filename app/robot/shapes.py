@@ -122,8 +122,7 @@ class ConvexMesh(_Placed):
         """Read the file, and return the convex hull of its scaled vertices, in the shape's frame.
 
         Raises:
-            AssetError: The file is missing, or reading it takes more time or memory than a valid
-                file of its size needs (`app.jobs.bounded`).
+            AssetError: The file is missing, or reading exceeds the budget of `app.jobs.bounded`.
         """
         # Imported here: only this shape needs trimesh, whose import takes longer than the others.
         with extras_named():
@@ -180,9 +179,8 @@ class Superquadric(_Placed):
 def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
-    If scipy finds no hull with a volume, for example of three points or of points on a line, the
-    hull gets a thickness of 0.1 mm. trimesh's own correction of inward triangles is not used,
-    because it needs networkx, which is possibly not installed.
+    A hull without a volume, for example of points on a line, gets a thickness of 0.1 mm. trimesh's
+    own correction of inward triangles needs networkx, which is possibly not installed.
     """
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError
@@ -234,12 +232,7 @@ Shape = Annotated[
 
 
 def shape_mesh(shape: Shape) -> trimesh.Trimesh:
-    """The surface of a shape, in its own frame: that of its `placement()`.
-
-    Raises:
-        AssetError: The file of a convex mesh is missing, or reading it takes more time or memory
-            than a valid file of its size needs (`app.jobs.bounded`).
-    """
+    """The surface of a shape, in its own frame; raises the errors of `ConvexMesh.hull`."""
     with extras_named():
         from trimesh import convex, creation
     match shape:
@@ -267,10 +260,7 @@ def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Arra
     `semi_axes` are a, b and c [m]; e1 is the exponent from top to bottom, e2 that in plan.
     """
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
-    # Relative to the largest term of each sum, because a power of 2/e of other numbers would
-    # overflow.
-    plan = _power_sum(x, y, e2 / 2)
-    return _power_sum(plan, z, e1 / 2) ** (2 / e1)
+    return _power_sum(_power_sum(x, y, e2 / 2), z, e1 / 2) ** (2 / e1)
 
 
 def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
@@ -290,14 +280,10 @@ def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, floa
 def polytope_vertices(
     semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
 ) -> Array:
-    """Points of the surface whose convex hull approximates the superquadric, read-only.
+    """(6 intervals² + 2, 3) [m] points of the surface whose hull approximates it; read-only.
 
     Rays from the centre through a grid on a cube's faces meet the surface at these points. The grid
     is denser towards the edges, where a small exponent bends the surface most.
-    The hull is inside of the surface.
-
-    Returns:
-        (6 intervals² + 2, 3) [m] in the superquadric's frame.
     """
     s = np.sin(np.linspace(-0.5, 0.5, intervals + 1) * np.pi)
     u, v = (grid.ravel() for grid in np.meshgrid(s, s))
@@ -314,7 +300,9 @@ def polytope_vertices(
 
 
 def _power_sum(a: Array, b: Array, e: float) -> Array:
-    """(a^(1/e) + b^(1/e))^e for numbers that are not negative, without overflow."""
+    """(a^(1/e) + b^(1/e))^e for numbers that are not negative; relative to the larger of both,
+    because their powers could overflow.
+    """
     high, low = np.maximum(a, b), np.minimum(a, b)
     ratio = np.divide(low, high, out=np.zeros_like(high), where=high > 0)
     return high * (1.0 + ratio ** (1.0 / e)) ** e

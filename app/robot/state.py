@@ -1,4 +1,4 @@
-"""The robot's present state, computed once per step: kinematics, dynamics and distances.
+"""The robot's present state, computed once per step: kinematics and dynamics.
 
 The kernels use pinocchio's Jacobian of a serial chain on a planar base. Column k of `J`
 (6, 3 + n_m) is the twist that one unit of the k-th velocity gives to all bodies that this velocity
@@ -12,16 +12,16 @@ from collections.abc import Sequence
 from numbers import Real
 from typing import Any, NamedTuple
 
-import coal
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled, direct
+from app.compiled import compiled
 from app.errors import MeasurementError
 from app.robot.model import RobotModel
 from app.strict import Array
 
 _FLOAT = np.dtype(float)
+_Vector = Array | tuple[float, float, float]
 
 
 class Measurement(NamedTuple):
@@ -145,9 +145,10 @@ def coordinates(
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:,:])")
 def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Array, Array]:
     """Sᵀ M S (n, n), Sᵀ h (n,) and Sᵀ g (n,) of pinocchio's M, h and g."""
-    n_b, nv = B.shape[1], len(h)
-    n = n_b + nv - 3
+    n_b = B.shape[1]
+    n = n_b + len(h) - 3
     reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    reduced[n_b:, n_b:], h_r[n_b:], g_r[n_b:] = M[3:, 3:], h[3:], g[3:]
     for i in range(n_b):
         for k in range(3):
             h_r[i] += B[k, i] * h[k]
@@ -155,15 +156,20 @@ def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Arr
             for j in range(n_b):
                 for l in range(3):
                     reduced[i, j] += B[k, i] * M[k, l] * B[l, j]
-            for j in range(3, nv):
-                reduced[i, n_b + j - 3] += B[k, i] * M[k, j]
-        for j in range(n_b, n):
-            reduced[j, i] = reduced[i, j]
-    for i in range(3, nv):
-        h_r[n_b + i - 3], g_r[n_b + i - 3] = h[i], g[i]
-        for j in range(3, nv):
-            reduced[n_b + i - 3, n_b + j - 3] = M[i, j]
+            for j in range(n_b, n):
+                reduced[i, j] += B[k, i] * M[k, 3 + j - n_b]
+        reduced[n_b:, i] = reduced[i, n_b:]
     return reduced, h_r, g_r
+
+
+@compiled()
+def _swept(v: _Vector, w: _Vector, p: _Vector) -> tuple[float, float, float]:
+    """The vector v + ω × p; of each argument, only the first three entries are used."""
+    return (
+        v[0] + w[1] * p[2] - w[2] * p[1],
+        v[1] + w[2] * p[0] - w[0] * p[2],
+        v[2] + w[0] * p[1] - w[1] * p[0],
+    )
 
 
 @compiled()
@@ -186,19 +192,16 @@ def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
         for i in range(6):
             twists[1, i] += J[i, k] * v[k]
     for joint in range(2, joints):
-        k = joint + 1
-        x, y, z, a, b, c = twists[joint - 1]
-        X, Y, Z = J[0, k] * v[k], J[1, k] * v[k], J[2, k] * v[k]
-        A, B, C = J[3, k] * v[k], J[4, k] * v[k], J[5, k] * v[k]
-        twist, bias, before = twists[joint], biases[joint], biases[joint - 1]
-        twist[0], twist[1], twist[2] = x + X, y + Y, z + Z
-        twist[3], twist[4], twist[5] = a + A, b + B, c + C
-        bias[0] = before[0] + b * Z - c * Y + y * C - z * B
-        bias[1] = before[1] + c * X - a * Z + z * A - x * C
-        bias[2] = before[2] + a * Y - b * X + x * B - y * A
-        bias[3] = before[3] + b * C - c * B
-        bias[4] = before[4] + c * A - a * C
-        bias[5] = before[5] + a * B - b * A
+        k, before, bias = joint + 1, biases[joint - 1], biases[joint]
+        for i in range(6):
+            twists[joint, i] = twists[joint - 1, i] + J[i, k] * v[k]
+        v_x, v_y, v_z, w_x, w_y, w_z = twists[joint - 1]
+        linear = J[0, k] * v[k], J[1, k] * v[k], J[2, k] * v[k]
+        angular = J[3, k] * v[k], J[4, k] * v[k], J[5, k] * v[k]
+        turned = _swept((before[0], before[1], before[2]), (w_x, w_y, w_z), linear)
+        bias[0], bias[1], bias[2] = _swept(turned, (v_x, v_y, v_z), angular)
+        turned = _swept((before[3], before[4], before[5]), (w_x, w_y, w_z), angular)
+        bias[3], bias[4], bias[5] = turned
     return twists, biases
 
 
@@ -209,15 +212,15 @@ def seen_from(R: Array, p: Array, at: Array) -> Array:
     return R[0] * x + R[1] * y + R[2] * z
 
 
+@compiled()
+def _angular(twist: Array) -> tuple[float, float, float]:
+    return twist[3], twist[4], twist[5]
+
+
 @compiled("UniTuple(f8, 3)(f8[:], f8[:])")
 def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
     """Velocity [m/s] of a body's point at p (3,) [m] in the world, from the body's twist (6,)."""
-    w_x, w_y, w_z = twist[3], twist[4], twist[5]
-    return (
-        twist[0] + w_y * p[2] - w_z * p[1],
-        twist[1] + w_z * p[0] - w_x * p[2],
-        twist[2] + w_x * p[1] - w_y * p[0],
-    )
+    return _swept(twist, _angular(twist), p)
 
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
@@ -225,10 +228,7 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
     """Acceleration [m/s²] at q̈ = 0 of a body's point at p (3,) [m] in the world, from the body's
     twist (6,) and its bias (6,), the acceleration of `chain_motion`.
     """
-    x, y, z = point_velocity(bias, p)
-    v_x, v_y, v_z = point_velocity(twist, p)
-    w_x, w_y, w_z = twist[3], twist[4], twist[5]
-    return x + w_y * v_z - w_z * v_y, y + w_z * v_x - w_x * v_z, z + w_x * v_y - w_y * v_x
+    return _swept(point_velocity(bias, p), _angular(twist), point_velocity(twist, p))
 
 
 @compiled()
@@ -240,11 +240,7 @@ def carrying(joint: int) -> int:
 @compiled()
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
     """Velocity of a point at p (3,) [m] for one unit of the k-th velocity, which moves its body."""
-    return (
-        J[0, k] + J[4, k] * p[2] - J[5, k] * p[1],
-        J[1, k] + J[5, k] * p[0] - J[3, k] * p[2],
-        J[2, k] + J[3, k] * p[1] - J[4, k] * p[0],
-    )
+    return _swept((J[0, k], J[1, k], J[2, k]), (J[3, k], J[4, k], J[5, k]), p)
 
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
@@ -285,8 +281,7 @@ def distance_motions(
         B: (3, n_b) as described for this module.
         twists: (2 + n_m, 6) of `chain_motion`.
         biases: (2 + n_m, 6) of `chain_motion`.
-        joints: (k, 2) the joint that moves the body with the normal, and that of the body with the
-            point.
+        joints: (k, 2) the joints that move the bodies with the normal and with the point.
         at: (k, 3) [m] the points, in the world.
         normals: (k, 3) normals in the world: unit vectors, or shorter as in `ClosestPoints`.
 
@@ -326,24 +321,20 @@ def distance_motions(
 def tip_motion(
     J: Array, B: Array, twists: Array, biases: Array, p: Array
 ) -> tuple[Array, Array, Array]:
-    """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) [m] on the last body.
-
-    The linear rows are above the angular rows; both are in axes of the world.
+    """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) [m] on the last body; all
+    have linear, then angular rows, in axes of the world.
     """
-    last, n_b = len(twists) - 1, B.shape[1]
-    J_p, J_lin = np.zeros((6, n_b + J.shape[1] - 3)), point_jacobian(J, B, last, p)
-    v, Jdqd = np.empty(6), np.empty(6)
-    v[0], v[1], v[2] = point_velocity(twists[last], p)
-    Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twists[last], biases[last], p)
+    n_b = B.shape[1]
+    J_p = np.zeros((6, n_b + J.shape[1] - 3))
+    J_p[:3], J_p[3:, n_b:] = point_jacobian(J, B, len(twists) - 1, p), J[3:, 3:]
     for i in range(3):
-        v[3 + i], Jdqd[3 + i] = twists[last, 3 + i], biases[last, 3 + i]
-        for j in range(J_p.shape[1]):
-            J_p[i, j] = J_lin[i, j]
         for k in range(3):
             for j in range(n_b):
                 J_p[3 + i, j] += J[3 + i, k] * B[k, j]
-        for k in range(3, J.shape[1]):
-            J_p[3 + i, n_b + k - 3] = J[3 + i, k]
+    twist, bias = twists[-1], biases[-1]
+    v, Jdqd = twist.copy(), bias.copy()
+    v[0], v[1], v[2] = point_velocity(twist, p)
+    Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twist, bias, p)
     return J_p, v, Jdqd
 
 
@@ -358,17 +349,14 @@ def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array
 
 
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
-    """Compute M, C q̇ + g, g, the Jacobian and all placements: the results of `pinocchio_views`.
-
-    `pin.computeAllTerms` also computes energies and the centre of mass; it takes 1.5 times as long.
-    """
+    """Compute the results of `pinocchio_views`; `pin.computeAllTerms` takes 1.5 times as long."""
     pin.crba(model, data, q, pin.Convention.WORLD)  # and the Jacobian
     pin.nonLinearEffects(model, data, q, v)
     pin.computeGeneralizedGravity(model, data, q)
 
 
 def pinocchio_views(data: pin.Data) -> dict[str, Array]:
-    """Pinocchio's results as arrays that later calls overwrite, by their names in a control step.
+    """Views of M, C q̇ + g, g, the Jacobian and placements, by their names in a control step.
 
     `oMi` (n_j, 4, 3) has the columns of the rotation and the origin [m] of each joint; pinocchio
     stores them contiguously.
@@ -378,79 +366,6 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     last = np.array(data.oMi[joints - 1].translation)
     assert (oMi[-1, 3] == last).all(), "pinocchio does not store placements as assumed here"
     return {"M_pin": data.M, "h_pin": data.nle, "g_pin": data.g, "J_pin": data.J, "oMi": oMi}
-
-
-def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Data for distances that depend on the poses of the bodies alone, not on former calls.
-
-    With pinocchio's own requests, each search starts at the result of the pair's last search. This
-    changes distances by less than 1e-6 m, and saves no time.
-    """
-    data = pin.GeometryData(geometry)
-    for k in range(len(data.distanceRequests)):
-        data.distanceRequests[k] = coal.DistanceRequest()
-    return data
-
-
-def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
-
-    This function overwrites the present distances. Reading the results one by one would take as
-    long as computing them. Each result stores its distance before its normal, and all results have
-    the same size.
-    """
-    if len(results) == 0:
-        return np.zeros(0)
-    first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
-    size = (last - first) // max(len(results) - 1, 1)
-    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
-    view = before[:, 1]
-    for k, each in enumerate(results):
-        each.min_distance = float(k)
-    assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
-    return view
-
-
-@compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
-def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
-
-    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
-    `order` at which each group begins, then m.
-    """
-    for k in range(len(into)):
-        into[k] = values[order[firsts[k]]]
-        for j in range(firsts[k] + 1, firsts[k + 1]):
-            into[k] = min(into[k], values[order[j]])
-
-
-_write_least = direct(_put_least)
-
-
-class ShapeDistances:
-    """Present signed distances of groups of pairs of shapes, by the collision library."""
-
-    def __init__(
-        self, model: RobotModel, shapes: Sequence[tuple[int, int]], groups: Sequence[range]
-    ) -> None:
-        """Prepare pairs of shapes, by their indices in `model.geometry`, and groups of these."""
-        self._model, self._geometry = model, model.geometry.copy()
-        self._geometry.removeAllCollisionPairs()
-        for pair in shapes:
-            self._geometry.addCollisionPair(pin.CollisionPair(*pair))
-        self._placed = geometry_data(self._geometry)
-        self._order = np.concatenate([np.arange(0), *groups])
-        self._firsts = np.cumsum([0, *map(len, groups)])
-        self._signed = distance_view(self._placed.distanceResults)
-
-    def update_from(self, data: pin.Data) -> None:
-        """Compute all distances from pinocchio's data with existing kinematics."""
-        pin.updateGeometryPlacements(self._model.pin, data, self._geometry, self._placed)
-        pin.computeDistances(self._geometry, self._placed)
-
-    def write_distances(self, into: Array) -> None:
-        """Write the smallest signed distance [m] of each group into an array."""
-        _write_least(self._signed, self._order, self._firsts, into)
 
 
 class RobotState:
@@ -503,11 +418,11 @@ class RobotState:
 
     def share(self, step: Any) -> None:
         """From now on, use the arrays of a control step as memory; each step updates them."""
-        present = {name: getattr(self, name) for name in RobotState.__annotations__}
-        for name in present:
-            setattr(self, name, getattr(step, name))
+        for name in RobotState.__annotations__:
+            present, shared = getattr(self, name), getattr(step, name)
+            shared[...] = present
+            setattr(self, name, shared)
         self._shared = True
-        self._store(**present)
 
     def _store(self, **arrays: Array) -> None:
         for name, value in arrays.items():
@@ -527,19 +442,18 @@ class RobotState:
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
-        """Multiply the masses and inertias of the arm by a factor, from the next update on.
+        """Multiply the model's masses and inertias of the arm by a factor [-], from the next update
+        on.
 
-        The centres of mass stay the same. The factor 1 [-] restores the values of the model. Links
-        that are fixed to the base do not change; the arm's first link is one of them. Other states
-        of the same model do not change either.
+        The centres of mass stay the same. Links that are fixed to the base, such as the arm's first
+        link, and other states of the same model do not change.
         """
         self._factor = factor
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """Include a point mass [kg] from the next update on, in the place of a former one.
-
-        The centre (3,) [m] is in the end-effector's frame.
+        """Include a point mass [kg] from the next update on, in the place of a former one; the
+        centre (3,) [m] is in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
@@ -550,13 +464,12 @@ class RobotState:
 
         A step in another thread uses the former model until the new one is complete.
         """
-        made = shared = self.model.pin
-        if self._factor != 1.0 or self._load.mass > 0.0:
-            made = shared.copy()
+        made, factor = self.model.pin, self._factor
+        if factor != 1.0 or self._load.mass > 0.0:
+            made = made.copy()
             for joint in range(2, made.njoints):  # 1 is the planar joint of the base
-                Y = shared.inertias[joint]
-                scaled = pin.Inertia(self._factor * Y.mass, Y.lever, self._factor * Y.inertia)
-                made.inertias[joint] = scaled
+                Y = made.inertias[joint]
+                made.inertias[joint] = pin.Inertia(factor * Y.mass, Y.lever, factor * Y.inertia)
             made.inertias[made.njoints - 1] += self._load
         self.pin = made
 

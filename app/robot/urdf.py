@@ -1,7 +1,4 @@
-"""Functions that read elements of a URDF: numbers, poses, triangles and colours.
-
-The program reads a URDF by these functions, or by pinocchio and the engines.
-"""
+"""Functions that read elements of a URDF: numbers, poses, triangles and colours."""
 
 from __future__ import annotations
 
@@ -108,9 +105,8 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    The size of a `.gltf` includes the `.bin` files in its folder, which have its vertices. A mesh
-    counts as large data at any size: a few bytes can encode millions of triangles. The errors are
-    those of `resolve_package_uri`.
+    The `.bin` files in the folder of a `.gltf` have its vertices. A mesh counts as large data at
+    any size: a few bytes can encode millions of triangles. Errors: those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}

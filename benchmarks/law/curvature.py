@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.closest_points import ClosestPoints
 from app.config import Config
 from app.robot.link_pairs import PairDistances
 from app.robot.state import RobotState
@@ -22,6 +22,7 @@ from benchmarks.law.postures import posture_in_buffer
 from benchmarks.law.report import Report
 from benchmarks.law.robot import Robot, load
 from benchmarks.law.work import played
+from tests.nearest import SmoothMonitor
 
 Array = np.ndarray
 
@@ -106,7 +107,7 @@ def _samples(posture: Posture) -> list[Sample]:
     reader = PairDistances(robot.model, robot.data.pairs.all)
     reader.update_from(state.data)
     config = Config()
-    monitor = DistanceMonitor(state, robot.data.pairs.all)
+    monitor = SmoothMonitor(state, robot.data.pairs.all)
     nearest = monitor.find_nearest(config.activation.closest_point_smoothing)
     found = []
     for i, pair in enumerate(reader.pairs):

@@ -42,16 +42,16 @@ def nearest_in_cone(
 ) -> tuple[float, float]:
     """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), in the norm √(v² + ρ² ω²).
 
-    If both edges of the cone are about equally near, a moving base keeps its direction. If it is at
-    rest and both are exactly equally near, it moves backwards: this brings the arm ahead of the
-    rear axle, where the score is better.
+    If both edges of the cone are about equally near, a base that moves at the speed `before` [m/s]
+    keeps its direction. If it is at rest and both are exactly equally near, it moves backwards:
+    this brings the arm ahead of the rear axle, where the score is better.
 
     Args:
         v: [m/s] desired speed.
         w: [rad/s] desired ω.
         kappa: [1/m] κ_max.
         radius: [m] ρ, √(I/m).
-        before: [m/s] present speed of the base; its sign is the direction of motion.
+        before: [m/s] present speed of the base.
 
     Returns:
         v [m/s] and ω [rad/s].
@@ -120,9 +120,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def yaw_limit_nm(self) -> float:
-        """[N m] the largest torque about the middle of the rear axle: the traction limit times the
-        wheelbase.
-        """
+        """[N m] largest torque about the rear axle's middle: traction limit times wheelbase."""
         return self.traction_limit_n * self.wheelbase_m
 
     @property

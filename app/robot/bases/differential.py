@@ -27,14 +27,10 @@ def mobile_jacobian(r: float, b: float) -> Array:
 def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -> Array:
     """J_c, from the wheels' speeds to the velocity of the control point, ṗ_c = J_c q̇_b.
 
-    Paper: Eq. (5), (6).
+    The point is at x, y [m] from the base's centre along the axes of the world; phi [rad] is the
+    heading of the base; r and b as in `mobile_jacobian`.
 
-    Args:
-        x: [m] from the base's centre to the control point, along the world's x axis.
-        y: [m] the same along the world's y axis.
-        phi: [rad] heading of the base.
-        r: [m] radius of the wheels.
-        b: [m] half of the track width.
+    Paper: Eq. (5), (6).
 
     Returns:
         (2, 2) [m/rad], columns right and left wheel.
@@ -45,17 +41,11 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
 
 
 def singularity_measure(p: Array, r: float, b: float) -> Array:
-    """det(J_c J_cᵀ) at q_c = (x, y, 0): zero on the wheel axis.
+    """(…) [m⁴/rad⁴] det(J_c J_cᵀ) at points p (…, 3) [m] in the base's frame.
+
+    It is zero on the wheel axis; r and b as in `mobile_jacobian`.
 
     Paper: Eq. (7), (8).
-
-    Args:
-        p: (…, 3) [m] points in the base's frame.
-        r: [m] radius of the wheels.
-        b: [m] half of the track width.
-
-    Returns:
-        (…) [m⁴/rad⁴].
     """
     c = r / (2 * b)
     return 4 * b**2 * c**4 * np.asarray(p)[..., 0] ** 2

@@ -2,8 +2,7 @@
 
 A base has velocity axes ν (n_b,). `T` maps ν to the base's twist (v_x, v_y, ω_z) in the base's
 frame: origin on the floor, x forward. `J_m` maps the reduced velocities q̇_b (n_b,), such as the
-wheels' speeds, to ν. The method does not distinguish kinds. Only three parts do: onboarding, which
-reads wheels; the plant with wheels in contact; and the dashboard's texts.
+wheels' speeds, to ν. The method does not distinguish kinds.
 """
 
 import math
@@ -96,9 +95,8 @@ class Wheels(NamedTuple):
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
-"""Function that computes the velocity (n_b,) and the drive one step later. Its arguments, which
-it does not change, are the present velocity, the drive as in `BaseKind.drive_at_rest` and the
-velocity command (n_b,)."""
+"""Function from the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the
+velocity command (n_b,) to the velocity and the drive one step later."""
 
 
 class BaseKind(Sourced, ABC):
@@ -177,15 +175,9 @@ class BaseKind(Sourced, ABC):
         """
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The signed measure at points, and its gradient; the measure never decreases with x.
+        """The `measure` (…) at points p (…, 3) [m] in the base's frame, and its gradient (…, 3).
 
-        It replaces sign(x) det(J_c J_cᵀ) in (10).
-
-        Args:
-            p: (…, 3) [m] points in the base's frame.
-
-        Returns:
-            (…) the measure, and (…, 3) the measure's gradient with respect to the point.
+        The measure must not decrease with x.
         """
         constant, quadratic = self.measure
         x = np.asarray(p, dtype=float)[..., 0]
@@ -198,8 +190,7 @@ class BaseKind(Sourced, ABC):
         """(n_b, 3) from a force [N] and torque [N m] on the base, in its frame, to ẍ_m.
 
         Each of the accelerations [m/s² or rad/s²] along the axes has its own equation, m v̇ = f or
-        I ω̇ = τ; no force accelerates a base along a direction without an axis. The limits of
-        `admissible` are not applied.
+        I ω̇ = τ, without the limits of `admissible`.
 
         Paper: Eq. (17), (18).
         """
