@@ -81,8 +81,8 @@ class RunCase(Strict):
 
     def spec(self) -> RunSpec:
         """The planned run; raises the errors of `scenario` and `config`."""
-        run = self.controller, self.physics, self.seed
-        return RunSpec(self.robot, self.scenario(), self.config(), *run)
+        scenario, config = self.scenario(), self.config()
+        return RunSpec(self.robot, scenario, config, self.controller, self.physics, self.seed)
 
     def scenario(self) -> Scenario:
         """The scenario with its options.
@@ -101,31 +101,28 @@ class RunCase(Strict):
         return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
-        """The configuration with those parameters of the case that still exist.
-
-        Parameters that are not in the case have their defaults.
+        """The defaults, changed by those parameters of the case that still exist.
 
         Raises:
-            ConfigError: A value is invalid, for example out of its range.
+            ConfigError: A value is invalid.
         """
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """Changes of the program's version and set of parameters since the case was written.
-
-        Each change is one line of text.
-        """
-        now, found = version("dbb-mobile-manipulator"), []
-        if self.version != now:
-            found.append(f"dbb {self.version} wrote the case; this is dbb {now}")
-        for path in sorted(self.parameters.keys() - tunables().keys()):
-            found.append(
-                f"the parameter {path} no longer exists; its value was {self.parameters[path]}"
-            )
-        for path in sorted(tunables().keys() - self.parameters.keys()):
-            found.append(f"the case has no {path}; the default {Config().value(path)} is used")
-        return found
+        """Changes of the program's version and parameters since then, one line of text each."""
+        now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
+        return [
+            *([f"dbb {self.version} wrote the case; this is dbb {now}"] * (self.version != now)),
+            *(
+                f"the parameter {path} no longer exists; its value was {own[path]}"
+                for path in sorted(own.keys() - known.keys())
+            ),
+            *(
+                f"the case has no {path}; the default {Config().value(path)} is used"
+                for path in sorted(known.keys() - own.keys())
+            ),
+        ]
 
     def text(self) -> str:
         """The text of the file."""
@@ -133,11 +130,7 @@ class RunCase(Strict):
 
     @classmethod
     def read(cls, text: str, where: object) -> Self:
-        """Read a case from the text of a file.
-
-        Args:
-            text: The text.
-            where: Name of the file, for messages.
+        """Read a case from the text of a file; `where` is the file's name, for messages.
 
         Raises:
             CaseError: The text is not a case, or its robot, scenario, controller, plant, an option

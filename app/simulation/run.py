@@ -27,10 +27,7 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting.
-
-    `robot` is the robot without the door that its end-effector may hold; the other arguments are
-    those of `Session`.
+    """Make a session at the start of a setting; `robot` is the robot without a held door.
 
     Raises:
         DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
@@ -83,13 +80,8 @@ def run_from_spec(
 ) -> RunResult:
     """Execute a run and compute its figures of merit; raises the errors of `steps_of`.
 
-    Args:
-        run: The planned run.
-        model: The robot.
-        data: The robot's border data.
-        on_progress: Called every 100 steps with the simulated time [s].
-        on_step: Called after each control step.
-        drawn: Whether the trace has snapshots, which log files and the player need.
+    `on_progress` is called every 100 steps with the simulated time [s], `on_step` after each
+    control step. With `drawn`, the trace has snapshots, which log files and the player need.
     """
     scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)

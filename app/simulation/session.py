@@ -22,7 +22,7 @@ from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.load import PointLoad
-from app.simulation.people import Hold, People, PersonForces, PullReading, first_target
+from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorReading, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, Push
@@ -53,15 +53,14 @@ class Step(NamedTuple):
     """[m] true distance of the end-effector from the target of the (first) person who holds it;
     without such a person, from its reference; 0 if there is neither."""
     contacts: Contacts
-    """Contacts of the step."""
     duration: float
     """[s] real time of the controller's computation."""
     truth: Measurement
-    """The true readings; equal to `measurement` without sensor errors."""
+    """The true readings."""
     state: RobotState
-    """The true state of the robot, as `Session.state`; the next step overwrites it."""
+    """The true state of the robot; the next step overwrites it."""
     distances: Array
-    """(n_p,) [m] true signed distances of the pairs, in the order of the control step's pairs."""
+    """(n_p,) [m] true signed distances of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
     door: DoorReading | None = None
@@ -69,7 +68,6 @@ class Step(NamedTuple):
     pulls: tuple[PullReading, ...] = ()
     """All people who hold the robot; empty if `Session.step` had the argument `forces`."""
     person: PersonForces = PersonForces(np.zeros(3))
-    """The forces of people on the robot."""
     reference: Reference | None = None
     """The tracked reference, or None while a person guides the arm."""
     ee_speed: float = 0.0
@@ -103,16 +101,8 @@ class Session:
     ) -> None:
         """Set up the session at rest in the robot's ready posture.
 
-        Args:
-            model: The robot of the controller.
-            data: Its border data.
-            config: All parameters.
-            controller: Name of the controller, one of `app.control.CONTROLLERS`.
-            physics: Name of the plant, or None for the default.
-            seed: Seed of all random numbers.
-            plant: The robot of the plant, if the controller's model has a held object as an
-                additional body.
-            door: The door that the end-effector holds, with its initial angle, or None.
+        `plant` is the plant's robot if the robot `model` of the controller has a held object as an
+        additional body. `seed` is that of all random numbers; `door` is held by the end-effector.
 
         Raises:
             UnknownNameError: The controller or plant does not exist.
@@ -131,8 +121,6 @@ class Session:
             )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
-        """Name of the plant; seed of all random numbers; the door that the end-effector holds, with
-        its initial angle, or None."""
         self._stated = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
         """The control loop, with the same interface as in a robot's own loop."""
@@ -140,8 +128,7 @@ class Session:
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
         self._own_state = RobotState(model)  # the true state, if the sensors have errors
-        pairs = [*data.pairs.mobile, *data.pairs.manipulator]
-        self._distances = DistanceMonitor(self._own_state, pairs)
+        self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
         self.reset(np.array(model.description.arm.ready_position))
@@ -149,16 +136,14 @@ class Session:
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
         """Put the robot at rest, without people, and set the time to zero.
 
-        Args:
-            q_m: (n_m,) [rad or m] joint positions of the arm.
-            base_pose: (3,) x, y [m] and heading [rad] of the base; None means the origin.
+        `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
+        [rad] of the base, by default at the origin.
 
         Raises:
             TargetError: The posture is invalid (`check_posture`).
         """
         check_posture(self.model, q_m)
-        self.t = 0.0
-        """[s] simulated time since the last reset."""
+        self.t = 0.0  # [s] simulated time
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.loop.reset()
         self._disturbances.reset()
@@ -166,8 +151,7 @@ class Session:
         self._wheel_angles = [0.0] * len(self._base.wheels)
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
-        """The true state of the robot at the last step; without sensor errors, the controller's
-        estimate."""
+        """The true state of the robot at the last step."""
         self._watch.reset()
         self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)
@@ -213,7 +197,7 @@ class Session:
 
     @property
     def wheel_angles(self) -> Array:
-        """(n_w,) [rad] angles of the base's wheels, for drawing."""
+        """(n_w,) [rad] angles of the base's wheels."""
         return np.array(self._wheel_angles)
 
     def step(
@@ -241,26 +225,25 @@ class Session:
         u_a, command, control = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
         state, distances = self._observe(truth, measurement, control)
-        p_ee = state.p_ee
         if pull is not None:
             holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
         person = own if forces is None else forces
-        target = first_target(holds)
+        p_ee = state.p_ee
+        target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
         pushes = (*person.pushes, *self._weights(state)) if self._loads else person.pushes
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
-        felt = person.hand if door is None else door.force
         step = Step(
             self.t,
             measurement,
             control,
             command,
             target,
-            felt,
+            person.hand if door is None else door.force,
             error,
             self.physics.contacts(),
             duration,
@@ -313,34 +296,25 @@ class Session:
         self.state.update_kinematics(truth)
         return self.state, np.array(self._distances.distances())
 
-    def _disturb(self, config: DisturbanceConfig) -> None:
-        self._disturbances.configure(config)
-        self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
-
     def close(self) -> None:
         """Release the plant."""
         self.physics.close()
+
+    def _disturb(self, config: DisturbanceConfig) -> None:
+        self._disturbances.configure(config)
+        self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
 
 
 class Disturbances:
     """The disturbances between the controller and the robot.
 
-    They convert true sensor values to readings with noise, delay and losses, and base commands to
-    the commands that reach the drive after delay and slip. The error of the arm's masses is in the
-    controller's model (`RobotState`). The unknown load, and the control period that the controller
-    assumes (`stated_period`), are in `Session`.
+    The error of the arm's masses is in the controller's model (`RobotState`). The unknown load, and
+    the control period that the controller assumes (`stated_period`), are in `Session`.
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Start in the state after `reset`.
-
-        Args:
-            config: The disturbances.
-            dt: [s] control step.
-            seed: Seed of the noise and of the lost readings.
-        """
-        self._dt = dt
-        self._seed = seed
+        """Start in the state after `reset`; `dt` [s] is the control step."""
+        self._dt, self._seed = dt, seed
         self._commands: deque[Array] = deque()
         self._sent: deque[Measurement] = deque()
         self.configure(config)
@@ -349,8 +323,7 @@ class Disturbances:
     def configure(self, config: DisturbanceConfig) -> None:
         """Use these disturbances from the next step on.
 
-        If a delay becomes longer, sufficiently old commands and readings do not exist at first.
-        Until they exist, the oldest known command and reading are used.
+        After a delay becomes longer, the oldest known command and reading are used at first.
         """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip = config.slip
@@ -360,13 +333,12 @@ class Disturbances:
         self._sensor_late = round(config.sensor_delay / self._dt)
         self._sent = deque(self._sent, self._sensor_late + 1)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
-        self._punctual = self._sensor_late == 0 and self._sensor_every == 1 and self._dropped == 0.0
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
         """Restart the random numbers, and forget all commands and readings."""
         self._rng = np.random.default_rng(self._seed)
-        self._tracking: VelocityTracking | None = None
+        self._tracking = None
         self._commands.clear()
         self._sent.clear()
         self._seen: Measurement | None = None
@@ -375,10 +347,8 @@ class Disturbances:
     def sensed(self, truth: Measurement) -> Measurement:
         """The sensors' readings in a control step; without disturbances, the true values.
 
-        With `encoder_noise`, white noise is added to each joint position. The joint velocities are
-        then computed from the noisy positions by `VelocityTracking`, as on a robot that has only
-        encoders. The base's sensors have no noise. From `begins` on, all readings can be late,
-        repeated or lost.
+        The joint velocities are computed from noisy positions by `VelocityTracking`, as on a robot
+        that has only encoders. The base's sensors have no noise.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -393,7 +363,7 @@ class Disturbances:
         """The readings that reach the controller: new, late, or a repetition of the last ones."""
         self._sent.append(sent)
         step, self._steps = self._steps, self._steps + 1
-        if self._punctual or step < self._begins:
+        if step < self._begins:
             self._seen = sent
             return sent
         due = step % self._sensor_every == 0
@@ -403,11 +373,9 @@ class Disturbances:
         return self._seen
 
     def arriving(self, command: Array) -> Array:
-        """The base command (n_b,) [m/s or rad/s] that takes effect after delay and slip.
+        """The base command (n_b,) [m/s or rad/s] after delay and slip; zero before the first one.
 
-        Args:
-            command: (n_b,) [m/s or rad/s] the controller's command in this control step. Until the
-                first command arrives, the result is zero.
+        `command` (n_b,) is the controller's command in this control step.
         """
         commands = self._commands
         commands.append(command)
@@ -424,12 +392,10 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """Start as after a long motion with the constant velocities `qd` to the positions `q`.
+        """Start as after a long motion with constant velocities.
 
-        Args:
-            q: (n,) [rad or m] positions.
-            qd: (n,) [rad/s or m/s] velocities.
-            dt: [s] time between two calls of `update`.
+        `q` (n,) [rad or m] and `qd` (n,) are the present positions and velocities; `dt` [s] is the
+        time between two calls of `update`.
         """
         pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt

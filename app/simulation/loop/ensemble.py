@@ -28,12 +28,9 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start at the free start.
+        """Start at the free start, with the joint positions `q_start` (n_m,) [rad or m] of the arm.
 
-        Args:
-            free: The session for free motion; its parameters, plant and seed also apply to all
-                scenarios.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start.
+        The parameters, plant and seed of the session `free` also apply to all scenarios.
         """
         self._free = free
         self._led = Runner(free, None)
@@ -54,11 +51,7 @@ class Ensemble:
 
     @property
     def main(self) -> Session:
-        """The session of the main robot.
-
-        A scenario in which the end-effector holds an object has a separate session. At all other
-        times it is the free session.
-        """
+        """The session of the main robot; separate if the end-effector holds an object."""
         return self._led.session
 
     @property
@@ -81,11 +74,7 @@ class Ensemble:
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again without a scenario.
-
-        Args:
-            q_m: (n_m,) [rad or m] joint positions of the arm; empty means the free start.
-            base_pose: (3,) x, y [m] and heading [rad] of the base; ignored if `q_m` is empty.
+        """Start again without a scenario; the arguments are those of the command `Reset`.
 
         Raises:
             TargetError: The posture is invalid (`check_posture`); then the present run continues.
@@ -181,12 +170,9 @@ class Ensemble:
         return step
 
     def scores(self) -> tuple[Score, ...]:
-        """Scores of the main robot and the ghosts since the start of the comparison; () without
-        ghosts. Steps after the end of a scenario's motion do not count.
-        """
-        if not self.ghosts:
-            return ()
-        return tuple(runner.score() for runner in (self._led, *self.ghosts))
+        """Scores of the main robot and the ghosts since the start of the comparison, if any."""
+        compared = (self._led, *self.ghosts) if self.ghosts else ()
+        return tuple(runner.score() for runner in compared)
 
     def close(self) -> None:
         """Release all plants."""
@@ -270,13 +256,7 @@ class Runner:
         self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """Execute one control step.
-
-        Args:
-            holds: People who hold the robot.
-            forces: The people's forces on the main robot, to exert the same forces on this robot.
-                With None, the people's springs determine the forces on this robot.
-        """
+        """Execute one control step, as in `Session.step`."""
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:

@@ -63,15 +63,14 @@ class LoopHandle:
     def silence(self) -> float:
         """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
 
-        A long operation that a snapshot announces (`Snapshot.busy`) does not count as silence.
+        During an operation that a snapshot announces (`Snapshot.busy`) it is zero.
         """
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:
         """Send a command, which the loop executes before one of the next control steps.
 
-        If a new command replaces a waiting one, such as an older pull of the same person, only the
-        new one is executed; `Mailbox` has the rules.
+        It can replace a waiting command, such as an older pull of the same person (`Mailbox`).
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
@@ -103,11 +102,9 @@ class SimulationLoop(LoopHandle):
     ) -> None:
         """Prepare the loop; `start` starts it.
 
-        Args:
-            make_session: Called once, in the loop's own thread, which then owns the session.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: when the loop
-                starts, and after a `Reset` without a posture.
-            stored: Largest number of snapshots in `history`.
+        `make_session` is called once, in the loop's own thread, which then owns the session.
+        `q_start` (n_m,) [rad or m] are the joint positions of the arm at the free start: when the
+        loop starts, and after a `Reset` without a posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)

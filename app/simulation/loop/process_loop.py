@@ -53,14 +53,10 @@ class ProcessLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
-        """Prepare the loop; `start` starts it.
+        """Prepare the loop, as in `SimulationLoop`.
 
-        Args:
-            make_session: Called once in the child; must be picklable, such as
-                `functools.partial(Session, model, data, config)`.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: when the loop
-                starts, and after a `Reset` without a posture.
-            child: A process of `loop_child`; default: a new process.
+        `make_session` must be picklable, such as `functools.partial(Session, model, data, config)`.
+        `child` is a process of `loop_child`; default: a new process.
         """
         super().__init__()
         self._stopping = threading.Event()
