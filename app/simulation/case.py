@@ -85,11 +85,7 @@ class RunCase(Strict):
         return RunSpec(self.robot, scenario, config, self.controller, self.physics, self.seed)
 
     def scenario(self) -> Scenario:
-        """The scenario with its options.
-
-        Raises:
-            DbbError: The scenario does not exist, or its options are invalid.
-        """
+        """The scenario; raises a DbbError if it does not exist, or its options are invalid."""
         check_name("scenario", self.played, _PLAYED)
         played = _PLAYED[self.played]
         record = _options_of(type(played))
@@ -101,11 +97,7 @@ class RunCase(Strict):
         return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
-        """The defaults, changed by those parameters of the case that still exist.
-
-        Raises:
-            ConfigError: A value is invalid.
-        """
+        """The defaults with the known parameters; an invalid value raises a ConfigError."""
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
@@ -130,12 +122,7 @@ class RunCase(Strict):
 
     @classmethod
     def read(cls, text: str, where: object) -> Self:
-        """Read a case from the text of a file; `where` is the file's name, for messages.
-
-        Raises:
-            CaseError: The text is not a case, or its robot, scenario, controller, plant, an option
-                or a parameter is invalid; the message names the fault.
-        """
+        """Read a case from the text of the file `where`; raises a CaseError with the fault."""
         try:
             content = parsed(json.loads, text)
         except ValueError as error:
@@ -157,11 +144,7 @@ class RunCase(Strict):
 
 
 def read_case(path: Path) -> RunCase:
-    """Read a case from a file.
-
-    Raises:
-        CaseError: The file cannot be read or is not a valid case; the message names the fault.
-    """
+    """Read a case from a file; raises a CaseError that names the fault."""
     try:
         return RunCase.read(file_text(path), path)
     except OSError as error:

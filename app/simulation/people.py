@@ -86,10 +86,7 @@ class People:
 
         Each person has at most one hold. A person without a hold releases the robot. A person who
         changes to another point releases the previous point; the spring of the new hold starts
-        without stretch.
-
-        Raises:
-            TargetError: A target is invalid, as in `checked_target`.
+        without stretch. An invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
@@ -141,10 +138,7 @@ class PersonHand:
         """Compute the person's force (3,) [N] on the held point for one step, in the world.
 
         `p_ee`, `v_ee` and `target` (3,) are the held point's position [m], velocity [m/s] and
-        target [m]; further entries of `v_ee` are not used.
-
-        Raises:
-            TargetError: The target is invalid, as in `checked_target`.
+        target [m]; further entries of `v_ee` are not used. An invalid target raises a TargetError.
         """
         force = np.empty(3)
         _pull_once(self._motion, checked_target(target), p_ee, v_ee, self._spring, force)
@@ -166,9 +160,8 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 def checked_target(target: Sequence[float] | Array) -> Array:
     """Check a person's target in the world and return it as an array (3,) [m].
 
-    Raises:
-        TargetError: The target is below the floor, a coordinate exceeds 10 km, or the target is
-            not three finite numbers.
+    This raises a TargetError if the target is not three finite numbers, is below the floor, or has
+    a coordinate above 10 km.
     """
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
@@ -182,9 +175,8 @@ def checked_target(target: Sequence[float] | Array) -> Array:
 def checked_hold(point: Sequence[float] | Array) -> Array:
     """Check a held point in the frame of a link and return the point as an array (3,) [m].
 
-    Raises:
-        TargetError: The point is farther than 1 m from the link's origin, or is not three finite
-            numbers.
+    This raises a TargetError if the point is not three finite numbers, or is farther than 1 m from
+    the link's origin.
     """
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:

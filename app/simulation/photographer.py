@@ -115,12 +115,7 @@ class Photographer:
     """Takes pictures of one robot in a separate pybullet client."""
 
     def __init__(self, model: RobotModel) -> None:
-        """Load the robot's visual meshes.
-
-        Raises:
-            AssetError: A mesh is missing, or pybullet cannot load the robot.
-            ConfigError: pybullet is not installed.
-        """
+        """Load the robot's visual meshes; raises the errors of `BulletWorld`."""
         self._world = BulletWorld(planar_urdf(model.description), DT)
         self._client = self._world.client
         self._client.removeBody(self._world.floor)
@@ -142,8 +137,8 @@ class Photographer:
     ) -> Picture:
         """Take a picture of the robot, or with `robot` False only of the `solids`.
 
-        `base_pose` (3,) has x, y [m] and heading [rad] of the base, `q_m` (n_m,) [rad or m] the
-        joint positions of the arm.
+        `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
+        positions.
         """
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]

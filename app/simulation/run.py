@@ -29,9 +29,7 @@ def begin(
 ) -> Session:
     """Make a session at the start of a setting; `robot` is the robot without a held door.
 
-    Raises:
-        DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
-            beyond its position limits at the start.
+    This raises the errors of `Session`, and a TargetError for a joint beyond its limits.
     """
     check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
@@ -53,10 +51,8 @@ def steps_of(
 ) -> Generator[tuple[Session, Step], None, None]:
     """Execute the control steps of a run; yield each step with the session after the step.
 
-    The session is closed after the last step, or when the iterator is closed.
-
-    Raises:
-        DbbError: The robot cannot start the scenario, or `begin` cannot make the session.
+    The session is closed after the last step, or when the iterator is closed. This raises a
+    DbbError if the robot cannot start the scenario, or `begin` cannot make the session.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)

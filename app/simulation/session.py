@@ -25,7 +25,7 @@ from app.simulation.load import PointLoad
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorReading, OpenDoor
-from app.simulation.plants.interface import Contacts, Physics, Push
+from app.simulation.plants.interface import Contacts, Physics
 from app.strict import Array, Vector3
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
@@ -104,14 +104,8 @@ class Session:
         `plant` is the plant's robot if the robot `model` of the controller has a held object as an
         additional body. `seed` is that of all random numbers; `door` is held by the end-effector.
 
-        Raises:
-            UnknownNameError: The controller or plant does not exist.
-            DescriptionError: No monitored part of the arm can meet the base, or the description has
-                no reachability of such a part.
-            ConfigError: The plant does not suit the base or the door, or needs pybullet, which is
-                not installed; or the stated control period is too long for a gain.
-            AssetError: A file of the robot is missing, or the engine cannot load the robot.
-            RobotFileError: As for `collision_shapes`, with MuJoCo.
+        Besides the errors of `ControlLoop` and `make_physics`, this raises a DescriptionError if no
+        monitored part of the arm can meet the base.
         """
         if not data.pairs.mobile:
             raise DescriptionError(
@@ -137,10 +131,7 @@ class Session:
         """Put the robot at rest, without people, and set the time to zero.
 
         `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
-        [rad] of the base, by default at the origin.
-
-        Raises:
-            TargetError: The posture is invalid (`check_posture`).
+        [rad] of the base, by default at the origin. An invalid posture raises a TargetError.
         """
         check_posture(self.model, q_m)
         self.t = 0.0  # [s] simulated time
@@ -159,9 +150,8 @@ class Session:
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
         """`reset` with other parameters, also with another `disturbance.stated_period`.
 
-        Raises:
-            TargetError: The posture is invalid; then nothing has changed.
-            ConfigError: The stated control period is too long for a gain; then nothing has changed.
+        A TargetError for the posture, or a ConfigError if the stated control period is too long for
+        a gain, is raised before any change.
         """
         check_posture(self.model, q_m)
         period, name = config.disturbance.stated_period, self.controller.name
@@ -175,8 +165,7 @@ class Session:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on; `disturbance.stated_period` does not change.
 
-        Raises:
-            ConfigError: The control period is too long for a gain; then nothing has changed.
+        If the control period is too long for a gain, this raises a ConfigError, without a change.
         """
         self.loop.configure(config)
         self.config = config
@@ -211,13 +200,8 @@ class Session:
     ) -> Step:
         """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
 
-        Args:
-            reference: The end-effector's reference, or None while a person guides the arm.
-            pull: (3,) [m] target of a person at the end-effector, in the world, or None.
-            door: State of the opening door, for the record only.
-            holds: Other people who hold the robot, at the end-effector or another point.
-            forces: Forces on the robot that replace the forces of the people's springs. The error
-                of the end-effector still refers to the people's targets.
+        The arguments are the fields of `StepInput`. With `forces`, these forces replace those of
+        the people's springs; the error of the end-effector still refers to the people's targets.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -233,7 +217,8 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._weights(state)) if self._loads else person.pushes
+        loads = [load.push(state) for (*_, begins), load in self._loads.items() if self.t >= begins]
+        pushes = (*person.pushes, *loads)
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
@@ -275,11 +260,6 @@ class Session:
             for each in loads
             if each[1] > 0.0
         }
-
-    def _weights(self, state: RobotState) -> list[Push]:
-        """The forces of the loads that act at present."""
-        acting = (load for (*_, begins), load in self._loads.items() if self.t >= begins)
-        return [load.push(state) for load in acting]
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
@@ -413,8 +393,7 @@ class VelocityTracking:
 def check_posture(model: RobotModel, q_m: Array) -> None:
     """Check that no joint position (n_m,) is beyond a limit: a plant would push the joint back.
 
-    Raises:
-        TargetError: The number of joints is wrong, or a joint is beyond its position limits.
+    A wrong number of joints, or a joint beyond its limits, raises a TargetError.
     """
     if len(q_m) != model.n_m:
         raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")

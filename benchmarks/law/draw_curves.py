@@ -150,5 +150,11 @@ def _nearest(state: RobotState, target: pin.SE3, guess: Array) -> Array | None:
 
     low, high = model.q_lower, model.q_upper
     inside = np.clip(guess, low + 1e-6, high - 1e-6)
-    q = least_squares(residual, inside, jacobian, (low, high), max_nfev=_EVALUATIONS).x
+    q = least_squares(
+        residual,
+        inside,
+        jacobian,  # pyright: ignore[reportArgumentType] - a function is valid
+        bounds=(low, high),
+        max_nfev=_EVALUATIONS,
+    ).x
     return q if float(np.abs(residual(q)).max()) < _REACHED else None

@@ -185,11 +185,9 @@ class Mailbox:
         """Event that is set while commands wait."""
 
     def put(self, command: Command, links: Collection[str]) -> None:
-        """Add a command; `links` are the names of the frames at which people can hold the arm.
+        """Add a command; a pull whose link is not in `links` raises an UnknownNameError.
 
-        Raises:
-            UnknownNameError: A pull's link is not in `links`.
-            LoopError: `MAX_WAITING` commands wait, and it is the pull of a further person.
+        While `MAX_WAITING` commands wait, the pull of a further person raises a LoopError.
         """
         pulls, key = isinstance(command, Pull), _key(command)
         if pulls and command.link is not None:

@@ -76,8 +76,7 @@ class Ensemble:
     ) -> None:
         """Start again without a scenario; the arguments are those of the command `Reset`.
 
-        Raises:
-            TargetError: The posture is invalid (`check_posture`); then the present run continues.
+        If the posture is invalid, this raises a TargetError, and the present run continues.
         """
         begun = self._start
         if q_m:
@@ -86,29 +85,20 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Start the last scenario again; if the last start had none, repeat the last `reset`.
-
-        Raises:
-            DbbError: The scenario cannot start with the present configuration.
-        """
+        """Repeat the last start, as `play` or `reset`."""
         if self.scenario is None:
             self._enter(self._begun, None)
         else:
             self.play(self.scenario)
 
     def play(self, scenario: Scenario) -> None:
-        """Start a scenario.
-
-        Raises:
-            DbbError: The scenario cannot start; then nothing has changed.
-        """
+        """Start a scenario; raises a DbbError, without a change, if it cannot start."""
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
 
-        Raises:
-            ConfigError: The control period is too long for a gain; then nothing has changed.
+        If the control period is too long for a gain, this raises a ConfigError, without a change.
         """
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods, so only the first can refuse
@@ -123,11 +113,8 @@ class Ensemble:
         """Start a comparison with the named controllers; if none is named, end the comparison.
 
         While a scenario moves the robot, and after it if the end-effector still holds the door, the
-        comparison starts at the scenario's start. At all other times it starts at the present
-        posture, at rest.
-
-        Raises:
-            DbbError: The robots cannot start there; then nothing has changed.
+        comparison starts at the scenario's start; at all other times at the present posture, at
+        rest. If the robots cannot start there, this raises a DbbError, without a change.
         """
         if not comparison.controllers:
             self.comparison = comparison
@@ -142,8 +129,7 @@ class Ensemble:
     def pull(self, pull: Pull) -> None:
         """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
 
-        Raises:
-            TargetError: The largest number of people already holds the robot.
+        If the largest number of people already holds the robot, this raises a TargetError.
         """
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")

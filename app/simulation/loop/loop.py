@@ -45,11 +45,7 @@ class LoopHandle:
         self._begun = True
 
     def start(self) -> None:
-        """Call `begin`, if necessary, and wait for the first snapshot.
-
-        Raises:
-            LoopError: The session cannot be made.
-        """
+        """Begin and wait for the first snapshot; raises a LoopError if there is no session."""
         if not self._begun:
             self.begin()
         self._ready.wait()
@@ -70,11 +66,8 @@ class LoopHandle:
     def send(self, command: commands.Command) -> None:
         """Send a command, which the loop executes before one of the next control steps.
 
-        It can replace a waiting command, such as an older pull of the same person (`Mailbox`).
-
-        Raises:
-            UnknownNameError: A pull's link is not in `links`.
-            LoopError: 64 commands wait, and this command is the pull of a further person.
+        It can replace a waiting command, such as an older pull of the same person. `Mailbox.put`
+        has the rules and the errors.
         """
         self._mailbox.put(command, self.links)
 
@@ -102,9 +95,9 @@ class SimulationLoop(LoopHandle):
     ) -> None:
         """Prepare the loop; `start` starts it.
 
-        `make_session` is called once, in the loop's own thread, which then owns the session.
-        `q_start` (n_m,) [rad or m] are the joint positions of the arm at the free start: when the
-        loop starts, and after a `Reset` without a posture.
+        `make_session` is called once, in the loop's own thread, which then owns the session. The
+        arm is at `q_start` (n_m,) [rad or m] when the loop starts, and after a `Reset` without a
+        posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)

@@ -38,11 +38,11 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 def loop_child() -> Child:
     """Start a process that waits for a session to simulate.
 
-    The imports of the process take one or two seconds; therefore a caller can start the process
-    early, and pass it to a `ProcessLoop` later. The process first receives a function that makes
-    the session, together with the arm's start posture; then it receives commands. It sends the
-    outcome of the start (the names of the frames at which people can hold the arm), then snapshots,
-    and None as a heartbeat while there are none. After a failure it sends an outcome with an error.
+    Its imports take one or two seconds; therefore a caller can start the process early, and pass it
+    to a `ProcessLoop` later. The process receives a function that makes the session with the arm's
+    start posture, then commands. It sends the outcome of the start (the names of the frames at
+    which people can hold the arm), then snapshots, and None as a heartbeat while there are none.
+    After a failure it sends an outcome with an error.
     """
     return Child(_run_loop)
 
@@ -83,11 +83,7 @@ class ProcessLoop(LoopHandle):
             thread.join(_PATIENCE)
 
     def _send(self, child: Child) -> None:
-        """Send commands to the child at intervals.
-
-        Many commands in a short time wait in the mailbox, where they replace one another, and not
-        in the pipe.
-        """
+        """Send commands at intervals, so that they replace one another in the mailbox."""
         try:
             child.sender.send(self._task)
             self._task = None  # frees the robot and its border
@@ -155,9 +151,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
     """Forward commands and snapshots until the loop fails; then send the loop's exception.
 
-    Raises:
-        EOFError: The parent has closed its end.
-        OSError: The parent has ended.
+    If the parent has closed its end or has ended, this raises an EOFError or an OSError.
     """
     posted, beat = None, monotonic()
     while loop.error is None:

@@ -69,22 +69,16 @@ class StartSolver:
         tries: int = _SEEDS,
         along: Sequence[Array] = (),
     ) -> Array:
-        """Find a posture of the arm (n_m,) with the end-effector at a position in the world.
+        """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        The search prefers a posture from which the arm reaches further positions too, while the
-        base is at rest and the end-effector keeps its starting orientation. If there is no such
-        posture, the result is another valid posture, because the base can move during a run.
+        The search prefers a posture from which the arm reaches further positions too, (3,) [m] each
+        in `along`, while the base is at rest and the end-effector keeps its starting orientation.
+        If there is no such posture, the result is another valid posture, because the base can move
+        during a run.
 
-        Args:
-            p_ee: (3,) [m] position of the end-effector.
-            seed: Seed of the starting points of the search.
-            turn: [rad] horizontal angle, positive to the left, between the end-effector's direction
-                and the direction away from the mount.
-            tries: Number of starting points of the search for each pitch of the end-effector.
-            along: (3,) [m] each, further positions of the end-effector, in order.
-
-        Raises:
-            UnreachableError: The search has found no posture; the message names the reasons.
+        `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
+        mount to that of the end-effector; `tries` is the number of starting points for each pitch.
+        If the search finds no posture, this raises an UnreachableError with the reasons.
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
@@ -122,10 +116,8 @@ class StartSolver:
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
         """Find the posture (n_m,) near a known one, q_m (n_m,), for a new position p_ee (3,) [m].
 
-        The direction of the end-effector and the branch of the inverse kinematics do not change.
-
-        Raises:
-            UnreachableError: The new posture is invalid; the message names the reason.
+        The direction of the end-effector and the branch of the inverse kinematics do not change. An
+        invalid posture raises an UnreachableError with the reason.
         """
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
@@ -212,9 +204,6 @@ def find_start(
 
     With `move` (3,) [m], the end-effector will track a line of this displacement from the start
     with a constant orientation.
-
-    Raises:
-        UnreachableError: The search has found no posture; the message names the reasons.
     """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
@@ -239,10 +228,7 @@ def find_grasp(
     limits, manipulability, buffers) is best. The result is cached.
 
     `base_pose` (3,) has x, y [m] and heading [rad] of the base, `angle` [rad] is the opening angle
-    of the door at the grasp.
-
-    Raises:
-        UnreachableError: The search has found no posture.
+    of the door. If the search finds no posture, this raises an UnreachableError.
     """
     search = PostureSearch(model, pairs, d_b)
     q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)
