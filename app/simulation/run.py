@@ -142,7 +142,7 @@ def filmed(
     with closing(steps_of(run, model, data)) as steps:
         for k, (session, step) in enumerate(steps):
             if k % EVERY == 0 or k in required:
-                snapshots.append(make_snapshot(session, step, None, paused=False, **about))
+                snapshots.append(make_snapshot(session, step, None, **about))
             if k % 100 == 0:
                 on_progress(step.t)
             if k == max(required):

@@ -24,7 +24,7 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.load import PointLoad
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
-from app.simulation.plants.door import DoorReading, OpenDoor
+from app.simulation.plants.door import DoorView, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics
 from app.strict import Array, Vector3
 
@@ -63,7 +63,7 @@ class Step(NamedTuple):
     """(n_p,) [m] true signed distances of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
-    door: DoorReading | None = None
+    door: DoorView | None = None
     """State of the door while a scenario opens it, otherwise None."""
     pulls: tuple[PullReading, ...] = ()
     """All people who hold the robot; empty if `Session.step` had the argument `forces`."""
@@ -193,7 +193,7 @@ class Session:
         self,
         reference: Reference | None = None,
         pull: Array | None = None,
-        door: DoorReading | None = None,
+        door: DoorView | None = None,
         holds: Sequence[Hold] = (),
         *,
         forces: PersonForces | None = None,

@@ -105,10 +105,6 @@ class Ensemble:
             runner.session.configure(adapted)
         self._config = config
 
-    def choose(self, controller: str) -> None:
-        """Let the main robot use the controller with this name from the next step on."""
-        self.main.controller.use(controller)
-
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
 

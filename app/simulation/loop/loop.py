@@ -59,7 +59,7 @@ class LoopHandle:
     def silence(self) -> float:
         """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
 
-        During an operation that a snapshot announces (`Snapshot.busy`) it is zero.
+        A long operation that a snapshot announces (`Snapshot.busy`) does not count as silence.
         """
         return monotonic() - self._alive
 
@@ -195,7 +195,7 @@ class SimulationLoop(LoopHandle):
         elif isinstance(command, commands.Configure):
             ensemble.configure(command.config)
         elif isinstance(command, commands.Choose):
-            ensemble.choose(command.controller)
+            ensemble.main.controller.use(command.controller)
         elif isinstance(command, commands.Pause):
             self._paused = command.paused
             self._pacer.restart()

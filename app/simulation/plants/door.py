@@ -128,17 +128,21 @@ class Door:
         )
 
 
-class DoorReading(NamedTuple):
-    """Readings while the end-effector opens a door."""
+class DoorView(NamedTuple):
+    """A door that the end-effector holds; after the scenario, unknown values are NaN."""
 
+    door: Door
+    """The door's constant geometry; `door.pose(angle)` is T_world_door."""
     angle: float
-    """[rad] opening angle of the door."""
+    """[rad] opening angle."""
     force: Array
-    """(3,) [N] force of the end-effector on the door, in the world."""
-    radial_force: float
+    """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
+    radial_force: float = math.nan
     """[N] component of the force towards the true position of the hinge."""
-    radial_error: float
+    radial_error: float = math.nan
     """[rad] error of the estimated radial direction, positive counter-clockwise."""
+    contact: bool = False
+    """Whether the door touches the base."""
 
 
 class OpenDoor(NamedTuple):

@@ -100,19 +100,12 @@ class MujocoWheels(Physics):
         self.world = MujocoWorld(robot, door)
         self.door = self.world.door
         self._drive = Drive(description.base, dt)
-        self._angles = np.array([self.world.model.joint(n).qposadr[0] for n in robot.motors])
         self._calibrate(differential(description).half_track_m)
         ready = np.zeros(3), np.array(description.arm.ready_position)
         self.reset(*ready)
         if wheels.spans:
             self._calibrate(self._turned_half_track())
             self.reset(*ready)
-
-    @property
-    def wheel_angles(self) -> Array:
-        """(2,) [rad] mean angles of the wheels on the right and on the left side."""
-        angles, right = self.world.q[self._angles], self.wheels.right
-        return np.array([angles[right].mean(), angles[~right].mean()])
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """Put the robot at rest; the base stands on its wheels, tilted by the arm's weight."""

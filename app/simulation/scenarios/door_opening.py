@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.control.tasks import Reference
-from app.simulation.plants.door import Door, DoorReading
+from app.simulation.plants.door import Door, DoorView
 from app.simulation.plants.interface import Wrench
 from app.simulation.scenarios.leading import Driver, StepInput
 from app.simulation.session import Session
@@ -178,13 +178,14 @@ def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver
         T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]
         truth, estimate = door.radial(T_ee.translation), opening.radial(T_ee)
         across = truth[0] * estimate[1] - truth[1] * estimate[0]
-        reading = DoorReading(
+        view = DoorView(
+            door,
             session.physics.door.angle(),
             wrench.force,
             float(wrench.force[:2] @ truth),
             math.atan2(across, float(truth @ estimate[:2])),
         )
-        return StepInput(reference=opening.step(T_ee, velocity, wrench), door=reading)
+        return StepInput(reference=opening.step(T_ee, velocity, wrench), door=view)
 
     return lead
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # for annotations, so that options are checked before slow im
     from app.control.tasks import Reference
     from app.robot.model import RobotModel
     from app.simulation.people import Hold
-    from app.simulation.plants.door import DoorReading, OpenDoor
+    from app.simulation.plants.door import DoorView, OpenDoor
     from app.simulation.session import Session
 
 _DURATIONS = 0.01, 3600.0  # [s] shortest and longest scenario
@@ -33,7 +33,7 @@ class StepInput(NamedTuple):
     """The end-effector's reference, or None while a person guides the arm."""
     pull: Array | None = None
     """(3,) [m] target of a person at the end-effector, in the world, or None."""
-    door: DoorReading | None = None
+    door: DoorView | None = None
     """State of the door while the scenario opens it, otherwise None."""
     holds: tuple[Hold, ...] = ()
     """Other people who hold the robot, at the end-effector or another point."""

@@ -28,7 +28,7 @@ from app.robot.state import RobotState
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import PullReading
-from app.simulation.plants.door import Door
+from app.simulation.plants.door import Door, DoorView
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import (
     NAN,
@@ -82,23 +82,6 @@ class ActingReading(NamedTuple):
     """(3,) [m] acting point: the point of the border nearest to p_t."""
     f: Array
     """(3,) [N] force f_m,i of (14)."""
-
-
-class DoorView(NamedTuple):
-    """A door that the end-effector holds; after the scenario, unknown values are NaN."""
-
-    door: Door
-    """The door's constant geometry; `door.pose(angle)` is T_world_door."""
-    angle: float
-    """[rad] opening angle."""
-    force: Array
-    """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
-    radial_force: float = NAN
-    """[N] component of the force towards the true position of the hinge."""
-    radial_error: float = NAN
-    """[rad] error of the estimated radial direction, positive counter-clockwise."""
-    contact: bool = False
-    """Whether the door touches the base."""
 
 
 class GhostReading(NamedTuple):
@@ -186,10 +169,8 @@ def _pairs() -> Quantity:
 
 def _acting() -> Quantity:
     """The quantity of p_n, p_t, p_act and f of each pair with the base; empty without them."""
-    templates = (
-        *(f"{p}_{{mobile}}_{{xyz}}_m" for p in ("p_n", "p_t", "p_act")),
-        "f_{mobile}_{xyz}_n",
-    )
+    vectors = (("p_n", "m"), ("p_t", "m"), ("p_act", "m"), ("f", "n"))
+    templates = [f"{vector}_{{mobile}}_{{xyz}}_{unit}" for vector, unit in vectors]
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
@@ -248,14 +229,10 @@ def _door() -> Quantity:
     def take(session: Session, step: Step) -> DoorView | None:
         if session.door is None:
             return None
-        door, touches = session.door.door, step.contacts.door_base
-        if step.door is None:
-            assert session.physics.door is not None, "a plant with a door"
-            return DoorView(
-                door, session.physics.door.angle(), frozen(np.zeros(3)), contact=touches
-            )
-        angle, force, *radial = step.door
-        return DoorView(door, angle, frozen(force), *radial, contact=touches)
+        held = session.physics.door
+        assert held is not None, "a plant with a door"
+        view = step.door or DoorView(session.door.door, held.angle(), np.zeros(3))
+        return view._replace(force=frozen(view.force), contact=step.contacts.door_base)
 
     nothing = (NAN,) * (len(columns) - 1)
 
@@ -271,10 +248,7 @@ def _door() -> Quantity:
         return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
 
     def row(session: Session, step: Step) -> Sequence[Any]:
-        if session.door is None:
-            return nothing
-        _, *often = cells_of(take(session, step))
-        return often
+        return cells_of(take(session, step))[1:]  # without the text
 
     return Quantity(lambda _: columns, lambda view, _: cells_of(view), value, take, row=row)
 
@@ -502,13 +476,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def make_snapshot(
-    session: Session,
-    step: Step,
-    pacer: Pacer | None,
-    *,
-    paused: bool,
-    explained: bool = True,
-    **fields: Any,
+    session: Session, step: Step, pacer: Pacer | None, *, explained: bool = True, **fields: Any
 ) -> Snapshot:
     """Make a snapshot in separate, read-only memory, from the last step and the session after it.
 
@@ -524,11 +492,10 @@ def make_snapshot(
         step_time_us=pacer.step_time_us if pacer else NAN,
         realtime_factor=pacer.realtime_factor if pacer else NAN,
         overruns=pacer.overruns if pacer else 0,
-        paused=paused,
         physics=session.kind,
         seed=session.seed,
         explanation=explain(*why) if explained else None,
-        **fields,
+        **{"paused": False, **fields},
     )
 
 

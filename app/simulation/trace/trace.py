@@ -263,10 +263,9 @@ class Recorder:
         self._order = np.argsort(np.argsort(kinds, kind="stable"))
 
     def _draw(self, session: Session, step: Step) -> None:
-        fields: dict[str, Any] = {"explained": False}  # no file stores explanations
-        if self._scenario is not None:
-            fields |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
-        self.snapshots.append(make_snapshot(session, step, None, paused=False, **fields))
+        led = self._scenario
+        about = {"scenario": led.name, "scenario_ends": led.duration} if led else {}
+        self.snapshots.append(make_snapshot(session, step, None, explained=False, **about))
 
 
 class Stored:
