@@ -186,10 +186,6 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _last(quantity: str) -> Callable[[Trace], Any]:
-    return lambda run: run.of(quantity)[-1].item()
-
-
 def _total(quantity: str) -> Callable[[Trace], int]:
     """Number of rows in which a flag is true."""
     return lambda run: int(run.of(quantity).sum())
@@ -213,7 +209,7 @@ FIGURES: dict[str, Figure] = {
         "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
     ),
     "ee_error_final_m": Figure(
-        "Final distance of the end-effector from its target.", _last("ee_error")
+        "Final distance of the end-effector from its target.", lambda r: r.of("ee_error")[-1].item()
     ),
     "base_displacement_m": Figure(
         "Displacement of the base from start to end.", lambda r: float(np.hypot(*_moves(r)[-1, :2]))
