@@ -190,7 +190,8 @@ def _finite(point: Sequence[float] | Array, name: str) -> Array:
     """The point as an array (3,); a TargetError with its `name` if it is not finite numbers."""
     try:
         place = np.asarray(point, dtype=float)
-        if place.shape == (3,) and all(map(math.isfinite, place.tolist())):
+        x, y, z = place.tolist()
+        if math.isfinite(x) and math.isfinite(y) and math.isfinite(z):
             return place
     except (TypeError, ValueError):
         pass

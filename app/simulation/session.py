@@ -313,6 +313,7 @@ class Disturbances:
         self._sensor_late = round(config.sensor_delay / self._dt)
         self._sent = deque(self._sent, self._sensor_late + 1)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
+        self._punctual = self._sensor_late == 0 and self._sensor_every == 1 and self._dropped == 0.0
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
@@ -343,7 +344,7 @@ class Disturbances:
         """The readings that reach the controller: new, late, or a repetition of the last ones."""
         self._sent.append(sent)
         step, self._steps = self._steps, self._steps + 1
-        if step < self._begins:
+        if self._punctual or step < self._begins:
             self._seen = sent
             return sent
         due = step % self._sensor_every == 0
