@@ -11,16 +11,9 @@ import numpy as np
 from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.simulation.people import PullReading
-from app.simulation.plants.door import Door
+from app.simulation.plants.door import Door, DoorView
 from app.simulation.trace.columns import frozen
-from app.simulation.trace.snapshot import (
-    ActingReading,
-    DoorView,
-    GhostReading,
-    PairReading,
-    Score,
-    Snapshot,
-)
+from app.simulation.trace.snapshot import ActingReading, GhostReading, PairReading, Score, Snapshot
 from app.simulation.trace.trace import Trace
 from tests.robots import husky_panda
 

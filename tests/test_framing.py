@@ -26,8 +26,9 @@ from app.dashboard.scene.camera import (
     placed,
 )
 from app.simulation.loop.commands import Reset
+from app.simulation.plants.door import DoorView
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
-from app.simulation.trace.snapshot import DoorView, GhostReading, Snapshot
+from app.simulation.trace.snapshot import GhostReading, Snapshot
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda

@@ -81,15 +81,11 @@ class RunCase(Strict):
 
     def spec(self) -> RunSpec:
         """The planned run; raises the errors of `scenario` and `config`."""
-        run = self.controller, self.physics, self.seed
-        return RunSpec(self.robot, self.scenario(), self.config(), *run)
+        scenario, config = self.scenario(), self.config()
+        return RunSpec(self.robot, scenario, config, self.controller, self.physics, self.seed)
 
     def scenario(self) -> Scenario:
-        """The scenario with its options.
-
-        Raises:
-            DbbError: The scenario does not exist, or its options are invalid.
-        """
+        """The scenario; raises a DbbError if it does not exist, or its options are invalid."""
         check_name("scenario", self.played, _PLAYED)
         played = _PLAYED[self.played]
         record = _options_of(type(played))
@@ -101,31 +97,24 @@ class RunCase(Strict):
         return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
-        """The configuration with those parameters of the case that still exist.
-
-        Parameters that are not in the case have their defaults.
-
-        Raises:
-            ConfigError: A value is invalid, for example out of its range.
-        """
+        """The defaults with the known parameters; an invalid value raises a ConfigError."""
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """Changes of the program's version and set of parameters since the case was written.
-
-        Each change is one line of text.
-        """
-        now, found = version("dbb-mobile-manipulator"), []
-        if self.version != now:
-            found.append(f"dbb {self.version} wrote the case; this is dbb {now}")
-        for path in sorted(self.parameters.keys() - tunables().keys()):
-            found.append(
-                f"the parameter {path} no longer exists; its value was {self.parameters[path]}"
-            )
-        for path in sorted(tunables().keys() - self.parameters.keys()):
-            found.append(f"the case has no {path}; the default {Config().value(path)} is used")
-        return found
+        """Changes of the program's version and parameters since then, one line of text each."""
+        now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
+        return [
+            *([f"dbb {self.version} wrote the case; this is dbb {now}"] * (self.version != now)),
+            *(
+                f"the parameter {path} no longer exists; its value was {own[path]}"
+                for path in sorted(own.keys() - known.keys())
+            ),
+            *(
+                f"the case has no {path}; the default {Config().value(path)} is used"
+                for path in sorted(known.keys() - own.keys())
+            ),
+        ]
 
     def text(self) -> str:
         """The text of the file."""
@@ -133,16 +122,7 @@ class RunCase(Strict):
 
     @classmethod
     def read(cls, text: str, where: object) -> Self:
-        """Read a case from the text of a file.
-
-        Args:
-            text: The text.
-            where: Name of the file, for messages.
-
-        Raises:
-            CaseError: The text is not a case, or its robot, scenario, controller, plant, an option
-                or a parameter is invalid; the message names the fault.
-        """
+        """Read a case from the text of the file `where`; raises a CaseError with the fault."""
         try:
             content = parsed(json.loads, text)
         except ValueError as error:
@@ -164,11 +144,7 @@ class RunCase(Strict):
 
 
 def read_case(path: Path) -> RunCase:
-    """Read a case from a file.
-
-    Raises:
-        CaseError: The file cannot be read or is not a valid case; the message names the fault.
-    """
+    """Read a case from a file; raises a CaseError that names the fault."""
     try:
         return RunCase.read(file_text(path), path)
     except OSError as error:

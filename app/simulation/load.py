@@ -11,8 +11,8 @@ from app.strict import Array
 class PointLoad:
     """A point mass fixed to the end-effector; its weight and inertia act on the arm as a force.
 
-    A force m (g - a) with the last acceleration a would be unstable for a load that is heavier than
-    the arm's effective mass. Therefore the computation includes the effect of the force on a.
+    A force m (g - a) with the last acceleration a would be unstable for a load heavier than the
+    arm's effective mass. Therefore the computation includes the effect of the force on a.
     """
 
     def __init__(self, model: RobotModel, mass: float, centre: Array, dt: float) -> None:

@@ -69,13 +69,7 @@ class People:
     """One `PersonHand` for each person who holds the robot; forces on the same point add."""
 
     def __init__(self, model: RobotModel, config: PersonConfig, dt: float) -> None:
-        """Start without people.
-
-        Args:
-            model: The robot.
-            config: The strength of each person.
-            dt: [s] time between two calls of `pull`.
-        """
+        """Start without people; `dt` [s] is the time between two calls of `pull`."""
         self._model, self._config, self._dt = model, config, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
 
@@ -90,15 +84,9 @@ class People:
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
         """Compute the pull of each person in one control step, and all forces.
 
-        A person without a hold releases the robot. A person who changes to another point releases
-        the previous point; the spring of the new hold starts without stretch.
-
-        Args:
-            state: The robot's state.
-            holds: At most one hold for each person.
-
-        Raises:
-            TargetError: A target is invalid, as in `checked_target`.
+        Each person has at most one hold. A person without a hold releases the robot. A person who
+        changes to another point releases the previous point; the spring of the new hold starts
+        without stretch. An invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
@@ -121,9 +109,9 @@ class People:
 class PersonHand:
     """One hold of a person: F = K (p - p_ee) - D v_ee on the held point p_ee, limited to f_max.
 
-    Targets arrive 20 times a second with jumps. p starts at the held point and moves towards the
-    latest target as a critically damped point with limited speed. Thus F has no steps at 1 kHz.
-    The damper acts against the world: while p rests, the person only absorbs energy.
+    p starts at the held point and moves towards the latest target as a critically damped point with
+    limited speed; thus F has no steps, although targets jump 20 times a second. The damper acts
+    against the world: while p rests, the person only absorbs energy.
 
     If the hand has a mass, F moves the mass, and the robot receives the force that the grip
     transmits. The grip's force is smaller than F while F accelerates the mass, equals F at rest,
@@ -132,12 +120,7 @@ class PersonHand:
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
-        """Begin one hold; a new hold needs a new object.
-
-        Args:
-            config: The strength and the mass of the hand.
-            dt: [s] time between two calls of `force`.
-        """
+        """Begin one hold; `dt` [s] is the time between two calls of `force`."""
         self._dt, self._motion = dt, np.full((4, 3), np.nan)
         self.configure(config)
 
@@ -154,25 +137,12 @@ class PersonHand:
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
         """Compute the person's force (3,) [N] on the held point for one step, in the world.
 
-        Args:
-            p_ee: (3,) [m] position of the held point.
-            v_ee: (3,) [m/s] velocity of the held point; further entries are not used.
-            target: (3,) [m] target of the held point.
-
-        Raises:
-            TargetError: The target is invalid, as in `checked_target`.
+        `p_ee`, `v_ee` and `target` (3,) are the held point's position [m], velocity [m/s] and
+        target [m]; further entries of `v_ee` are not used. An invalid target raises a TargetError.
         """
         force = np.empty(3)
         _pull_once(self._motion, checked_target(target), p_ee, v_ee, self._spring, force)
         return force
-
-
-def first_target(holds: Sequence[Hold]) -> Array | None:
-    """(3,) [m] target of the first hold at the end-effector, in the world, or None."""
-    for hold in holds:
-        if hold.link is None:
-            return hold.target
-    return None
 
 
 def held_links(model: RobotModel) -> tuple[str, ...]:
@@ -190,51 +160,42 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 def checked_target(target: Sequence[float] | Array) -> Array:
     """Check a person's target in the world and return it as an array (3,) [m].
 
-    Raises:
-        TargetError: The target is below the floor, a coordinate exceeds 10 km, or the target is
-            not three finite numbers.
+    This raises a TargetError if the target is not three finite numbers, is below the floor, or has
+    a coordinate above 10 km.
     """
-    place = _point(target, what := "the hand's target")
+    place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
-    if 0.0 <= z <= _FARTHEST and -_FARTHEST <= x <= _FARTHEST and -_FARTHEST <= y <= _FARTHEST:
-        return place
-    if not np.isfinite(place).all():
-        raise _not_finite(target, what)
     if z < 0:
         raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor at z = 0")
-    raise TargetError(f"a coordinate of the hand's target exceeds {_FARTHEST:g} m: {target!r}")
+    if max(abs(x), abs(y), z) > _FARTHEST:
+        raise TargetError(f"a coordinate of the hand's target exceeds {_FARTHEST:g} m: {target!r}")
+    return place
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
     """Check a held point in the frame of a link and return the point as an array (3,) [m].
 
-    Raises:
-        TargetError: The point is farther than 1 m from the link's origin, or is not three finite
-            numbers.
+    This raises a TargetError if the point is not three finite numbers, or is farther than 1 m from
+    the link's origin.
     """
-    place = _point(point, what := "the held point")
-    if np.linalg.norm(place) <= _LINK_SIZE:
-        return place
-    if not np.isfinite(place).all():
-        raise _not_finite(point, what)
-    raise TargetError(
-        f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
-    )
-
-
-def _point(point: Sequence[float] | Array, name: str) -> Array:
-    """The point as an array (3,); a TargetError with its `name` if it is not three numbers."""
-    try:
-        place = np.asarray(point, dtype=float)
-    except (TypeError, ValueError):
-        raise _not_finite(point, name) from None
-    if place.shape != (3,):
-        raise _not_finite(point, name)
+    place = _finite(point, "the held point")
+    if np.linalg.norm(place) > _LINK_SIZE:
+        raise TargetError(
+            f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
+        )
     return place
 
 
-def _not_finite(point: Sequence[float] | Array, name: str) -> TargetError:
-    return TargetError(f"{name} must be three finite numbers, not {point!r}")
+def _finite(point: Sequence[float] | Array, name: str) -> Array:
+    """The point as an array (3,); a TargetError with its `name` if it is not finite numbers."""
+    try:
+        place = np.asarray(point, dtype=float)
+        x, y, z = place.tolist()
+        if math.isfinite(x) and math.isfinite(y) and math.isfinite(z):
+            return place
+    except (TypeError, ValueError):
+        pass
+    raise TargetError(f"{name} must be three finite numbers, not {point!r}")
 
 
 @compiled()
@@ -256,16 +217,8 @@ def _push_mass(
     c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the end of the step; the position
     of the held point is extrapolated with its velocity. K' and k in series have the stiffness K.
     The rule is stable for every mass, spring and damper. The force limit does not change the
-    direction of F.
-
-    Args:
-        x: (3,) [m] position of the mass; changed in place.
-        x_dot: (3,) [m/s] velocity of the mass; changed in place.
-        p: (3,) [m] position of the spring's free end, p of `PersonHand`.
-        p_ee: (3,) [m] position of the held point.
-        v_ee: (3,) [m/s] velocity of the held point.
-        spring: (5,) as in `_pull`: K of spring and grip in series, D, limit of F, m and step [s].
-        force: (3,) [N] result: the grip's force G.
+    direction of F. `x` and `x_dot` (3,) are changed in place; the result `force` (3,) [N] is G. The
+    other arguments are as in `_pull`; p is that of `PersonHand`.
     """
     stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)
@@ -288,15 +241,10 @@ def _pull(
 ) -> None:
     """Move the person's hand for one step: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
 
-    Args:
-        motion: (4, 3) p [m] and ṗ [m/s] of the hand, position and velocity of its mass; NaN before
-            the first step. Changed in place.
-        target: (3,) [m] target of the hand.
-        p_ee: (3,) [m] position of the held point.
-        v_ee: (3,) [m/s] velocity of the held point.
-        spring: (5,) stiffness [N/m], damping against the world [N s/m], largest force [N], mass of
-            the hand [kg] and duration of the step [s].
-        force: (3,) [N] result: the force on the held point in the step.
+    `motion` (4, 3) has p [m] and ṗ [m/s] of the hand, position and velocity of its mass; NaN before
+    the first step; it is changed in place. `p_ee` and `v_ee` are those of the held point. `spring`
+    (5,) has the stiffness [N/m], the damping against the world [N s/m], the largest force [N], the
+    mass of the hand [kg] and the step [s]. The result `force` (3,) [N] is that on the held point.
     """
     p, v, x, x_dot = motion
     stiffness, damping, f_max, mass, dt = spring

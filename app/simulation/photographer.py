@@ -50,11 +50,9 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """The same camera, moved so that some points fill the picture.
+        """The same camera, moved so that points (N, 3) [m] in the world fill the picture.
 
-        Args:
-            points: (N, 3) [m] points in the world.
-            margin: [-] smallest empty part of the picture on each side.
+        `margin` [-] is the smallest empty part of the picture on each side.
         """
         camera = self
         for _ in range(8):  # the perspective changes a little each time
@@ -117,12 +115,7 @@ class Photographer:
     """Takes pictures of one robot in a separate pybullet client."""
 
     def __init__(self, model: RobotModel) -> None:
-        """Load the robot's visual meshes.
-
-        Raises:
-            AssetError: A mesh is missing, or pybullet cannot load the robot.
-            ConfigError: pybullet is not installed.
-        """
+        """Load the robot's visual meshes; raises the errors of `BulletWorld`."""
         self._world = BulletWorld(planar_urdf(model.description), DT)
         self._client = self._world.client
         self._client.removeBody(self._world.floor)
@@ -142,14 +135,10 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """Take a picture.
+        """Take a picture of the robot, or with `robot` False only of the `solids`.
 
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
-            q_m: (n_m,) [rad or m] joint positions of the arm.
-            camera: The viewpoint.
-            solids: Additional bodies.
-            robot: Whether the picture shows the robot.
+        `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
+        positions.
         """
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]
@@ -207,10 +196,7 @@ def _smaller(image: Array) -> Array:
 
 
 def _project(points: Array, to_clip: Array) -> Array:
-    """Project points to the picture: (N, 2) right and up, from −1 to 1 between the edges.
-
-    The points are (N, 3) [m] in the world; `to_clip` (4, 4) is that of `Picture`.
-    """
+    """Project points (N, 3) [m]: (N, 2) right and up, from −1 to 1 between the picture's edges."""
     clip = np.column_stack([points, np.ones(len(points))]) @ to_clip.T
     return clip[:, :2] / clip[:, 3:]
 

@@ -27,14 +27,9 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting.
+    """Make a session at the start of a setting; `robot` is the robot without a held door.
 
-    `robot` is the robot without the door that its end-effector may hold; the other arguments are
-    those of `Session`.
-
-    Raises:
-        DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
-            beyond its position limits at the start.
+    This raises the errors of `Session`, and a TargetError for a joint beyond its limits.
     """
     check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
@@ -56,10 +51,8 @@ def steps_of(
 ) -> Generator[tuple[Session, Step], None, None]:
     """Execute the control steps of a run; yield each step with the session after the step.
 
-    The session is closed after the last step, or when the iterator is closed.
-
-    Raises:
-        DbbError: The robot cannot start the scenario, or `begin` cannot make the session.
+    The session is closed after the last step, or when the iterator is closed. This raises a
+    DbbError if the robot cannot start the scenario, or `begin` cannot make the session.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)
@@ -83,13 +76,8 @@ def run_from_spec(
 ) -> RunResult:
     """Execute a run and compute its figures of merit; raises the errors of `steps_of`.
 
-    Args:
-        run: The planned run.
-        model: The robot.
-        data: The robot's border data.
-        on_progress: Called every 100 steps with the simulated time [s].
-        on_step: Called after each control step.
-        drawn: Whether the trace has snapshots, which log files and the player need.
+    `on_progress` is called every 100 steps with the simulated time [s], `on_step` after each
+    control step. With `drawn`, the trace has snapshots, which log files and the player need.
     """
     scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)
@@ -154,7 +142,7 @@ def filmed(
     with closing(steps_of(run, model, data)) as steps:
         for k, (session, step) in enumerate(steps):
             if k % EVERY == 0 or k in required:
-                snapshots.append(make_snapshot(session, step, None, paused=False, **about))
+                snapshots.append(make_snapshot(session, step, None, **about))
             if k % 100 == 0:
                 on_progress(step.t)
             if k == max(required):

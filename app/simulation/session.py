@@ -22,10 +22,10 @@ from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.load import PointLoad
-from app.simulation.people import Hold, People, PersonForces, PullReading, first_target
+from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
-from app.simulation.plants.door import DoorReading, OpenDoor
-from app.simulation.plants.interface import Contacts, Physics, Push
+from app.simulation.plants.door import DoorView, OpenDoor
+from app.simulation.plants.interface import Contacts, Physics
 from app.strict import Array, Vector3
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
@@ -53,23 +53,21 @@ class Step(NamedTuple):
     """[m] true distance of the end-effector from the target of the (first) person who holds it;
     without such a person, from its reference; 0 if there is neither."""
     contacts: Contacts
-    """Contacts of the step."""
     duration: float
     """[s] real time of the controller's computation."""
     truth: Measurement
-    """The true readings; equal to `measurement` without sensor errors."""
+    """The true readings."""
     state: RobotState
-    """The true state of the robot, as `Session.state`; the next step overwrites it."""
+    """The true state of the robot; the next step overwrites it."""
     distances: Array
-    """(n_p,) [m] true signed distances of the pairs, in the order of the control step's pairs."""
+    """(n_p,) [m] true signed distances of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
-    door: DoorReading | None = None
+    door: DoorView | None = None
     """State of the door while a scenario opens it, otherwise None."""
     pulls: tuple[PullReading, ...] = ()
     """All people who hold the robot; empty if `Session.step` had the argument `forces`."""
     person: PersonForces = PersonForces(np.zeros(3))
-    """The forces of people on the robot."""
     reference: Reference | None = None
     """The tracked reference, or None while a person guides the arm."""
     ee_speed: float = 0.0
@@ -103,25 +101,11 @@ class Session:
     ) -> None:
         """Set up the session at rest in the robot's ready posture.
 
-        Args:
-            model: The robot of the controller.
-            data: Its border data.
-            config: All parameters.
-            controller: Name of the controller, one of `app.control.CONTROLLERS`.
-            physics: Name of the plant, or None for the default.
-            seed: Seed of all random numbers.
-            plant: The robot of the plant, if the controller's model has a held object as an
-                additional body.
-            door: The door that the end-effector holds, with its initial angle, or None.
+        `plant` is the plant's robot if the robot `model` of the controller has a held object as an
+        additional body. `seed` is that of all random numbers; `door` is held by the end-effector.
 
-        Raises:
-            UnknownNameError: The controller or plant does not exist.
-            DescriptionError: No monitored part of the arm can meet the base, or the description has
-                no reachability of such a part.
-            ConfigError: The plant does not suit the base or the door, or needs pybullet, which is
-                not installed; or the stated control period is too long for a gain.
-            AssetError: A file of the robot is missing, or the engine cannot load the robot.
-            RobotFileError: As for `collision_shapes`, with MuJoCo.
+        Besides the errors of `ControlLoop` and `make_physics`, this raises a DescriptionError if no
+        monitored part of the arm can meet the base.
         """
         if not data.pairs.mobile:
             raise DescriptionError(
@@ -131,8 +115,6 @@ class Session:
             )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
-        """Name of the plant; seed of all random numbers; the door that the end-effector holds, with
-        its initial angle, or None."""
         self._stated = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
         """The control loop, with the same interface as in a robot's own loop."""
@@ -140,8 +122,7 @@ class Session:
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
         self._own_state = RobotState(model)  # the true state, if the sensors have errors
-        pairs = [*data.pairs.mobile, *data.pairs.manipulator]
-        self._distances = DistanceMonitor(self._own_state, pairs)
+        self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
         self.reset(np.array(model.description.arm.ready_position))
@@ -149,16 +130,11 @@ class Session:
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
         """Put the robot at rest, without people, and set the time to zero.
 
-        Args:
-            q_m: (n_m,) [rad or m] joint positions of the arm.
-            base_pose: (3,) x, y [m] and heading [rad] of the base; None means the origin.
-
-        Raises:
-            TargetError: The posture is invalid (`check_posture`).
+        `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
+        [rad] of the base, by default at the origin. An invalid posture raises a TargetError.
         """
         check_posture(self.model, q_m)
-        self.t = 0.0
-        """[s] simulated time since the last reset."""
+        self.t = 0.0  # [s] simulated time
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.loop.reset()
         self._disturbances.reset()
@@ -166,8 +142,7 @@ class Session:
         self._wheel_angles = [0.0] * len(self._base.wheels)
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
-        """The true state of the robot at the last step; without sensor errors, the controller's
-        estimate."""
+        """The true state of the robot at the last step."""
         self._watch.reset()
         self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)
@@ -175,9 +150,8 @@ class Session:
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
         """`reset` with other parameters, also with another `disturbance.stated_period`.
 
-        Raises:
-            TargetError: The posture is invalid; then nothing has changed.
-            ConfigError: The stated control period is too long for a gain; then nothing has changed.
+        A TargetError for the posture, or a ConfigError if the stated control period is too long for
+        a gain, is raised before any change.
         """
         check_posture(self.model, q_m)
         period, name = config.disturbance.stated_period, self.controller.name
@@ -191,8 +165,7 @@ class Session:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on; `disturbance.stated_period` does not change.
 
-        Raises:
-            ConfigError: The control period is too long for a gain; then nothing has changed.
+        If the control period is too long for a gain, this raises a ConfigError, without a change.
         """
         self.loop.configure(config)
         self.config = config
@@ -213,27 +186,22 @@ class Session:
 
     @property
     def wheel_angles(self) -> Array:
-        """(n_w,) [rad] angles of the base's wheels, for drawing."""
+        """(n_w,) [rad] angles of the base's wheels."""
         return np.array(self._wheel_angles)
 
     def step(
         self,
         reference: Reference | None = None,
         pull: Array | None = None,
-        door: DoorReading | None = None,
+        door: DoorView | None = None,
         holds: Sequence[Hold] = (),
         *,
         forces: PersonForces | None = None,
     ) -> Step:
         """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
 
-        Args:
-            reference: The end-effector's reference, or None while a person guides the arm.
-            pull: (3,) [m] target of a person at the end-effector, in the world, or None.
-            door: State of the opening door, for the record only.
-            holds: Other people who hold the robot, at the end-effector or another point.
-            forces: Forces on the robot that replace the forces of the people's springs. The error
-                of the end-effector still refers to the people's targets.
+        The arguments are the fields of `StepInput`. With `forces`, these forces replace those of
+        the people's springs; the error of the end-effector still refers to the people's targets.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -241,26 +209,26 @@ class Session:
         u_a, command, control = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
         state, distances = self._observe(truth, measurement, control)
-        p_ee = state.p_ee
         if pull is not None:
             holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
         person = own if forces is None else forces
-        target = first_target(holds)
+        p_ee = state.p_ee
+        target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._weights(state)) if self._loads else person.pushes
+        loads = [load.push(state) for (*_, begins), load in self._loads.items() if self.t >= begins]
+        pushes = (*person.pushes, *loads)
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
-        felt = person.hand if door is None else door.force
         step = Step(
             self.t,
             measurement,
             control,
             command,
             target,
-            felt,
+            person.hand if door is None else door.force,
             error,
             self.physics.contacts(),
             duration,
@@ -293,11 +261,6 @@ class Session:
             if each[1] > 0.0
         }
 
-    def _weights(self, state: RobotState) -> list[Push]:
-        """The forces of the loads that act at present."""
-        acting = (load for (*_, begins), load in self._loads.items() if self.t >= begins)
-        return [load.push(state) for load in acting]
-
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
@@ -313,34 +276,25 @@ class Session:
         self.state.update_kinematics(truth)
         return self.state, np.array(self._distances.distances())
 
-    def _disturb(self, config: DisturbanceConfig) -> None:
-        self._disturbances.configure(config)
-        self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
-
     def close(self) -> None:
         """Release the plant."""
         self.physics.close()
+
+    def _disturb(self, config: DisturbanceConfig) -> None:
+        self._disturbances.configure(config)
+        self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
 
 
 class Disturbances:
     """The disturbances between the controller and the robot.
 
-    They convert true sensor values to readings with noise, delay and losses, and base commands to
-    the commands that reach the drive after delay and slip. The error of the arm's masses is in the
-    controller's model (`RobotState`). The unknown load, and the control period that the controller
-    assumes (`stated_period`), are in `Session`.
+    The error of the arm's masses is in the controller's model (`RobotState`). The unknown load, and
+    the control period that the controller assumes (`stated_period`), are in `Session`.
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Start in the state after `reset`.
-
-        Args:
-            config: The disturbances.
-            dt: [s] control step.
-            seed: Seed of the noise and of the lost readings.
-        """
-        self._dt = dt
-        self._seed = seed
+        """Start in the state after `reset`; `dt` [s] is the control step."""
+        self._dt, self._seed = dt, seed
         self._commands: deque[Array] = deque()
         self._sent: deque[Measurement] = deque()
         self.configure(config)
@@ -349,8 +303,7 @@ class Disturbances:
     def configure(self, config: DisturbanceConfig) -> None:
         """Use these disturbances from the next step on.
 
-        If a delay becomes longer, sufficiently old commands and readings do not exist at first.
-        Until they exist, the oldest known command and reading are used.
+        After a delay becomes longer, the oldest known command and reading are used at first.
         """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip, self._stamped = config.slip, config.time_stamps == "yes"
@@ -366,7 +319,7 @@ class Disturbances:
     def reset(self) -> None:
         """Restart the random numbers, and forget all commands and readings."""
         self._rng = np.random.default_rng(self._seed)
-        self._tracking: VelocityTracking | None = None
+        self._tracking = None
         self._commands.clear()
         self._sent.clear()
         self._seen: Measurement | None = None
@@ -375,10 +328,8 @@ class Disturbances:
     def sensed(self, truth: Measurement) -> Measurement:
         """The sensors' readings in a control step; without disturbances, the true values.
 
-        With `encoder_noise`, white noise is added to each joint position. The joint velocities are
-        then computed from the noisy positions by `VelocityTracking`, as on a robot that has only
-        encoders. The base's sensors have no noise. From `begins` on, all readings can be late,
-        repeated or lost.
+        The joint velocities are computed from noisy positions by `VelocityTracking`, as on a robot
+        that has only encoders. The base's sensors have no noise.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -409,11 +360,9 @@ class Disturbances:
         return self._seen
 
     def arriving(self, command: Array) -> Array:
-        """The base command (n_b,) [m/s or rad/s] that takes effect after delay and slip.
+        """The base command (n_b,) [m/s or rad/s] after delay and slip; zero before the first one.
 
-        Args:
-            command: (n_b,) [m/s or rad/s] the controller's command in this control step. Until the
-                first command arrives, the result is zero.
+        `command` (n_b,) is the controller's command in this control step.
         """
         commands = self._commands
         commands.append(command)
@@ -430,12 +379,10 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """Start as after a long motion with the constant velocities `qd` to the positions `q`.
+        """Start as after a long motion with constant velocities.
 
-        Args:
-            q: (n,) [rad or m] positions.
-            qd: (n,) [rad/s or m/s] velocities.
-            dt: [s] time between two calls of `update`.
+        `q` (n,) [rad or m] and `qd` (n,) are the present positions and velocities; `dt` [s] is the
+        time between two calls of `update`.
         """
         pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
@@ -453,8 +400,7 @@ class VelocityTracking:
 def check_posture(model: RobotModel, q_m: Array) -> None:
     """Check that no joint position (n_m,) is beyond a limit: a plant would push the joint back.
 
-    Raises:
-        TargetError: The number of joints is wrong, or a joint is beyond its position limits.
+    A wrong number of joints, or a joint beyond its limits, raises a TargetError.
     """
     if len(q_m) != model.n_m:
         raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")

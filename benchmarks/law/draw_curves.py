@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.optimize import least_squares
 
 from app.errors import StudyError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
-from app.simulation.scenarios.posture import best_posture
 from benchmarks.law.curves import Curve, Point
 from benchmarks.law.options import Options
 from benchmarks.law.robot import load
@@ -23,6 +23,7 @@ from benchmarks.law.starts import kept, place_beside, posture
 Array = np.ndarray
 
 KINDS = "towards", "diagonal", "arc"
+_EVALUATIONS = 60  # [-] largest number of evaluations of the residual
 _TRIES = 400  # [-] largest number of random curves for a case
 _DURATION = 2.0, 10.0  # [s] range of the duration of a curve
 _SPEED = 0.25  # [m/s] largest mean speed of the end-effector
@@ -147,5 +148,13 @@ def _nearest(state: RobotState, target: pin.SE3, guess: Array) -> Array | None:
         J = state.J_ee[:, model.n_b :]
         return -pin.Jlog6(pin.exp6(-error)) @ np.vstack([R @ J[:3], R @ J[3:]])
 
-    q = best_posture(residual, jacobian, guess, (model.q_lower, model.q_upper))
+    low, high = model.q_lower, model.q_upper
+    inside = np.clip(guess, low + 1e-6, high - 1e-6)
+    q = least_squares(
+        residual,
+        inside,
+        jacobian,  # pyright: ignore[reportArgumentType] - a function is valid
+        bounds=(low, high),
+        max_nfev=_EVALUATIONS,
+    ).x
     return q if float(np.abs(residual(q)).max()) < _REACHED else None

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from app.robot.link_pairs import PairDistances
-from app.robot.state import RobotState, at_rest
-from app.simulation.scenarios.posture import FloorDistance
+from app.simulation.scenarios.posture import PostureSearch
 from benchmarks.law.robot import Robot
 
 Array = np.ndarray
@@ -19,8 +18,7 @@ def posture_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
     """(n_m,) random joint positions with the arm inside the base's buffer and without contact."""
     model, pairs, d_b = robot.model, robot.data.pairs, robot.config.border.d_b
     reader, n = PairDistances(model, pairs.all), robot.n_mobile
-    state = RobotState(model)
-    floor = FloorDistance(state)
+    search = PostureSearch(model, pairs, d_b)
     margin = _MARGIN * (model.q_upper - model.q_lower)
     while True:
         q = rng.uniform(model.q_lower + margin, model.q_upper - margin)
@@ -28,6 +26,6 @@ def posture_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
         d = [reader.distance(i) for i in range(len(reader.pairs))]
         if min(d) < _NEAR or min(d[:n]) > d_b - _NEAR:
             continue
-        state.update_kinematics(at_rest(model, q))
-        if floor.smallest() > 0.0:
+        search.place(q)
+        if search.above_floor() > 0.0:
             return q

@@ -17,9 +17,9 @@ from app.dashboard.scene.colours import Rgb, linear
 from app.dashboard.verdict import COLOURS, Verdict
 from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
-from app.simulation.plants.door import drawn_parts
+from app.simulation.plants.door import DoorView, drawn_parts
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import DoorView, GhostReading, PairReading, Snapshot
+from app.simulation.trace.snapshot import GhostReading, PairReading, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 

@@ -1,8 +1,8 @@
 """Commands to the live loop: immutable records that check their values, and their mailbox.
 
 The constructor of a command with an invalid value raises a ConfigError, an UnknownNameError for a
-name, or a TargetError for a position. The type checker checks the types. If the loop cannot execute
-a command later, a snapshot's `refusal` reports the reason.
+name, or a TargetError for a position. If the loop cannot execute a command later, a snapshot's
+`refusal` reports the reason.
 """
 
 import math
@@ -69,7 +69,6 @@ class Release(Command):
     """A person releases the robot; a scenario continues."""
 
     who: int
-    """Number of the person."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,6 @@ class Choose(Adjustment):
     """Use this controller for the main robot from now on."""
 
     controller: str
-    """Name of the controller."""
 
     def __post_init__(self) -> None:
         check_name("controller", self.controller, CONTROLLERS)
@@ -102,7 +100,6 @@ class Watch(Adjustment):
     """Report whether a viewer is connected; without a viewer the simulation pauses."""
 
     watched: bool
-    """Whether a viewer is connected."""
 
 
 @dataclass(frozen=True)
@@ -188,15 +185,9 @@ class Mailbox:
         """Event that is set while commands wait."""
 
     def put(self, command: Command, links: Collection[str]) -> None:
-        """Add a command.
+        """Add a command; a pull whose link is not in `links` raises an UnknownNameError.
 
-        Args:
-            command: The command.
-            links: Names of the frames at which people can hold the arm.
-
-        Raises:
-            UnknownNameError: A pull's link is not in `links`.
-            LoopError: `MAX_WAITING` commands wait, and it is the pull of a further person.
+        While `MAX_WAITING` commands wait, the pull of a further person raises a LoopError.
         """
         pulls, key = isinstance(command, Pull), _key(command)
         if pulls and command.link is not None:

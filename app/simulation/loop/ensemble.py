@@ -28,12 +28,9 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start at the free start.
+        """Start at the free start, with the joint positions `q_start` (n_m,) [rad or m] of the arm.
 
-        Args:
-            free: The session for free motion; its parameters, plant and seed also apply to all
-                scenarios.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start.
+        The parameters, plant and seed of the session `free` also apply to all scenarios.
         """
         self._free = free
         self._led = Runner(free, None)
@@ -54,11 +51,7 @@ class Ensemble:
 
     @property
     def main(self) -> Session:
-        """The session of the main robot.
-
-        A scenario in which the end-effector holds an object has a separate session. At all other
-        times it is the free session.
-        """
+        """The session of the main robot; separate if the end-effector holds an object."""
         return self._led.session
 
     @property
@@ -81,14 +74,9 @@ class Ensemble:
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again without a scenario.
+        """Start again without a scenario; the arguments are those of the command `Reset`.
 
-        Args:
-            q_m: (n_m,) [rad or m] joint positions of the arm; empty means the free start.
-            base_pose: (3,) x, y [m] and heading [rad] of the base; ignored if `q_m` is empty.
-
-        Raises:
-            TargetError: The posture is invalid (`check_posture`); then the present run continues.
+        If the posture is invalid, this raises a TargetError, and the present run continues.
         """
         begun = self._start
         if q_m:
@@ -97,48 +85,32 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Start the last scenario again; if the last start had none, repeat the last `reset`.
-
-        Raises:
-            DbbError: The scenario cannot start with the present configuration.
-        """
+        """Repeat the last start, as `play` or `reset`."""
         if self.scenario is None:
             self._enter(self._begun, None)
         else:
             self.play(self.scenario)
 
     def play(self, scenario: Scenario) -> None:
-        """Start a scenario.
-
-        Raises:
-            DbbError: The scenario cannot start; then nothing has changed.
-        """
+        """Start a scenario; raises a DbbError, without a change, if it cannot start."""
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
 
-        Raises:
-            ConfigError: The control period is too long for a gain; then nothing has changed.
+        If the control period is too long for a gain, this raises a ConfigError, without a change.
         """
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods, so only the first can refuse
             runner.session.configure(adapted)
         self._config = config
 
-    def choose(self, controller: str) -> None:
-        """Let the main robot use the controller with this name from the next step on."""
-        self.main.controller.use(controller)
-
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
 
         While a scenario moves the robot, and after it if the end-effector still holds the door, the
-        comparison starts at the scenario's start. At all other times it starts at the present
-        posture, at rest.
-
-        Raises:
-            DbbError: The robots cannot start there; then nothing has changed.
+        comparison starts at the scenario's start; at all other times at the present posture, at
+        rest. If the robots cannot start there, this raises a DbbError, without a change.
         """
         if not comparison.controllers:
             self.comparison = comparison
@@ -153,8 +125,7 @@ class Ensemble:
     def pull(self, pull: Pull) -> None:
         """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
 
-        Raises:
-            TargetError: The largest number of people already holds the robot.
+        If the largest number of people already holds the robot, this raises a TargetError.
         """
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
@@ -181,12 +152,9 @@ class Ensemble:
         return step
 
     def scores(self) -> tuple[Score, ...]:
-        """Scores of the main robot and the ghosts since the start of the comparison; () without
-        ghosts. Steps after the end of a scenario's motion do not count.
-        """
-        if not self.ghosts:
-            return ()
-        return tuple(runner.score() for runner in (self._led, *self.ghosts))
+        """Scores of the main robot and the ghosts since the start of the comparison, if any."""
+        compared = (self._led, *self.ghosts) if self.ghosts else ()
+        return tuple(runner.score() for runner in compared)
 
     def close(self) -> None:
         """Release all plants."""
@@ -270,13 +238,7 @@ class Runner:
         self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """Execute one control step.
-
-        Args:
-            holds: People who hold the robot.
-            forces: The people's forces on the main robot, to exert the same forces on this robot.
-                With None, the people's springs determine the forces on this robot.
-        """
+        """Execute one control step, as in `Session.step`."""
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:

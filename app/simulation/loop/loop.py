@@ -45,11 +45,7 @@ class LoopHandle:
         self._begun = True
 
     def start(self) -> None:
-        """Call `begin`, if necessary, and wait for the first snapshot.
-
-        Raises:
-            LoopError: The session cannot be made.
-        """
+        """Begin and wait for the first snapshot; raises a LoopError if there is no session."""
         if not self._begun:
             self.begin()
         self._ready.wait()
@@ -70,12 +66,8 @@ class LoopHandle:
     def send(self, command: commands.Command) -> None:
         """Send a command, which the loop executes before one of the next control steps.
 
-        If a new command replaces a waiting one, such as an older pull of the same person, only the
-        new one is executed; `Mailbox` has the rules.
-
-        Raises:
-            UnknownNameError: A pull's link is not in `links`.
-            LoopError: 64 commands wait, and this command is the pull of a further person.
+        It can replace a waiting command, such as an older pull of the same person. `Mailbox.put`
+        has the rules and the errors.
         """
         self._mailbox.put(command, self.links)
 
@@ -103,11 +95,9 @@ class SimulationLoop(LoopHandle):
     ) -> None:
         """Prepare the loop; `start` starts it.
 
-        Args:
-            make_session: Called once, in the loop's own thread, which then owns the session.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: when the loop
-                starts, and after a `Reset` without a posture.
-            stored: Largest number of snapshots in `history`.
+        `make_session` is called once, in the loop's own thread, which then owns the session. The
+        arm is at `q_start` (n_m,) [rad or m] when the loop starts, and after a `Reset` without a
+        posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)
@@ -205,7 +195,7 @@ class SimulationLoop(LoopHandle):
         elif isinstance(command, commands.Configure):
             ensemble.configure(command.config)
         elif isinstance(command, commands.Choose):
-            ensemble.choose(command.controller)
+            ensemble.main.controller.use(command.controller)
         elif isinstance(command, commands.Pause):
             self._paused = command.paused
             self._pacer.restart()

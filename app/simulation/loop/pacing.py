@@ -19,32 +19,22 @@ class Pacer:
     """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
-        """Start the schedule now.
-
-        Args:
-            period: [s] simulated duration of a step.
-            speed: [-] desired ratio of simulated to real time.
-        """
+        """Start the schedule now; `period` [s] is the simulated duration of a step."""
         self._period = period
         self.speed = speed
         """[-] desired ratio of simulated to real time; `restart` must follow a change."""
         self.overruns = 0
         """Number of steps that took longer than the period, or started after their period's end."""
-        self._marks: deque[tuple[float, int]] = deque()
+        self._marks: deque[float] = deque()  # [s] ends of the steps in the window
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
-        self._steps = 0
         self.restart()
 
     def restart(self) -> None:
         """Start a new schedule now, as after a pause."""
+        self._real = self._period / self.speed  # [s] real time of a step
         self._begun = perf_counter()
         self._due = self._begun + self._real
         self._marks.clear()
-
-    @property
-    def _real(self) -> float:
-        """[s] real time of a step."""
-        return self._period / self.speed
 
     def worked(self, duration: float) -> None:
         """Record the real time [s] of the controller in this step."""
@@ -53,9 +43,8 @@ class Pacer:
     def wait(self) -> None:
         """End a step: sleep until the end of its period, or continue at once if it has passed."""
         now = perf_counter()
-        self._steps += 1
-        self._marks.append((now, self._steps))
-        while len(self._marks) > 2 and now - self._marks[0][0] > _WINDOW:
+        self._marks.append(now)
+        while len(self._marks) > 2 and now - self._marks[0] > _WINDOW:
             self._marks.popleft()
         if now - self._begun > self._real or self._begun > self._due:
             self.overruns += 1
@@ -72,8 +61,8 @@ class Pacer:
         """[-] ratio of simulated to real time in the last second; at first, the desired ratio."""
         if len(self._marks) < 2:
             return self.speed
-        (begin, first), (end, last) = self._marks[0], self._marks[-1]
-        return (last - first) * self._period / max(end - begin, 1e-9)
+        passed = self._marks[-1] - self._marks[0]
+        return (len(self._marks) - 1) * self._period / max(passed, 1e-9)
 
     @property
     def step_time_us(self) -> float:
@@ -85,9 +74,9 @@ class Pacer:
 def gc_frozen() -> Iterator[None]:
     """Exclude existing objects from garbage collection during the `with`.
 
-    A run creates few objects, but a robot's border has many, and the collector takes milliseconds
-    to scan the border. A nested call has no effect. Afterwards the collector includes all objects
-    again. Without this, solvers in reference cycles would be reported as leaks.
+    The collector takes milliseconds to scan the many objects of a robot's border. A nested call has
+    no effect. Afterwards the collector includes all objects again; otherwise solvers in reference
+    cycles would be reported as leaks.
     """
     outermost = gc.get_freeze_count() == 0
     if outermost:

@@ -38,11 +38,11 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 def loop_child() -> Child:
     """Start a process that waits for a session to simulate.
 
-    The imports of the process take one or two seconds; therefore a caller can start the process
-    early, and pass it to a `ProcessLoop` later. The process first receives a function that makes
-    the session, together with the arm's start posture; then it receives commands. It sends the
-    outcome of the start (the names of the frames at which people can hold the arm), then snapshots,
-    and None as a heartbeat while there are none. After a failure it sends an outcome with an error.
+    Its imports take one or two seconds; therefore a caller can start the process early, and pass it
+    to a `ProcessLoop` later. The process receives a function that makes the session with the arm's
+    start posture, then commands. It sends the outcome of the start (the names of the frames at
+    which people can hold the arm), then snapshots, and None as a heartbeat while there are none.
+    After a failure it sends an outcome with an error.
     """
     return Child(_run_loop)
 
@@ -53,14 +53,10 @@ class ProcessLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
-        """Prepare the loop; `start` starts it.
+        """Prepare the loop, as in `SimulationLoop`.
 
-        Args:
-            make_session: Called once in the child; must be picklable, such as
-                `functools.partial(Session, model, data, config)`.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: when the loop
-                starts, and after a `Reset` without a posture.
-            child: A process of `loop_child`; default: a new process.
+        `make_session` must be picklable, such as `functools.partial(Session, model, data, config)`.
+        `child` is a process of `loop_child`; default: a new process.
         """
         super().__init__()
         self._stopping = threading.Event()
@@ -87,11 +83,7 @@ class ProcessLoop(LoopHandle):
             thread.join(_PATIENCE)
 
     def _send(self, child: Child) -> None:
-        """Send commands to the child at intervals.
-
-        Many commands in a short time wait in the mailbox, where they replace one another, and not
-        in the pipe.
-        """
+        """Send commands at intervals, so that they replace one another in the mailbox."""
         try:
             child.sender.send(self._task)
             self._task = None  # frees the robot and its border
@@ -159,9 +151,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
     """Forward commands and snapshots until the loop fails; then send the loop's exception.
 
-    Raises:
-        EOFError: The parent has closed its end.
-        OSError: The parent has ended.
+    If the parent has closed its end or has ended, this raises an EOFError or an OSError.
     """
     posted, beat = None, monotonic()
     while loop.error is None:

@@ -23,10 +23,9 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant with a present or former name; None means the default plant.
+    """The present name of a plant with a present or former name, by default of `default_plant`.
 
-    Raises:
-        UnknownNameError: The plant does not exist.
+    If the plant does not exist, this raises an UnknownNameError.
     """
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
@@ -36,18 +35,13 @@ def chosen_plant(name: str | None) -> str:
 def make_physics(
     kind: str | None, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
 ) -> Physics:
-    """Make a plant, at rest in the robot's ready posture.
+    """Make the plant `kind` with steps of `dt` [s], at rest in the robot's ready posture.
 
-    Args:
-        kind: Name of the plant, as for `chosen_plant`.
-        model: The robot.
-        dt: [s] duration of one step.
-        door: A door that the end-effector holds after each reset, or None.
+    The end-effector holds a `door` after each reset.
 
     Raises:
         UnknownNameError: The plant does not exist.
-        ConfigError: The plant does not suit the door or the kind of base, or needs pybullet, which
-            is not installed.
+        ConfigError: The plant does not suit the door or the base, or pybullet is not installed.
         AssetError: A mesh is missing, or pybullet cannot load the robot.
         RobotFileError: As for `collision_shapes`, with MuJoCo.
     """

@@ -17,7 +17,7 @@ from app.robot.urdf import origin
 from app.simulation.plants.bullet_world import BulletWorld, pybullet
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
-from app.simulation.plants.interface import HeldDoor, PlanarWorld, Push, Wrench
+from app.simulation.plants.interface import HeldDoor, Push, Wrench
 from app.strict import Array
 
 _AWAY = (100.0, 0.0)  # [m] place at which the refrigerator is loaded, far from the robot
@@ -28,15 +28,15 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _DOOR = 0  # pybullet's index of the door's link and of its hinge
 
 
-class BulletRobot(BulletWorld, PlanarWorld):
-    """A `PlanarWorld` in pybullet."""
+class BulletRobot(BulletWorld):
+    """A robot on planar joints in pybullet.
+
+    Positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world, then of the
+    arm's joints. `door` is as in `Physics`.
+    """
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
-        """Load the robot.
-
-        Raises:
-            AssetError: A mesh is missing, or pybullet cannot load the robot.
-        """
+        """Load the robot; a missing mesh, or an error of pybullet, raises an AssetError."""
         description = model.description
         super().__init__(_plant_urdf(description), dt)
         self.allow_contacts(link_contact_pairs(description))
@@ -53,6 +53,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         self.door = None if door is None else BulletDoor(self, model, door)
 
     def reset(self, q: Array) -> None:
+        """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps any `door`."""
         if self.door is not None:
             self.door.release()
         self.rewind()
@@ -62,6 +63,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
             self.door.reset()
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
+        """Copies of position (3,) and velocity (3,) of x, y and yaw, and of q_m and q̇_m (n_m,)."""
         states = self.client.getJointStates(self.robot, self.moving)
         q, v = [state[0] for state in states], [state[1] for state in states]
         return np.array(q[:3]), v[:3], np.array(q[3:]), np.array(v[3:])
@@ -69,6 +71,10 @@ class BulletRobot(BulletWorld, PlanarWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
+        """Advance by one step, as in `Physics.step`.
+
+        `speeds` (3,) [m/s, m/s, rad/s] are the commanded speeds of x, y and yaw in the world.
+        """
         self.client.setJointMotorControlArray(
             self.robot,
             self._planar,
@@ -85,6 +91,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         self.client.stepSimulation()
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """The engine's mass matrix (3 + n_m, 3 + n_m) and bias forces (3 + n_m,) at q and v."""
         order = np.argsort(np.argsort(self.moving))  # pybullet orders joints by their indices
         ordered = np.empty((2, len(q)))
         ordered[:, order] = q, v
@@ -112,7 +119,7 @@ class BulletDoor(HeldDoor):
     """
 
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
-        """Load the refrigerator; `reset` puts it in place with the door at the initial angle."""
+        """Load the refrigerator; `reset` puts it in place."""
         self.door, self._start = start
         self._client = client = world.client
         self._robot = world.robot
@@ -148,13 +155,27 @@ class BulletDoor(HeldDoor):
             self._grasp = None
 
     def reset(self) -> None:
-        """Put the refrigerator in place, with its door at the initial angle, and grasp the door."""
+        """Put the refrigerator in place, with its door at the initial angle, and grasp the door.
+
+        Call `release` before.
+        """
         client = self._client
         pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])
         client.resetBaseVelocity(self.body, (0, 0, 0), (0, 0, 0))
         client.resetJointState(self.body, _DOOR, -self.door.side * self._start, 0.0)
-        self._take_hold()
+        T_ee = self._tip_pose()
+        links = (self._robot, self._tip), (self.body, _DOOR)
+        frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
+        self._grasp = client.createConstraint(
+            *links[0],
+            *links[1],
+            pybullet.JOINT_FIXED,
+            [0, 0, 0],
+            *(frame[:3].tolist() for frame in frames),
+            *(frame[3:].tolist() for frame in frames),
+        )
+        client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
     def angle(self) -> float:
         return -self.door.side * self._client.getJointState(self.body, _DOOR)[0]
@@ -166,22 +187,6 @@ class BulletDoor(HeldDoor):
             return Wrench(np.zeros(3), np.zeros(3))
         R = self._tip_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
-
-    def _take_hold(self) -> None:
-        """Fix the end-effector to the door at the present poses of both."""
-        self.release()
-        T_ee = self._tip_pose()
-        links = (self._robot, self._tip), (self.body, _DOOR)
-        frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
-        self._grasp = self._client.createConstraint(
-            *links[0],
-            *links[1],
-            pybullet.JOINT_FIXED,
-            [0, 0, 0],
-            *(frame[:3].tolist() for frame in frames),
-            *(frame[3:].tolist() for frame in frames),
-        )
-        self._client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
     def _com_pose(self, body: int, link: int) -> pin.SE3:
         """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""
@@ -208,12 +213,11 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links that are fixed to one another and have contacts with the same parts.
+    """Merge fixed links that have contacts with the same parts, or no collision shape.
 
-    Two links have contacts with the same parts if the same body covers both, and both are nested
-    with the same links. A link without a collision shape is merged too. pybullet treats each link
-    as a joint, simulates all joints, and is limited to 128. The end-effector's link is not merged
-    into its parent, because pulls are expressed in the frame of this link.
+    Links have contacts with the same parts if the same body covers them, and they are nested with
+    the same links. pybullet treats each link as a joint, and is limited to 128. The end-effector's
+    link is not merged into its parent, because pulls are expressed in the frame of this link.
     """
     nested = description.nested
     touched = {

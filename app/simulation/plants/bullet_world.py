@@ -88,14 +88,9 @@ class BulletWorld:
     """A robot in a separate client; all indices are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot and a floor.
+        """Load a robot from the text of a URDF with absolute paths, and a floor.
 
-        Args:
-            urdf: Text of the robot's URDF, with absolute paths of meshes.
-            dt: [s] duration of one step.
-
-        Raises:
-            AssetError: pybullet cannot load the URDF; a ConfigError if pybullet is not installed.
+        An error of pybullet raises an AssetError; a missing pybullet raises a ConfigError.
         """
         self.client, self._open = Client(), True
         # pybullet caches a file by its descriptor, which the system can give to a later file.
@@ -123,12 +118,9 @@ class BulletWorld:
     def load(
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
-        """Load a body without damping, and return its index.
+        """Load a body without damping, and return its index; `place` (3,) [m] is the root's.
 
-        Args:
-            urdf: Text of the body's URDF.
-            place: (3,) [m] position of the root.
-            self_collision: Whether the links can touch; the root is then fixed.
+        With `self_collision` the links can touch, and the root is fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:
@@ -156,10 +148,7 @@ class BulletWorld:
             self.allow(places[a], places[b], pairs.get((a, b)) or pairs.get((b, a)))
 
     def allow(self, a: tuple[int, int], b: tuple[int, int], group: str | None) -> None:
-        """Let two links touch if `group`, the field of `Contacts`, is not None.
-
-        `a` and `b` are the indices of each link's body and of the link.
-        """
+        """Let the links `a` and `b` (indices of body and link) touch if `group` is not None."""
         (body_a, link_a), (body_b, link_b) = a, b
         self.client.setCollisionFilterPair(body_a, body_b, link_a, link_b, int(bool(group)))
         if group:
@@ -183,7 +172,7 @@ class BulletWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] distance from `begins` to the first hit before `ends`, as in `PlanarWorld`."""
+        """(n,) [m] distance from each `begins` to the first hit before `ends`, or infinity."""
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares

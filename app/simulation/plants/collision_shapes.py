@@ -66,8 +66,8 @@ class CollisionShapes(NamedTuple):
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
     """Pairs of bodies between which contacts are computed.
 
-    A body in `reachability` has a pair with l_m and a pair with the floor. Two bodies of the
-    arm are a pair if they are not neighbours in the chain and the pair is not in `unwatched`.
+    A body in `reachability` has a pair with l_m and a pair with the floor. Two bodies of the arm
+    are a pair if they are not neighbours in the chain, and not in `unwatched`.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -81,11 +81,7 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links between which contacts are computed.
-
-    For each pair of bodies in `body_contact_pairs`, each link of one body forms a pair with each
-    link of the other body. Pairs in `description.nested` are left out. The floor is one link.
-    """
+    """Pairs of links in bodies of a pair of `body_contact_pairs`, without those in `nested`."""
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {
@@ -100,12 +96,8 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
 def collision_shapes(model: RobotModel) -> CollisionShapes:
     """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed.
 
-    A warning in the log reports the use of the bodies, which are larger than the links. The shapes
-    are cached, because the meshes take half of the time that a plant needs to start.
-
-    Raises:
-        RobotFileError: Reading the meshes of a user's own robot takes more time or memory than
-            `within_budget` allows.
+    They are cached, because the meshes take half of the time that a plant needs to start. If the
+    meshes of a user's own robot exceed the limits of `within_budget`, this raises a RobotFileError.
     """
     description = model.description
     try:
@@ -146,10 +138,7 @@ def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
 
 
 def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
-    """A shape as a list of convex shapes.
-
-    As in pybullet, an OBJ file with several named objects or groups has a hull for each of these.
-    """
+    """Convex shapes of a shape: as in pybullet, an OBJ file has a hull for each object or group."""
     if not placed.meshPath.lower().endswith(".obj"):
         return [placed.geometry]
     points: list[list[float]] = []

@@ -128,17 +128,21 @@ class Door:
         )
 
 
-class DoorReading(NamedTuple):
-    """Readings while the end-effector opens a door."""
+class DoorView(NamedTuple):
+    """A door that the end-effector holds; after the scenario, unknown values are NaN."""
 
+    door: Door
+    """The door's constant geometry; `door.pose(angle)` is T_world_door."""
     angle: float
-    """[rad] opening angle of the door."""
+    """[rad] opening angle."""
     force: Array
-    """(3,) [N] force of the end-effector on the door, in the world."""
-    radial_force: float
+    """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
+    radial_force: float = math.nan
     """[N] component of the force towards the true position of the hinge."""
-    radial_error: float
+    radial_error: float = math.nan
     """[rad] error of the estimated radial direction, positive counter-clockwise."""
+    contact: bool = False
+    """Whether the door touches the base."""
 
 
 class OpenDoor(NamedTuple):
@@ -172,10 +176,7 @@ class Cabinet:
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:
-    """Size [m] and pose in the world of the boxes that represent a refrigerator.
-
-    The door is open by `angle` [rad].
-    """
+    """Size [m] and pose in the world of a refrigerator's boxes; its door is open by an angle."""
     cabinet, opened = Cabinet(door), door.pose(angle)
     handle = door.pose(0.0).actInv(door.handle(0.0)).translation
     return {
@@ -193,15 +194,6 @@ def with_door(
     The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
     grasp is rigid. The door has the reachability coefficients of the last body that has any, and no
     sampled border; the acting point is found on the exact offset surface of l_m.
-
-    Args:
-        model: The robot without the door.
-        data: The border data of that robot.
-        door: The door.
-        T_ee_door: Pose of the door's frame in the end-effector's frame.
-
-    Returns:
-        The robot with the door, and its border data.
     """
     description = model.description
     link = description.arm.end_effector_link

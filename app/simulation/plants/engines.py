@@ -8,8 +8,8 @@ import numpy as np
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.plants.interface import Contacts, PlanarWorld
-from app.simulation.plants.planar import planar_plant
+from app.simulation.plants.interface import Contacts
+from app.simulation.plants.planar import Planar, planar_plant
 from app.strict import Array
 
 SAME_DEPTH = 0.005
@@ -32,10 +32,8 @@ class Difference(NamedTuple):
     depth: float
     """[m] depth of the deepest contact that exists in only one engine."""
     contacts: int
-    """Number of contacts that both engines report; each kind of contact (a field of `Contacts`)
-    counts at most once in each posture."""
+    """Number of contacts that both engines report, at most one of each kind in each posture."""
     postures: int
-    """Number of compared postures."""
 
 
 def compare_engines(
@@ -43,19 +41,10 @@ def compare_engines(
 ) -> Difference:
     """Put both planar plants into random postures, and compare contacts and pictures.
 
-    Args:
-        model: The robot.
-        postures: Number of postures.
-        pictures: Number of postures with pictures, from three sides each.
-        seed: Seed of the random postures.
-
-    Raises:
-        AssetError: A mesh is missing, or pybullet cannot load the robot.
-        ConfigError: pybullet is not installed.
-        RobotFileError: As for `collision_shapes`.
+    In the first `pictures` postures, the pictures are taken from three sides each. This raises the
+    errors of `make_physics`.
     """
     plants = planar_plant("pybullet", model), planar_plant("mujoco", model)
-    worlds = plants[0].world, plants[1].world
     state, rng = RobotState(model), np.random.default_rng(seed)
     picture = depth = 0.0
     both = 0
@@ -66,10 +55,10 @@ def compare_engines(
                 plant.reset(base, q_m)
             state.update(plants[0].measure())
             if k < pictures:
-                picture = max(picture, *(_picture(worlds, base, side) for side in _SIDES))
+                picture = max(picture, *(_picture(plants, base, side) for side in _SIDES))
             for plant in plants:
                 plant.step(state.g[model.n_b :], np.zeros(model.n_b), np.zeros(3))
-            one, other = (world.depths() for world in worlds)
+            one, other = (plant.world.depths() for plant in plants)
             for group in Contacts._fields:
                 a, b = (any_ in found for any_, found in ((group, one), (group, other)))
                 both += a and b
@@ -81,9 +70,7 @@ def compare_engines(
     return Difference(picture, depth, both, postures)
 
 
-def _picture(
-    worlds: tuple[PlanarWorld, PlanarWorld], base: Array, side: tuple[float, ...]
-) -> float:
+def _picture(plants: tuple[Planar, Planar], base: Array, side: tuple[float, ...]) -> float:
     """[-] share of the rays to the robot with different hits, in a parallel projection."""
     forward = -np.array(side) / np.linalg.norm(side)
     right = np.cross(forward, (0.0, 0.0, 1.0))
@@ -92,10 +79,10 @@ def _picture(
     grid = np.linspace(-_HALF, _HALF, _PIXELS)
     begins = np.array([*base[:2], _MIDDLE]) - _FAR * forward
     begins = begins + np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2) @ across
-    way, (bullet, other) = 2 * _FAR * forward, worlds
-    one = bullet.seen(begins, begins + way)
+    way, (bullet, other) = 2 * _FAR * forward, plants
+    one = bullet.world.seen(begins, begins + way)
     beside = [begins + _EDGE * (u * across[0] + v * across[1]) for u, v in _BESIDE]
-    others = np.array([other.seen(each, each + way) for each in beside])
+    others = np.array([other.world.seen(each, each + way) for each in beside])
     nearest, farthest = others.min(axis=0), others.max(axis=0)
     floor = -begins[:, 2] / forward[2] - _SAME_PLACE
     on_robot = (one < floor) | (others[0] < floor)

@@ -11,16 +11,14 @@ from app.strict import Array
 
 
 class Contacts(NamedTuple):
-    """Contacts in the last step: of `body_contact_pairs`, and of a door that the robot holds."""
+    """Whether parts touched in the last step: those of `body_contact_pairs`, or a held door."""
 
     arm_base: bool = False
-    """Whether arm and base touch."""
     arm_arm: bool = False
-    """Whether two parts of the arm touch that are not neighbours."""
+    """Two parts of the arm that are not neighbours."""
     arm_floor: bool = False
-    """Whether arm and floor touch."""
     door_base: bool = False
-    """Whether the base and a door that the end-effector holds touch."""
+    """The base, and a door that the end-effector holds."""
 
     @classmethod
     def of(cls, groups: Iterable[str]) -> Self:
@@ -64,12 +62,7 @@ class HeldDoor(ABC):
 
 
 class Physics(ABC):
-    """A plant with a velocity-controlled base and a torque-controlled arm.
-
-    The world's floor is z = 0. Implementations: the module `planar` with pybullet (the default if
-    pybullet is installed) or with MuJoCo, `mujoco_wheels`, and `kinematic` (a simple plant for
-    tests).
-    """
+    """A plant with a velocity-controlled base and a torque-controlled arm, on the floor z = 0."""
 
     dt: float
     """[s] duration of one step."""
@@ -80,9 +73,8 @@ class Physics(ABC):
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """Put the robot at rest; the end-effector grasps the door, if there is one.
 
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
-            q_m: (n_m,) [rad or m] joint positions of the arm.
+        `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
+        positions.
         """
 
     @abstractmethod
@@ -95,12 +87,10 @@ class Physics(ABC):
     ) -> None:
         """Advance by `dt`.
 
-        Args:
-            u_a: (n_m,) [N m or N] torques of the arm, constant during the step.
-            base_velocity: (n_b,) [m/s or rad/s] command along the base's axes; the drive follows
-                with the description's time constant and limits.
-            hand_force: (3,) [N] force of people on the end-effector's origin, in the world.
-            pushes: Forces on other points of the arm.
+        The torques `u_a` (n_m,) [N m or N] of the arm are constant meanwhile. The drive follows the
+        command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
+        limits. `hand_force` (3,) [N] acts on the end-effector's origin, in the world, `pushes` on
+        other points of the arm.
         """
 
     @abstractmethod
@@ -109,53 +99,3 @@ class Physics(ABC):
 
     def close(self) -> None:  # noqa: B027 - most plants have no resources
         """Release the plant's resources."""
-
-
-class PlanarWorld(ABC):
-    """A robot on planar joints in an engine.
-
-    Positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world, then of the
-    arm's joints. `door` is as in `Physics`.
-    """
-
-    door: HeldDoor | None
-
-    @abstractmethod
-    def reset(self, q: Array) -> None:
-        """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps any `door`."""
-
-    @abstractmethod
-    def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Copies of position (3,) and velocity (3,) of x, y and yaw, and of q_m and q̇_m (n_m,)."""
-
-    @abstractmethod
-    def step(
-        self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push]
-    ) -> None:
-        """Advance by one step.
-
-        `speeds` (3,) [m/s, m/s, rad/s] are the commanded speeds of x, y and yaw in the world; the
-        other arguments are those of `Physics.step`.
-        """
-
-    @abstractmethod
-    def contacts(self) -> Contacts:
-        """Contacts in the last step."""
-
-    @abstractmethod
-    def depths(self) -> dict[str, float]:
-        """[m] depth of the deepest contact of each present kind, by the fields of `Contacts`."""
-
-    @abstractmethod
-    def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] distance from the start of each ray to the first hit of any body or the floor.
-
-        The rays go from `begins` (n, 3) to `ends` (n, 3) [m]; infinite for a ray without a hit.
-        """
-
-    @abstractmethod
-    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The engine's mass matrix (3 + n_m, 3 + n_m) and bias forces (3 + n_m,) at q and v."""
-
-    def close(self) -> None:  # noqa: B027 - most engines have no resources
-        """Release the engine's resources."""

@@ -34,9 +34,10 @@ class Kinematic(Physics):
     def __init__(self, model: RobotModel, *, dt: float = 0.001) -> None:
         """Start at rest in the robot's ready posture; `dt` [s] is the duration of one step."""
         self.dt = dt
-        self._model = model
-        self._state = RobotState(model)
-        self._overlaps = _Overlaps(model)
+        self._model, self._state, self._data = model, RobotState(model), model.pin.createData()
+        self._geometry, self._group_of = _contact_geometry(model)
+        self._results = pin.GeometryData(self._geometry)
+        self._distances = distance_view(self._results.distanceResults)
         self._drive = Drive(model.description.base, dt)
         self._T = model.description.base.T
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
@@ -74,7 +75,12 @@ class Kinematic(Physics):
         """Overlaps of the convex bodies, which are larger than the links."""
         if not self._stepped:
             return NO_CONTACTS
-        return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
+        q, arm = self._model.configuration(self._base_pose, self._q), self._model.pin
+        pin.computeDistances(arm, self._data, self._geometry, self._results, q)
+        overlaps = self._distances <= 0.0
+        if not np.count_nonzero(overlaps):
+            return NO_CONTACTS
+        return Contacts.of(compress(self._group_of, overlaps))
 
     def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
         """(n_m,) [N m or N] Σ J_aᵀ f, the joint torques of the forces on the arm."""
@@ -100,20 +106,11 @@ def _move_arm(
     upper: Array,
     dt: float,
 ) -> None:
-    """Integrate the arm's rows of the equation of motion over one step. The joints have ideal
-    stops: each joint that would leave its range in this step moves to its nearer limit.
+    """Integrate the arm's rows of the equation of motion over one step, changing q and q̇ in place.
 
-    Args:
-        M: (n, n) inertia matrix of (26).
-        h: (n,) C q̇ + g of (26).
-        u_a: (n_m,) [N m or N] torques of the arm.
-        felt: (n_m,) [N m or N] joint torques of the forces on the arm.
-        coupled: (n_m,) [N m or N] M_ab q̈_b.
-        q: (n_m,) [rad or m] positions, changed in place.
-        qd: (n_m,) [rad/s or m/s] velocities, changed in place.
-        lower: (n_m,) [rad or m] lower limits.
-        upper: (n_m,) [rad or m] upper limits.
-        dt: [s] duration of the step.
+    The joints have ideal stops: each joint that would leave its range in this step moves to its
+    nearer limit. `felt` (n_m,) are the joint torques of the forces on the arm, `coupled` is
+    M_ab q̈_b; M (n, n) and h (n,) are those of (26).
     """
     n = len(q)
     A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled
@@ -142,28 +139,15 @@ def _move_arm(
 _move_arm_once = direct(_move_arm)
 
 
-class _Overlaps:
-    """Overlaps of the convex bodies, by the fields of `Contacts`."""
-
-    def __init__(self, model: RobotModel) -> None:
-        self._pin, self._data = model.pin, model.pin.createData()
-        self._geometry = model.geometry.copy()
-        floor = self._geometry.addGeometryObject(
-            pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))
-        )
-        ids = {**model.shape_ids, FLOOR: [floor]}
-        self._group_of: list[str] = []
-        for (a, b), group in body_contact_pairs(model.description).items():
-            for shapes in product(ids[a], ids[b]):
-                self._geometry.addCollisionPair(pin.CollisionPair(*shapes))
-                self._group_of.append(group)
-        self._results = pin.GeometryData(self._geometry)
-        self._distances = distance_view(self._results.distanceResults)
-
-    def at(self, q: Array) -> Contacts:
-        """Overlaps at pinocchio's configuration `q`."""
-        pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
-        overlaps = self._distances <= 0.0
-        if not np.count_nonzero(overlaps):
-            return NO_CONTACTS
-        return Contacts.of(compress(self._group_of, overlaps))
+def _contact_geometry(model: RobotModel) -> tuple[pin.GeometryModel, list[str]]:
+    """The bodies and the floor with the pairs that can touch, and the `Contacts` of each pair."""
+    geometry, groups = model.geometry.copy(), list[str]()
+    floor = geometry.addGeometryObject(
+        pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))
+    )
+    ids = {**model.shape_ids, FLOOR: [floor]}
+    for (a, b), group in body_contact_pairs(model.description).items():
+        for shapes in product(ids[a], ids[b]):
+            geometry.addCollisionPair(pin.CollisionPair(*shapes))
+            groups.append(group)
+    return geometry, groups

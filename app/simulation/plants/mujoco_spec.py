@@ -44,13 +44,10 @@ class RobotSpec:
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
     ) -> None:
-        """Specify the robot and the floor.
+        """Specify the robot and the floor; `dt` [s] is the duration of one step.
 
-        Args:
-            model: The robot.
-            dt: [s] duration of one step.
-            free_root: Inertia of a free root; the plant then adds bodies with the rest of the
-                base's mass. None means that motors along x, y and yaw move the root.
+        `free_root` is the inertia of a free root; the plant then adds bodies with the rest of the
+        base's mass. Without it, motors along x, y and yaw move the root.
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
@@ -75,23 +72,14 @@ class RobotSpec:
             self.allow(group, self.geoms(a), self.geoms(b))
 
     def geoms(self, *parts: str) -> list[str]:
-        """Names of the MuJoCo geoms of some parts.
-
-        A part is a link or the floor. If convex bodies replace the links, a part is a body.
-        """
+        """Names of the MuJoCo geoms of some parts: links or bodies, and the floor."""
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
-        """Add a body to a parent body, and return the new body.
+        """Add a body at the pose T in a parent body, and return the new body.
 
         The inertia is written into the compiled model later, because MuJoCo's compiler refuses
         inertias that other libraries accept, such as a link without mass that carries other links.
-
-        Args:
-            parent: The parent body.
-            name: Name of the new body.
-            T: Pose of the new body in the parent.
-            inertia: Inertia of the new body.
         """
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -115,15 +103,10 @@ class RobotSpec:
         T: pin.SE3 | None = None,
         mesh: str = "",
     ) -> None:
-        """Add a shape to a body; the shape touches only geoms that `allow` names.
+        """Add a shape to a body at the pose T; the shape touches only geoms that `allow` names.
 
-        Args:
-            body: The body.
-            name: Name of the geom.
-            kind: Type of the geom.
-            size: [m] up to three sizes, as MuJoCo defines them for the type.
-            T: Pose in the body; None means the identity.
-            mesh: Name of the mesh, for a geom of that type.
+        `size` [m] has up to three sizes, as MuJoCo defines them for the kind of geom; `mesh` is the
+        name of the mesh.
         """
         body.add_geom(
             name=name,
@@ -140,25 +123,14 @@ class RobotSpec:
     ) -> None:
         """Add a joint with a velocity-controlled motor of limited force or torque.
 
-        The motor is dry friction relative to a moving reference, which MuJoCo's solver treats
-        together with contacts and limits.
-
-        Args:
-            body: The body that the joint moves.
-            name: Name of the joint.
-            kind: Type of the joint.
-            axis: (3,) axis in the body's frame.
-            limit: [N or N m] largest force or torque.
+        The motor is dry friction up to `limit` [N or N m] relative to a moving reference, which
+        MuJoCo's solver treats together with contacts and limits. `axis` (3,) is in the body.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(limit))
         self.motors.append(name)
 
     def friction(self, limit: float) -> dict[str, Any]:
-        """Options of a joint with dry friction up to `limit` [N or N m].
-
-        If a force up to `limit` can stop the joint within one step, the joint stops. If not, the
-        force is `limit`.
-        """
+        """Options of a joint with dry friction: a force up to `limit` [N or N m] that stops it."""
         return {
             "frictionloss": limit,
             "solref_friction": [-1.0, -_STIFFEST / self._dt],
@@ -177,13 +149,9 @@ class RobotSpec:
     ) -> None:
         """Let each geom of one list touch each geom of another list.
 
-        Args:
-            group: The field of `Contacts` that reports such a contact, or None.
-            some: Names of the geoms of the first list.
-            others: Names of the geoms of the second list.
-            friction: [-] coefficient of friction.
-            firmness: [s] time constant and [-] damping ratio of the contact.
-            contact: Further contact options of MuJoCo.
+        `group` is the field of `Contacts` that reports such a contact, or None. `friction` [-] is
+        the coefficient; `firmness` has the time constant [s] and the damping ratio [-]; `contact`
+        has further options of MuJoCo.
         """
         contact = {"solref": list(firmness), "solimp": IMPEDANCE} | contact
         for a, b in product(some, others):
@@ -219,10 +187,10 @@ class RobotSpec:
             elif free_root is not None:
                 body.add_freejoint(name="root")
             else:
-                x, y, yaw = PLANAR_JOINTS
-                self.add_motor(body, x, _JOINT.mjJNT_SLIDE, (1, 0, 0), base.traction_limit_n)
-                self.add_motor(body, y, _JOINT.mjJNT_SLIDE, (0, 1, 0), base.traction_limit_n)
-                self.add_motor(body, yaw, _JOINT.mjJNT_HINGE, (0, 0, 1), base.yaw_limit_nm)
+                kinds = _JOINT.mjJNT_SLIDE, _JOINT.mjJNT_SLIDE, _JOINT.mjJNT_HINGE
+                limits = base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm
+                for motor in zip(PLANAR_JOINTS, kinds, np.eye(3).tolist(), limits, strict=True):
+                    self.add_motor(body, *motor)
         return bodies
 
     def _add_arm_joint(self, body: Any, i: int) -> None:
@@ -279,5 +247,4 @@ def _pose(T: pin.SE3) -> dict[str, Any]:
 
 def _quaternion(R: Array) -> Array:
     """(4,) quaternion of an orientation R (3, 3) in MuJoCo's order, w first."""
-    x, y, z, w = pin.Quaternion(np.ascontiguousarray(R)).coeffs()
-    return np.array([w, x, y, z])
+    return pin.Quaternion(np.ascontiguousarray(R)).coeffs()[[3, 0, 1, 2]]

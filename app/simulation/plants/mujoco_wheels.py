@@ -32,9 +32,8 @@ from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point
 _LOAD_RESERVE = 2.0
-"""[-] for a base with casters, factor of the wheels' friction, because the casters carry a part of
-the weight. For a base that stands on its wheels alone, factor of each motor's torque limit,
-relative to the torque of an equal share of the traction limit."""
+"""[-] with casters, factor of the wheels' friction, because the casters carry a part of the weight;
+otherwise factor of each motor's torque limit, relative to an equal share of the traction limit."""
 _SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and sliding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
 """A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
@@ -101,20 +100,12 @@ class MujocoWheels(Physics):
         self.world = MujocoWorld(robot, door)
         self.door = self.world.door
         self._drive = Drive(description.base, dt)
-        turning = [self.world.model.joint(name).qposadr[0] for name in robot.motors]
-        self._angles = np.array(turning)
         self._calibrate(differential(description).half_track_m)
         ready = np.zeros(3), np.array(description.arm.ready_position)
         self.reset(*ready)
         if wheels.spans:
             self._calibrate(self._turned_half_track())
             self.reset(*ready)
-
-    @property
-    def wheel_angles(self) -> Array:
-        """(2,) [rad] mean angles of the wheels on the right and on the left side."""
-        angles, right = self.world.q[self._angles], self.wheels.right
-        return np.array([angles[right].mean(), angles[~right].mean()])
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """Put the robot at rest; the base stands on its wheels, tilted by the arm's weight."""
@@ -142,14 +133,10 @@ class MujocoWheels(Physics):
         R = self._turn()
         turned = math.remainder(_heading(R) - self._phi, math.tau)  # the heading does not wrap
         self._phi = phi = self._phi + turned
-        turning = float(R[2] @ v[3:6])
         forward = math.cos(phi) * v[0] + math.sin(phi) * v[1]
-        return Measurement(
-            np.array([q[0], q[1], phi]),
-            np.array([forward, turning]),
-            q[world.arm_q],
-            v[world.arm_v],
-        )
+        velocity = np.array([forward, float(R[2] @ v[3:6])])
+        pose = np.array([q[0], q[1], phi])
+        return Measurement(pose, velocity, q[world.arm_q], v[world.arm_v])
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
@@ -183,10 +170,7 @@ class MujocoWheels(Physics):
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Turn the wheels at speeds (n,) [rad/s] while the arm is fixed.
-
-        The result is the base's turn rate [rad/s] at each step.
-        """
+        """[rad/s] turn rates of the base while wheels turn at speeds (n,) [rad/s], arm fixed."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN

@@ -18,14 +18,7 @@ from app.compiled import compiled, direct
 from app.control.qp import fill, put
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
-from app.simulation.plants.interface import (
-    NO_CONTACTS,
-    Contacts,
-    HeldDoor,
-    PlanarWorld,
-    Push,
-    Wrench,
-)
+from app.simulation.plants.interface import NO_CONTACTS, Contacts, HeldDoor, Push, Wrench
 from app.simulation.plants.mujoco_spec import RobotSpec
 from app.strict import Array
 from app.structs import struct_type
@@ -56,8 +49,11 @@ _WORLD = struct_type("World", _FIELDS)
 _Views: Any = NamedTuple("_Views", [(name, Any) for name in _FIELDS])  # type: ignore[misc]
 
 
-class MujocoWorld(PlanarWorld):
-    """A compiled specification; the robot's root is on planar joints or free."""
+class MujocoWorld:
+    """A compiled specification; the robot's root is on planar joints or free.
+
+    For a root on planar joints, it has the methods of `BulletRobot`.
+    """
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""
@@ -102,25 +98,26 @@ class MujocoWorld(PlanarWorld):
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
+        """As in `BulletRobot`."""
         self.rewind()
         self._planar_q[:] = q
         if self.door is not None:
             self.door.take_hold(self)
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
+        """As in `BulletRobot`."""
         base_q, base_v, q_m, qd_m = self._read
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
     def mass_matrix(self) -> Array:
         """(n_v, n_v) mass matrix after the last step or forward computation."""
-        columns = np.eye(self.model.nv)
-        rows = np.empty_like(columns)
-        for row, column in zip(rows, columns, strict=True):
-            mujoco.mj_mulM(self.model, self.data, row, column)
-        return rows
+        M = np.empty((self.model.nv, self.model.nv))
+        for row, unit in zip(M, np.eye(len(M)), strict=True):
+            mujoco.mj_mulM(self.model, self.data, row, unit)
+        return M
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """As in `PlanarWorld`, for a robot without a door; also moves the robot to q and v."""
+        """As in `BulletRobot`, for a robot without a door; also moves the robot to q and v."""
         self.rewind()
         self.q[:], self.v[:] = q, v
         mujoco.mj_forward(self.model, self.data)
@@ -129,7 +126,7 @@ class MujocoWorld(PlanarWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step, as in `PlanarWorld`; `speeds` are the references of the motors."""
+        """Advance by one step, as in `BulletRobot`; `speeds` are the references of the motors."""
         data = self.data
         mujoco.mj_step1(self.model, data)
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
@@ -140,13 +137,18 @@ class MujocoWorld(PlanarWorld):
             _press_once(self._bodies, self._body_of[push.joint], push.p, push.force)
         mujoco.mj_step2(self.model, data)
 
+    def close(self) -> None:
+        """Do nothing: MuJoCo needs no end."""
+
     def contacts(self) -> Contacts:
+        """Contacts in the last step."""
         if not self.data.ncon:
             return NO_CONTACTS
         touching = self.data.contact.geom.tolist()
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
     def depths(self) -> dict[str, float]:
+        """As in `BulletWorld`."""
         deepest: dict[str, float] = {}
         contacts = self.data.contact
         for (a, b), distance in zip(contacts.geom.tolist(), contacts.dist, strict=True):
@@ -155,6 +157,7 @@ class MujocoWorld(PlanarWorld):
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
+        """As in `BulletWorld`."""
         mujoco.mj_kinematics(self.model, self.data)
         found, hit = np.full(len(begins), np.inf), np.zeros(1, np.int32)
         for i, (begin, way) in enumerate(zip(begins, ends - begins, strict=True)):
@@ -167,14 +170,7 @@ class MujocoWorld(PlanarWorld):
 
 @compiled(Signature(types.void, (_WORLD.type, types.i8, _VECTOR, _VECTOR), None))
 def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
-    """Add a force on a point of a body to the bodies' forces.
-
-    Args:
-        bodies: `_WORLD`.
-        body: Number of the body.
-        point: (3,) [m] the point in the body's frame.
-        force: (3,) [N] the force in the world.
-    """
+    """Add a force (3,) [N] in the world on a point (3,) [m] in a body's frame to the forces."""
     R, arm, felt = bodies.axes[body], np.empty(3), bodies.forces[body]
     for i in range(3):
         turned = R[i, 0] * point[0] + R[i, 1] * point[1] + R[i, 2] * point[2]
@@ -192,14 +188,8 @@ def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None
     MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint. A
     motor's reference acceleration is (speed - v) / dt. The solver starts from the accelerations
     with which the motors have their commanded speeds after the step; from the last step's solution
-    it would need three iterations.
-
-    Args:
-        bodies: `_WORLD`.
-        aref: (m,) [m/s², rad/s²] reference accelerations of all constraints; changed in place.
-        row: Index of the first motor in `aref`.
-        u_a: (n_m,) [N m or N] torques of the arm.
-        force: (3,) [N] force on the end-effector's origin, in the world.
+    it would need three iterations. `aref` (m,) has the reference accelerations of all constraints,
+    those of the motors from `row` on.
     """
     for k in range(len(bodies.speeds)):
         aref[row + k] += bodies.per_step * bodies.speeds[k]

@@ -4,10 +4,12 @@ Motors on x, y and yaw move the base with the drive's velocity. Their force is l
 traction of the wheels. The wheels are only animated. The base cannot tip.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from operator import itemgetter
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -15,14 +17,18 @@ from app.control.drive import Drive
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Physics, PlanarWorld, Push
+from app.simulation.plants.interface import Contacts, Physics, Push
 from app.strict import Array
+
+if TYPE_CHECKING:
+    from app.simulation.plants.bullet_robot import BulletRobot
+    from app.simulation.plants.mujoco_world import MujocoWorld
 
 
 class Planar(Physics):
     """`Physics` in which motors with the traction limit move the base on planar joints."""
 
-    def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
+    def __init__(self, model: RobotModel, world: BulletRobot | MujocoWorld, dt: float) -> None:
         """Start with the robot of an engine's world at rest in the ready posture."""
         self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
@@ -59,12 +65,7 @@ class Planar(Physics):
         return self.world.contacts()
 
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
-        """M (n, n) and C q̇ + g (n,) of (26) from the engine, for a base that faces +x.
-
-        Args:
-            q_m: (n_m,) [rad or m] joint positions of the arm.
-            qd: (n,) reduced velocity q̇.
-        """
+        """M (n, n) and C q̇ + g (n,) of (26) from the engine, at q_m and q̇, with the heading 0."""
         S = self._S
         v = S @ qd  # at heading 0 the axes of base and world coincide
         M, h = self.world.mass_and_bias(np.concatenate([np.zeros(3), q_m]), v)
@@ -84,13 +85,7 @@ def planar_plant(
     dt: float = 0.001,
     door: OpenDoor | None = None,
 ) -> Planar:
-    """Make the planar plant with an engine; `make_physics` documents the other arguments.
-
-    Raises:
-        AssetError: A mesh is missing, or pybullet cannot load the robot.
-        ConfigError: The engine is pybullet, which is not installed.
-        RobotFileError: As for `collision_shapes`, with MuJoCo.
-    """
+    """Make the planar plant with an engine, as in `make_physics`."""
     # Imported here, because each engine must work without the other engine's library.
     if engine == "pybullet":
         from app.simulation.plants.bullet_robot import BulletRobot

@@ -59,11 +59,7 @@ _SAME_LINE = {"tracking": "guiding-lateral"}
 
 
 def scenario_by_name(name: str) -> Scenario:
-    """The scenario with a name.
-
-    Raises:
-        UnknownNameError: The scenario does not exist; the message lists the scenarios.
-    """
+    """The scenario with a name; raises an UnknownNameError if it does not exist."""
     check_name("scenario", name, SCENARIOS)
     return SCENARIOS[name]
 
@@ -71,13 +67,8 @@ def scenario_by_name(name: str) -> Scenario:
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
     """The scenario with a name, for a robot.
 
-    If the description has a line (start and displacement of the end-effector) for this scenario,
-    this line replaces the scenario's own line.
-
-    Args:
-        description: The robot.
-        name: Name of the scenario.
-        changes: Options as in `Scenario.changed`; they override the robot's line.
+    A line of the description (start and displacement of the end-effector) replaces the scenario's
+    own line; `changes`, options as in `Scenario.changed`, override both.
 
     Raises:
         UnknownNameError: The scenario does not exist.
@@ -103,18 +94,9 @@ def free_start(
 ) -> Array:
     """The arm's joint positions (n_m,) [rad or m] at the start of the free motion.
 
-    Args:
-        model: The robot.
-        data: Its border data.
-        config: All parameters.
-        start: (3,) [m] position of the end-effector in the world, with the base at the origin; None
-            means the start of the robot's own line for `guiding-front`, or the ready posture if
-            the robot has no such line.
-        seed: Seed of the search.
-
-    Raises:
-        UnreachableError: The search has found no posture.
-        DescriptionError: A line of the description belongs to no scenario with a line.
+    `start` (3,) [m] is the position of the end-effector in the world, with the base at the origin;
+    None means the start of the robot's own line for `guiding-front`, or the ready posture if there
+    is no such line. If the search finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start
@@ -127,18 +109,10 @@ def free_start(
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
-    """Start and move of a robot's own line for a scenario, as options of `Scenario.changed`.
-
-    Empty if the robot has no line. A robot without a line for `tracking` uses that of
-    `guiding-lateral`.
-
-    Raises:
-        DescriptionError: A line of the description belongs to no scenario with a line.
-    """
+    """Options of `Scenario.changed` with a robot's own line for a scenario, if there is one."""
     lines = description.lines
-    for unknown in sorted(lines.keys() - LINES.keys()):
-        names = ", ".join(LINES)
+    if unknown := min(lines.keys() - LINES.keys(), default=""):
         where = f"{description.name}: [lines.{unknown}] in robot.toml"
-        raise DescriptionError(f"{where} belongs to no scenario; lines are for: {names}")
+        raise DescriptionError(f"{where} belongs to no scenario; lines are for: {', '.join(LINES)}")
     place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))
     return {} if place is None else {"start": place.start_m, "move": place.move_m}

@@ -1,10 +1,9 @@
 """Opening a door with an unknown hinge (§4.2.3; Karayiannidis et al., 2016).
 
 The end-effector has velocity control along the estimated tangent, and force control along the
-estimated radius. The hinge is vertical, so the problem is planar. The grasp is rigid, so the
-radial direction is constant in the end-effector's frame, which turns with the door. During the
-motion the controller estimates the radial direction from the radial force, and the path's curvature
-from the torque.
+estimated radius. The hinge is vertical, so the problem is planar. The grasp is rigid, so the radial
+direction is constant in the end-effector's frame. The controller estimates the radial direction
+from the radial force, and the path's curvature from the torque.
 """
 
 import math
@@ -14,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.control.tasks import Reference
-from app.simulation.plants.door import Door, DoorReading
+from app.simulation.plants.door import Door, DoorView
 from app.simulation.plants.interface import Wrench
 from app.simulation.scenarios.leading import Driver, StepInput
 from app.simulation.session import Session
@@ -66,14 +65,8 @@ def radial_update(
     If the estimated tangent t̂ deviates by the angle e from the true tangent, the door stops the
     radial part of the motion along t̂. In the steady state at full speed, the force's PI regulator
     then has the output R with α_f R = -s v_d tan e. The rate is λ s (v/v_d) α_f R / v_d; the error
-    thus decreases by ė = -λ tan e.
-
-    Args:
-        regulated: [N] R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i, with the radial force f_r and the
-            integral time T_i.
-        progress: [-] v/v_d, ratio of measured to desired speed along t̂.
-        sense: [-] s, sense of opening, ±1.
-        gains: The gains λ, α_f and v_d.
+    thus decreases by ė = -λ tan e. `regulated` is R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N] with
+    the radial force f_r, `progress` is v/v_d along t̂, `sense` is s, ±1.
     """
     return gains.learning_rate * sense * progress * gains.compliance * regulated / gains.speed
 
@@ -82,12 +75,8 @@ def curvature_update(torque: float, progress: float, gains: DoorOpeningGains) ->
     """Rate of change [rad/(m s)] of the estimated curvature κ = ω/v of the end-effector's path.
 
     If the estimate κ̂ is wrong, the end-effector twists the door: (κ̂ - κ) v_d = α_τ τ_z in the
-    steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d.
-
-    Args:
-        torque: [N m] τ_z, torque of the end-effector on the door about the vertical.
-        progress: [-] v/v_d, ratio of measured to desired speed along t̂.
-        gains: The gains λ, α_τ and v_d.
+    steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d, with the torque τ_z [N m] on the door about
+    the vertical, and v/v_d as in `radial_update`.
     """
     return -gains.learning_rate * progress * gains.angular_compliance * torque / gains.speed
 
@@ -98,13 +87,10 @@ class DoorOpening:
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
     ) -> None:
-        """Start with the end-effector at the handle of a door that opens towards it.
+        """Start at the handle of a door that opens towards the end-effector.
 
-        Args:
-            T_world_ee: Pose of the end-effector, whose z axis points into the door.
-            radial_guess: (2,) initial estimate of the horizontal direction towards the hinge.
-            gains: The gains.
-            dt: [s] time between two calls of `step`.
+        The end-effector's z axis points into the door. `radial_guess` (2,) is the first estimate of
+        the horizontal direction towards the hinge; `dt` [s] is the time between calls of `step`.
         """
         self._gains, self._dt = gains, dt
         self._R_start = T_world_ee.rotation.copy()
@@ -125,10 +111,8 @@ class DoorOpening:
     def step(self, T_world_ee: pin.SE3, velocity_ee: Array, wrench: Wrench) -> Reference:
         """Update the estimates from sensor readings, and return the reference of the control step.
 
-        Args:
-            T_world_ee: Pose of the end-effector.
-            velocity_ee: (3,) [m/s] velocity of the end-effector's origin, in the world.
-            wrench: Force and torque of the end-effector on the door.
+        The readings are the end-effector's pose, the velocity (3,) [m/s] of its origin in the
+        world, and its wrench on the door.
         """
         gains, dt = self._gains, self._dt
         share = -math.expm1(-dt / gains.smoothing)  # of a first-order filter
@@ -162,9 +146,8 @@ class DoorOpening:
         gains = self._gains
         left = (gains.turn - turned) / gains.braking
         begun = min(self._t / gains.ramp, 1.0)
-        slack = (gains.slow_until - float(np.linalg.norm(force))) / (
-            gains.slow_until - gains.slow_from
-        )
+        slack = gains.slow_until - float(np.linalg.norm(force))
+        slack /= gains.slow_until - gains.slow_from
         return gains.speed * begun**2 * (3 - 2 * begun) * _share(slack) * _share(left)
 
     def _lead(self, T_world_ee: pin.SE3, velocity: Array, turning: Array) -> None:
@@ -176,13 +159,10 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens a door with the adaptive controller and the sensors of a session.
+    """The driver that opens the held door of a session, which is at its start.
 
-    Args:
-        door: The door that the end-effector holds.
-        session: The session, which is at its start.
-        rate: [deg/s] desired rotation rate of the door.
-        guess: [deg] error of the first estimate of the direction to the hinge, as `radial_guess`.
+    `rate` [deg/s] is the desired rotation rate of the door; `guess` [deg] is the error of the first
+    estimate of the direction to the hinge.
     """
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
@@ -197,13 +177,14 @@ def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver
         T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]
         truth, estimate = door.radial(T_ee.translation), opening.radial(T_ee)
         across = truth[0] * estimate[1] - truth[1] * estimate[0]
-        reading = DoorReading(
+        view = DoorView(
+            door,
             session.physics.door.angle(),
             wrench.force,
             float(wrench.force[:2] @ truth),
             math.atan2(across, float(truth @ estimate[:2])),
         )
-        return StepInput(reference=opening.step(T_ee, velocity, wrench), door=reading)
+        return StepInput(reference=opening.step(T_ee, velocity, wrench), door=view)
 
     return lead
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # for annotations, so that options are checked before slow im
     from app.control.tasks import Reference
     from app.robot.model import RobotModel
     from app.simulation.people import Hold
-    from app.simulation.plants.door import DoorReading, OpenDoor
+    from app.simulation.plants.door import DoorView, OpenDoor
     from app.simulation.session import Session
 
 _DURATIONS = 0.01, 3600.0  # [s] shortest and longest scenario
@@ -33,7 +33,7 @@ class StepInput(NamedTuple):
     """The end-effector's reference, or None while a person guides the arm."""
     pull: Array | None = None
     """(3,) [m] target of a person at the end-effector, in the world, or None."""
-    door: DoorReading | None = None
+    door: DoorView | None = None
     """State of the door while the scenario opens it, otherwise None."""
     holds: tuple[Hold, ...] = ()
     """Other people who hold the robot, at the end-effector or another point."""
@@ -83,11 +83,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """The start of the run.
-
-        Raises:
-            DbbError: The robot cannot start the scenario.
-        """
+        """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
         """A configuration with the changes that this scenario requires.
@@ -103,8 +99,7 @@ class Scenario(ABC):
     def changed(self, **changes: Any) -> Self:
         """A copy with some fields changed; a value of None changes nothing.
 
-        Raises:
-            ConfigError: This scenario does not have a field, or a value is invalid.
+        An unknown field or an invalid value raises a ConfigError.
         """
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
@@ -133,16 +128,7 @@ def _choices(kind: type[Scenario]) -> dict[str, tuple[str, ...]]:
 
 
 def check_point(option: str, point: Sequence[float], size: int = 3) -> None:
-    """Check the number of coordinates of a point, and that each is within ±10 m.
-
-    Args:
-        option: Name of the option, for the message.
-        point: (size,) [m] the point.
-        size: Number of coordinates.
-
-    Raises:
-        ConfigError: The point is invalid; the message names the option and the valid form.
-    """
+    """Check that a point (size,) [m] is within ±10 m; otherwise raise a ConfigError."""
     if len(point) != size:
         raise ConfigError(f"{option}: {point!r} is not {size} numbers")
     for coordinate in point:

@@ -60,27 +60,8 @@ class LineScenario(Scenario):
         super().__post_init__()
         if not 0.0 < self.moving <= (1.0 if self.release_at is None else math.inf):
             raise ConfigError(f"--moving: {self.moving:g} is not within 0 to 1")
-        self._check_release()
         check_point("--start", self.start)
         check_point("--move", self.move)
-
-    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        from app.simulation.people import checked_target
-
-        q_m = self._posture(model, data, config, seed)
-        checked_target(np.add(self.start, self.move))
-        return Setting(model, data, np.zeros(3), q_m, config)
-
-    def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:
-        # Imported here: scipy would delay the start of every command.
-        from app.simulation.scenarios.start import find_start
-
-        move = self.move if self.mode == "tracking" else None  # guiding has no orientation
-        x, y, z = self.start
-        return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed, move=move)
-
-    def _check_release(self) -> None:
-        """Check that the release is within the run, and a new grasp after the release."""
         release, regrasp = self.release_at, self.regrasp_at
         if release is None and regrasp is None:
             return
@@ -100,12 +81,23 @@ class LineScenario(Scenario):
                 "which are the release and the run's end"
             )
 
-    def changed(self, **changes: Any) -> Self:
-        """A copy with some fields changed, as in `Scenario.changed`.
+    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
+        from app.simulation.people import checked_target
 
-        A new duration changes the speed of the motion. With `release_at` the speed stays, and the
-        duration only sets the end of the run.
-        """
+        q_m = self._posture(model, data, config, seed)
+        checked_target(np.add(self.start, self.move))
+        return Setting(model, data, np.zeros(3), q_m, config)
+
+    def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:
+        # Imported here: scipy would delay the start of every command.
+        from app.simulation.scenarios.start import find_start
+
+        move = self.move if self.mode == "tracking" else None  # guiding has no orientation
+        x, y, z = self.start
+        return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed, move=move)
+
+    def changed(self, **changes: Any) -> Self:
+        """As `Scenario.changed`; with `release_at`, a new duration does not change the speed."""
         duration, release = changes.get("duration"), changes.get("release_at")
         released = (self.release_at if release is None else release) is not None
         if released and isinstance(duration, int | float) and 0.0 < duration < math.inf:
@@ -144,14 +136,8 @@ class LineScenario(Scenario):
         speed, change = 6 * s * (1 - s) / T, 6 * (1 - 2 * s) / T**2
         if not 0.0 <= t <= T:
             speed = change = 0.0
-        return Reference(
-            pin.SE3(orientation, self.place(t)), self._along(speed), self._along(change)
-        )
-
-    def _along(self, rate: float) -> Array:
-        """(6,) a rate times the whole displacement, without rotation."""
-        x, y, z = self.move
-        return np.array([rate * x, rate * y, rate * z, 0.0, 0.0, 0.0])
+        v, a = (np.array([rate * x for x in self.move] + 3 * [0.0]) for rate in (speed, change))
+        return Reference(pin.SE3(orientation, self.place(t)), v, a)
 
     def _passed(self, t: float) -> float:
         """[-] share of the motion's duration that has passed at time t [s], 0 to 1."""

@@ -22,8 +22,8 @@ _TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
 _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
 
 Judge = Callable[[Array], float | str]
-"""A function that judges a posture (n_m,). For a valid posture it returns a quality [-] above zero;
-larger is better. For an invalid posture it returns zero, a negative number, or the reason."""
+"""A function that judges a posture (n_m,): a quality [-] above zero if it is valid, larger is
+better; otherwise zero, a negative number, or the reason."""
 
 
 class Target(NamedTuple):
@@ -46,6 +46,9 @@ class Found(NamedTuple):
     """Number of failed tries for each reason."""
 
 
+NOTHING = Found(None, 0.0, Counter())
+
+
 class PostureSearch:
     """Tries postures of the arm and evaluates them."""
 
@@ -59,7 +62,7 @@ class PostureSearch:
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
         """Displayed names of the pairs, in the order of `distances`."""
         self.monitor = DistanceMonitor(self.state, pairs.all)
-        self._floor = FloorDistance(self.state)
+        self._floor, self._floor_data = _with_floor(model)
         self._base_pose = np.zeros(3)
         self._placed: Array | None = None
         self._shoulder, self._length = _arm_length(model)
@@ -89,12 +92,9 @@ class PostureSearch:
     ) -> Found:
         """Find the posture with the highest quality.
 
-        Args:
-            guesses: (n_m,) each: with a target, the starting points of the search; without a
-                target, the postures to judge.
-            judge: Computes the quality of a posture, into which the arm is already placed.
-            target: Position or pose of the end-effector, or None.
-            enough: [-] quality at which the search ends.
+        `guesses` are (n_m,) each: with a target, the starting points of the search; without a
+        target, the postures to judge. Before `judge` is called, the arm is placed into the posture.
+        `enough` [-] is the quality at which the search ends.
         """
         best = Found(None, 0.0, Counter())
         for guess in guesses:
@@ -112,8 +112,8 @@ class PostureSearch:
     def reach(self, target: Target | pin.SE3, guess: Array) -> Array:
         """Find the posture (n_m,) near a guess with the least squared error from the target.
 
-        A small additional error draws the joints to the middle of their ranges. The joints have a
-        margin to their position limits.
+        The joints keep a margin to their position limits. A small additional error draws them to
+        the middle of their ranges.
         """
 
         def residual(q: Array) -> Array:
@@ -124,15 +124,20 @@ class PostureSearch:
             return np.vstack([self.linearised(q, target)[1], np.diag(_TO_MIDDLE / self.span)])
 
         margin = _JOINT_MARGIN * self.span
-        bounds = self.model.q_lower + margin, self.model.q_upper - margin
-        return best_posture(residual, jacobian, guess, bounds)
+        low, high = self.model.q_lower + margin, self.model.q_upper - margin
+        return least_squares(
+            residual,
+            np.clip(guess, low + 1e-6, high - 1e-6),
+            jacobian,  # pyright: ignore[reportArgumentType] - a function is valid
+            bounds=(low, high),
+            max_nfev=_MAX_EVALUATIONS,
+        ).x
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
         """The weighted error (k,) of the end-effector, and its Jacobian (k, n_m).
 
-        For a pose, the error is the logarithm of the displacement in the end-effector's frame. For
-        a position it is the position's error, followed by the direction's error if the target has
-        a direction.
+        For a pose, the error is the logarithm of the displacement in the end-effector's frame,
+        otherwise the error of the position and of the direction, if any.
         """
         self.place(q_m)
         at, J = self.state.T_world_ee, self.J_ee
@@ -154,10 +159,7 @@ class PostureSearch:
         return self.state.J_ee[:, self.model.n_b :]
 
     def beyond(self, p: Array) -> float:
-        """[m] lower bound of the distance of a point p (3,) [m] from the arm's workspace.
-
-        A negative value means that the point is possibly inside.
-        """
+        """[m] lower bound of the distance of a point p (3,) [m] from the arm's workspace."""
         x, y, heading = self._base_pose
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
         return float(np.linalg.norm(p - at)) - self._length
@@ -168,7 +170,10 @@ class PostureSearch:
 
     def above_floor(self) -> float:
         """[m] smallest signed distance between the arm and the floor."""
-        return self._floor.smallest()
+        floor, data = self._floor, self._floor_data
+        pin.updateGeometryPlacements(self.model.pin, self.state.data, floor, data)
+        pin.computeDistances(floor, data)
+        return min(result.min_distance for result in data.distanceResults)
 
     def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
         """The reason why the present posture is invalid, or an empty string if it is valid.
@@ -192,8 +197,8 @@ class PostureSearch:
 def _arm_length(model: RobotModel) -> tuple[Array, float]:
     """Position (3,) [m] of the arm's first joint for a base at the origin, and the arm's reach [m].
 
-    The reach is an upper bound of the end-effector's distance from the first joint: the sum of all
-    offsets between joints and of the largest displacements of prismatic joints from zero.
+    The reach is an upper bound: the sum of all offsets between joints and of the largest
+    displacements of prismatic joints from zero.
     """
     arm, ee = model.pin, model.pin.frames[model.ee_frame]
     chain = [j for j in arm.supports[ee.parentJoint] if j > 1]
@@ -203,52 +208,15 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
     return arm.jointPlacements[chain[0]].translation.copy(), length_bound(links, limits)
 
 
-class FloorDistance:
-    """Smallest signed distance of the arm's bodies to the floor."""
-
-    def __init__(self, state: RobotState) -> None:
-        self._state = state
-        self._geometry = state.model.geometry.copy()
-        slab = coal.Box(20.0, 20.0, 1.0)
-        floor = self._geometry.addGeometryObject(
-            pin.GeometryObject("floor", 0, 0, pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])), slab)
-        )
-        for name in state.model.body_names[1:]:
-            for shape in state.model.shape_ids[name]:
-                self._geometry.addCollisionPair(pin.CollisionPair(floor, shape))
-        self._data = geometry_data(self._geometry)
-
-    def smallest(self) -> float:
-        """[m] smallest signed distance in the present state."""
-        pin.updateGeometryPlacements(
-            self._state.model.pin, self._state.data, self._geometry, self._data
-        )
-        pin.computeDistances(self._geometry, self._data)
-        return min(result.min_distance for result in self._data.distanceResults)
-
-
-def best_posture(
-    residual: Callable[[Array], Array],
-    jacobian: Callable[[Array], Array],
-    guess: Array,
-    bounds: tuple[Array, Array],
-) -> Array:
-    """Find the joint positions (n_m,) near a guess with the smallest sum of squared residuals.
-
-    Args:
-        residual: Computes the residuals (k,) for joint positions (n_m,).
-        jacobian: Computes the derivative (k, n_m) of the residuals.
-        guess: (n_m,) starting point, which is first moved within the bounds.
-        bounds: (n_m,) lower and (n_m,) upper bounds of the joint positions.
-    """
-    inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
-    return least_squares(
-        residual,
-        inside,
-        jacobian,  # pyright: ignore[reportArgumentType] - a function is valid
-        bounds=bounds,
-        max_nfev=_MAX_EVALUATIONS,
-    ).x
+def _with_floor(model: RobotModel) -> tuple[pin.GeometryModel, pin.GeometryData]:
+    """The robot's bodies and the floor, with the pairs of each body of the arm and the floor."""
+    geometry, slab = model.geometry.copy(), coal.Box(20.0, 20.0, 1.0)
+    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
+    floor = geometry.addGeometryObject(pin.GeometryObject("floor", 0, 0, place, slab))
+    for name in model.body_names[1:]:
+        for shape in model.shape_ids[name]:
+            geometry.addCollisionPair(pin.CollisionPair(floor, shape))
+    return geometry, geometry_data(geometry)
 
 
 def manipulability(J: Array) -> float:

@@ -11,7 +11,7 @@ from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel, kept_per_model
 from app.simulation.plants.door import Door
-from app.simulation.scenarios.posture import Found, PostureSearch, Target, manipulability
+from app.simulation.scenarios.posture import NOTHING, Found, PostureSearch, Target, manipulability
 from app.strict import Array
 
 _PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # [rad] below the horizon, best first
@@ -69,24 +69,16 @@ class StartSolver:
         tries: int = _SEEDS,
         along: Sequence[Array] = (),
     ) -> Array:
-        """Find a posture of the arm (n_m,) with the end-effector at a position in the world.
+        """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        `along` has further positions of the end-effector. The search prefers a posture from which
-        the arm reaches these positions too, while the base is at rest and the end-effector keeps
-        its starting orientation, and with the joints away from their position limits. If there is
-        no such posture, the result is another valid posture, because the base can move during a
-        run.
+        The search prefers a posture from which the arm reaches further positions too, (3,) [m] each
+        in `along`, while the base is at rest and the end-effector keeps its starting orientation.
+        If there is no such posture, the result is another valid posture, because the base can move
+        during a run.
 
-        Args:
-            p_ee: (3,) [m] position of the end-effector.
-            seed: Seed of the starting points of the search.
-            turn: [rad] horizontal angle, positive to the left, between the end-effector's direction
-                and the direction away from the mount.
-            tries: Number of starting points of the search for each pitch of the end-effector.
-            along: (3,) [m] each, further positions of the end-effector, in order.
-
-        Raises:
-            UnreachableError: The search has found no posture; the message names the reasons.
+        `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
+        mount to that of the end-effector; `tries` is the number of starting points for each pitch.
+        If the search finds no posture, this raises an UnreachableError with the reasons.
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
@@ -98,18 +90,12 @@ class StartSolver:
                 f"start {point_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m or more",
                 {OUT_OF_REACH: 1},
             )
-        rng = np.random.default_rng(seed)
-        flaws: Counter[str] = Counter()
-        directions: list[Array | None] = [
-            pin.utils.rotate("z", turn) @ self._direction(target, pitch) for pitch in _PITCHES
-        ]
-        if not self._points_anywhere:
-            directions.append(None)
-        best = Found(None, 0.0, Counter())
-        for direction in directions:
+        turned, rng = pin.utils.rotate("z", turn), np.random.default_rng(seed)
+        directions = [turned @ self._direction(target, pitch) for pitch in _PITCHES]
+        best, flaws = NOTHING, Counter[str]()
+        for direction in (*directions, *([] if self._points_anywhere else [None])):
             found = self._try(Target(target, direction), self._guesses(rng, tries), along)
-            if found.quality > best.quality:
-                best = found
+            best = max(best, found, key=lambda each: each.quality)
             if best.q_m is not None and not along:
                 break
             flaws.update(found.flaws)
@@ -128,16 +114,10 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Find the posture (n_m,) near a known posture for a new position of the end-effector.
+        """Find the posture (n_m,) near a known one, q_m (n_m,), for a new position p_ee (3,) [m].
 
-        The direction of the end-effector and the branch of the inverse kinematics do not change.
-
-        Args:
-            p_ee: (3,) [m] new position of the end-effector.
-            q_m: (n_m,) [rad or m] the known posture.
-
-        Raises:
-            UnreachableError: The new posture is invalid; the message names the reason.
+        The direction of the end-effector and the branch of the inverse kinematics do not change. An
+        invalid posture raises an UnreachableError with the reason.
         """
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
@@ -151,8 +131,8 @@ class StartSolver:
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether a search finds a posture with the end-effector at `p_ee` (3,) [m].
 
-        The end-effector can have any direction. `tries` is the number of random starting points of
-        the search, which `seed` determines; a small number can miss the posture.
+        The end-effector can have any direction. With few `tries` from random starting points, the
+        search can miss the posture.
         """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
@@ -222,19 +202,8 @@ def find_start(
 ) -> Array:
     """Find a posture of the arm (n_m,), read-only and cached, by `StartSolver.solve`.
 
-    Thus a run that starts again, for example with a different controller, needs no new search.
-
-    Args:
-        model: The robot.
-        pairs: The robot's pairs.
-        d_b: [m] buffer distance.
-        p_ee: (3,) [m] position of the end-effector.
-        seed: Seed of the search.
-        move: (3,) [m] displacement along which the end-effector will track a line from the start
-            with a constant orientation, or None.
-
-    Raises:
-        UnreachableError: The search has found no posture; the message names the reasons.
+    With `move` (3,) [m], the end-effector will track a line of this displacement from the start
+    with a constant orientation.
     """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
@@ -258,17 +227,8 @@ def find_grasp(
     base moves back. Among postures with the same range, the one with the largest margins (joint
     limits, manipulability, buffers) is best. The result is cached.
 
-    Args:
-        model: The robot.
-        pairs: The robot's pairs.
-        d_b: [m] buffer distance.
-        base_pose: (3,) x, y [m] and heading [rad] of the base.
-        door: The door.
-        angle: [rad] opening angle of the door at the grasp.
-        seed: Seed of the search.
-
-    Raises:
-        UnreachableError: The search has found no posture.
+    `base_pose` (3,) has x, y [m] and heading [rad] of the base, `angle` [rad] is the opening angle
+    of the door. If the search finds no posture, this raises an UnreachableError.
     """
     search = PostureSearch(model, pairs, d_b)
     q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)
@@ -284,8 +244,7 @@ class _GraspSearch:
 
     def best(self, seed: int) -> tuple[Array, pin.SE3]:
         rng = np.random.default_rng(seed)
-        best = Found(None, 0.0, Counter())
-        target = pin.SE3.Identity()
+        best, target = NOTHING, pin.SE3.Identity()
         self._search.stand(self._base_pose)
         far = self._search.beyond(self._door.handle(self._angle).translation) > 0.0
         for roll in () if far else _ROLLS:
@@ -319,10 +278,9 @@ class _GraspSearch:
         return room
 
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
-        """[-] number of further door angles that the arm can reach, plus the smallest margin.
+        """[-] number of further door angles that the arm can reach, plus the smallest `_room`.
 
-        The margin is the result of `_room` in each of these postures. As in the controller, the arm
-        stays near its starting posture in the task's null space.
+        As in the controller, the arm stays near its starting posture in the task's null space.
         """
         q_m, followed = q_start, 0
         for turned in _AHEAD:
@@ -337,33 +295,24 @@ class _GraspSearch:
         return followed + room
 
     def _backed_off(self, angle: float) -> Array:
-        """(3,) x, y [m] and heading [rad] of the base, moved back from the opening door.
-
-        If the free edge of the door would be within d_b of the base's front, the base is moved back
-        along its heading, so that the distance is d_b.
-        """
+        """(3,) the base's pose, moved back if the door's free edge is within d_b of its front."""
         door = self._door
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         x, y, heading = self._base_pose
         forwards = np.array([np.cos(heading), np.sin(heading)])
         gap = float((edge[:2] - [x, y]) @ forwards) - self._front
-        return np.array(
-            [*(np.array([x, y]) + min(gap - self._search.d_b, 0.0) * forwards), heading]
-        )
+        back = min(gap - self._search.d_b, 0.0) * forwards
+        return np.add(self._base_pose, [*back, 0.0])
 
     def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
-        """(n_m,) the posture after one step towards the target pose.
-
-        In the null space of the end-effector's pose, the step leads towards `q_start`.
-        """
+        """(n_m,) the posture after one step to the target, in its null space to `q_start`."""
         error, J = self._search.linearised(q_m, target)
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float:
-        """[-] margins of a posture, below one; zero if the posture is invalid.
-
-        `least` [m] is the required distance of each pair beyond its buffer.
+        """[-] margins of a posture, below one; zero if a pair is not `least` [m] beyond its buffer,
+        or the posture is otherwise invalid.
         """
         search = self._search
         search.place(q_m)

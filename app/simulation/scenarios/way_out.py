@@ -47,9 +47,7 @@ class WayOutScenario(Scenario):
 
         The pair is drawn first. For a pair of arm and base, the direction is drawn too: the arm is
         above the base or beside it. Some of these cases are rare among uniformly random postures.
-
-        Raises:
-            UnreachableError: The search has found no posture.
+        If the search finds no posture, this raises an UnreachableError.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
@@ -81,10 +79,10 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if the search's present posture is a valid start for pair i, otherwise 0.
+    """1 if the search's present posture is a valid start, otherwise 0.
 
-    The pair must be the nearest one, at a distance in the range `depth` [m], and the arm above the
-    floor. `above`: the arm must be above the base (True) or beside it (False); None: anywhere.
+    Pair i must be the nearest one, at a distance in the range `depth` [m], and the arm above the
+    floor, and above the base (True), beside it (False) or anywhere (None).
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]

@@ -25,9 +25,7 @@ pa.set_memory_pool(pa.system_memory_pool())  # the default pool reserves 1 GB of
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
     """Read the header and the columns of an untrusted file.
 
-    Raises:
-        LogError: The file does not exist or is damaged, or reading takes more time or memory than
-            `within_budget` allows.
+    A missing or damaged file, or one beyond the limits of `within_budget`, raises a LogError.
     """
     try:
         # A small Parquet file can contain millions of equal rows.

@@ -37,11 +37,9 @@ class TraceMeta(Strict):
     format: Literal[2] = 2
     """[-] version of the file format; files of other versions cannot be read."""
     robot: str
-    """Name of the robot, as `dbb robots` lists it."""
     joints: tuple[str, ...]
     """Names of the arm's joints, in the order of q_m."""
     joint_units: tuple[Literal["rad", "m"], ...]
-    """Unit of the position of each joint."""
     joint_speeds: tuple[Positive, ...] = ()
     """(n_m,) [rad/s or m/s] speed limits of the joints; empty if unknown."""
     joint_torques: tuple[Positive, ...] = ()
@@ -49,7 +47,6 @@ class TraceMeta(Strict):
     velocities: tuple[str, ...] = ("v_mps", "w_radps")
     """Names of the base's velocities in the columns, in the order of the base's axes."""
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
-    """Names of the base's accelerations in the columns."""
     wheels: tuple[str, ...] = ("right", "left")
     """Names of the angles of the base's wheels."""
     pairs: tuple[str, ...]
@@ -87,14 +84,7 @@ class TraceMeta(Strict):
 
     @classmethod
     def of(cls, model: RobotModel, pairs: Mapping[str, bool], config: Config, **about: Any) -> Self:
-        """The data of a run.
-
-        Args:
-            model: The robot.
-            pairs: Whether each link pair is one with the base (L_m), by the pair's name.
-            config: Parameters at the first row.
-            about: Further fields.
-        """
+        """The data of a run; `pairs` states whether each link pair is one with the base (L_m)."""
         arm, base = model.description.arm, model.description.base
         velocities, accelerations = zip(*map(_rate_columns, base.axes), strict=True)
         return cls(
@@ -127,11 +117,8 @@ def _rate_columns(axis: Axis) -> tuple[str, str]:
 def column_names(template: str, meta: TraceMeta) -> list[str]:
     """The names of a quantity's columns, which end in the unit.
 
-    Args:
-        template: A pattern such as `p_ee_{xyz}_m` for x, y and z; `u_{joint}_{effort}` for the
-            joints, in N m or N; `base_{velocity}` for the base's axes, in m/s or rad/s;
-            `d_{pair}_m` for the link pairs.
-        meta: The data of the run.
+    Templates are such as `p_ee_{xyz}_m` for x, y and z; `u_{joint}_{effort}` for the joints, in N m
+    or N; `base_{velocity}` for the base's axes, in m/s or rad/s; `d_{pair}_m` for the link pairs.
     """
     joints = zip(meta.joints, meta.joint_units, strict=True)
     plain: dict[str, Sequence[str]] = {
@@ -156,7 +143,6 @@ class Column(NamedTuple):
     name: str
     """Name, which ends in the unit."""
     kind: Kind = "float"
-    """Type of the cells."""
     optional: bool = False
     """Whether a cell can be empty; in memory, an empty cell is NaN."""
     often: bool = False
@@ -167,7 +153,6 @@ class Quantity(NamedTuple):
     """A quantity of a run."""
 
     columns: Callable[[TraceMeta], Sequence[Column]]
-    """The quantity's columns in a run."""
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]
     """Conversion of a snapshot's value to cells."""
     value: Callable[[Sequence[Any], TraceMeta], Any]
@@ -178,13 +163,12 @@ class Quantity(NamedTuple):
     single: bool = False
     """Whether the quantity is a single number."""
     paths: tuple[str, ...] = ()
-    """Attributes of a control step with the numbers and float arrays that are recorded at each
-    control step, such as `truth.q_m`; empty if they have to be computed, or are recorded at
-    snapshots only."""
+    """Attributes of a control step, such as `truth.q_m`, with the numbers and float arrays that are
+    recorded at each control step."""
     row: Take | None = None
     """Computation of the numbers that are recorded at each control step, if there are no `paths`.
-    While the end-effector holds a door, it is called at each control step; otherwise at 50 Hz, and
-    the cells of the other steps are empty. None if the quantity is recorded at snapshots only."""
+    It is called at 50 Hz, and the cells of the other steps are empty; while the end-effector holds
+    a door, it is called at each control step."""
 
 
 def number(
@@ -198,17 +182,10 @@ def number(
 ) -> Quantity:
     """A quantity of one number or text.
 
-    Args:
-        name: Name of the column.
-        kind: Type of the cells.
-        source: The attribute of the control step with the value, as in `Quantity.paths`, or the
-            computation of the value, as in `Quantity.take`.
-        often: Whether the value is recorded at each control step; if not, at snapshots only.
-        optional: Whether the value can be None.
-        row: As in `Quantity.row`; required if `often`, unless `source` is an attribute.
-
-    Raises:
-        ValueError: Nothing defines the value at each control step.
+    `source` is the attribute of the control step with the value, as in `Quantity.paths`, or its
+    computation, as in `Quantity.take`. If `often`, the value is recorded at each control step,
+    otherwise at snapshots only; then `row` is required, unless `source` is an attribute. If
+    `optional`, the value can be None.
     """
     if often and row is None and not isinstance(source, str):
         raise ValueError(
@@ -223,18 +200,14 @@ def number(
     def cells(value: Any, _: TraceMeta) -> Sequence[Cell]:
         return (NAN if value is None else value,)
 
-    paths = (source,) if isinstance(source, str) else ()
-    take = _reader(source, cast) if isinstance(source, str) else source
+    take, paths = _source(source, cast)
     return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths, row=row)
 
 
 def numbers(
     template: str, source: str | Take, *, often: bool = True, optional: bool = False
 ) -> Quantity:
-    """A quantity of an array (k,), by default recorded at each control step.
-
-    `column_names` explains `template`, and `number` explains the other arguments.
-    """
+    """A quantity of an array (k,); see `column_names` for `template`, `number` for the others."""
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(n, "float", optional, often) for n in column_names(template, meta)]
@@ -245,21 +218,22 @@ def numbers(
     def value(cells: Sequence[float], _: TraceMeta) -> Array | None:
         return None if optional and np.isnan(cells).all() else frozen(cells)
 
-    paths = (source,) if isinstance(source, str) else ()
-    take = _reader(source, np.asarray) if isinstance(source, str) else source
+    take, paths = _source(source, np.asarray)
     return Quantity(columns, cells, value, take, paths=paths)
 
 
-def _reader(path: str, convert: Callable[[Any], Any]) -> Take:
-    """The computation of a value from an attribute of the control step."""
-    read = attrgetter(path)
-    return lambda _, step: convert(read(step))
+def _source(
+    source: str | Take | None, convert: Callable[[Any], Any]
+) -> tuple[Take | None, tuple[str, ...]]:
+    """`take` and `paths` of a quantity; `convert` the value of an attribute."""
+    if not isinstance(source, str):
+        return source, ()
+    read = attrgetter(source)
+    return lambda _, step: convert(read(step)), (source,)
 
 
-drawn = partial(number, often=False)
-"""A quantity of one number or text, recorded at snapshots."""
-drawn_numbers = partial(numbers, often=False)
-"""A quantity of an array (k,), recorded at snapshots."""
+drawn, drawn_numbers = partial(number, often=False), partial(numbers, often=False)
+"""A quantity of one number or text, or of an array (k,), recorded at snapshots."""
 
 
 def config_changes(take: Take) -> Quantity:

@@ -37,11 +37,7 @@ class LogHeader(Strict):
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """Read a header from JSON.
-
-        Raises:
-            LogError: The text is not a header, or has another format.
-        """
+        """Read a header from JSON; raises a LogError for another text or format."""
         if len(text) > LARGEST_DATA:
             raise LogError("the metadata are too long for a log")
         try:
@@ -66,9 +62,7 @@ class LogHeader(Strict):
 def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
 
-    Raises:
-        LogError: The file's name has a different ending.
-        OutputError: The file cannot be written.
+    Another ending raises a LogError; if the file cannot be written, an OutputError is raised.
     """
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)
@@ -85,11 +79,7 @@ def write_trace(path: Path, trace: Trace) -> None:
 
 
 def read_trace(path: Path) -> Trace:
-    """Read a trace from an untrusted file.
-
-    Raises:
-        LogError: The file does not exist or is damaged, or its ending or columns are wrong.
-    """
+    """Read a trace from an untrusted file; raises a LogError that names the fault."""
     _check_suffix(path)
     text, table = read_arrow(path)
     try:
@@ -154,10 +144,7 @@ def _snapshots(
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
-    """The cells of a column in the rows with snapshots, by `_cast`.
-
-    A number column that is neither optional nor recorded at each step is empty in other rows.
-    """
+    """The cells of a column in the rows with snapshots, by `_cast`."""
     if not column.often:
         _cast(column, values, len(drawn))
     nothing = "" if column.kind == "text" else NAN
@@ -168,11 +155,7 @@ def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> l
 
 
 def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
-    """Convert the cells of a column to the column's type.
-
-    `filled` is the required number of cells with a value. Optional columns and columns of texts may
-    have fewer.
-    """
+    """Convert the cells of a column to its type; `filled` cells must have a value."""
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
         raise LogError(
@@ -214,10 +197,7 @@ def _check_times(times: np.ndarray) -> None:
 
 
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
-    """The cells of a column for a file.
-
-    None becomes an empty cell. In an optional column, NaN becomes an empty cell too.
-    """
+    """The cells of a column for a file; None, and NaN in an optional column, is an empty cell."""
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):
         return pa.array(values, kind, from_pandas=column.optional)

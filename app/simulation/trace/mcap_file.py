@@ -62,13 +62,9 @@ _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
     """Write a trace with snapshots completely or not at all.
 
-    With `ros`, the file has only the topics `/robot_description`, `/joint_states` and `/tf`.
-
-    Raises:
-        OutputError: The file cannot be written.
-        AssetError: The robot's URDF is missing.
-        DescriptionError: The robot's URDF cannot be read.
-        RobotFileError: A visual in the URDF is invalid; not with `ros`.
+    With `ros`, the file has only the topics `/robot_description`, `/joint_states` and `/tf`. If the
+    file cannot be written, this raises an OutputError; if the robot's URDF is missing or invalid,
+    an AssetError, a DescriptionError or a RobotFileError.
     """
     file = io.BytesIO()  # in memory, so that a writing error occurs only at the end
     log = _Log(file, profile="ros2" if ros else None)
@@ -82,16 +78,14 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     write_whole(path, file.getvalue())
 
 
-class _Joint(NamedTuple):
-    """The state of a joint at one instant; None means unknown."""
+class _Joints(NamedTuple):
+    """The states of joints; without values, velocities or efforts are omitted."""
 
-    name: str
-    position: float
-    """[rad or m] position about or along the joint's axis in the URDF."""
-    velocity: float | None = None
-    """[rad/s or m/s] velocity."""
-    effort: float | None = None
-    """[N m or N] torque or force."""
+    names: Sequence[str]
+    position: Array
+    """[rad or m] positions about or along the joints' axes in the URDF."""
+    velocity: Array = np.empty(0)
+    effort: Array = np.empty(0)
 
 
 class _Log:
@@ -117,32 +111,15 @@ class _Log:
 
         self._put(topic, t, bytes(_store().serialize_cdr(_ros(kind, **fields), kind)), schema)
 
-    def put_joints(self, topic: str, t: float, states: Sequence[_Joint]) -> None:
-        """Append the states of joints at time t [s].
-
-        Velocities or efforts are omitted if no joint has them.
-        """
-        names, position, *others = zip(*states, strict=True)
-        velocity, effort = (
-            np.array([nan if x is None else x for x in column if {*column} != {None}], dtype=float)
-            for column in others
-        )
-        self.put_ros(
-            topic,
-            t,
-            "sensor_msgs/msg/JointState",
-            header=_header(t, ""),
-            name=list(names),
-            position=np.array(position, dtype=float),
-            velocity=velocity,
-            effort=effort,
-        )
+    def put_joints(self, topic: str, t: float, joints: _Joints) -> None:
+        """Append the states of joints at time t [s]."""
+        names, *values = joints
+        states = dict(zip(("position", "velocity", "effort"), values, strict=True))
+        kind, header = "sensor_msgs/msg/JointState", _header(t, "")
+        self.put_ros(topic, t, kind, header=header, name=list(names), **states)
 
     def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
-        """Append a record of numbers and texts at time t [s].
-
-        The topic's first record determines the names of the fields.
-        """
+        """Append numbers and texts at time t [s]; the first record determines their names."""
         if topic not in self._kinds:
             self._kinds[topic] = _record_kind(name, values)
         kind, schema = self._kinds[topic]
@@ -189,8 +166,8 @@ class _Frames:
         The end-effector's frame is the last one.
         """
         whole, turned = self._whole, np.zeros(self._whole.nv)
-        for joint in _joints_of(s, self._model):
-            turned[whole.joints[whole.getJointId(joint.name)].idx_v] = joint.position
+        names, positions, *_ = _joints_of(s, self._model)
+        turned[[whole.joints[whole.getJointId(name)].idx_v for name in names]] = positions
         q = pin.integrate(whole, pin.neutral(whole), turned)
         q[:4] = self._model.configuration(s.base_pose, s.q_m)[:4]
         pin.framesForwardKinematics(whole, self._data, q)
@@ -205,13 +182,13 @@ class _Frames:
         return name, frames[link].name, oMf[parent].actInv(oMf[link])
 
 
-def _joints_of(s: Snapshot, model: RobotModel) -> list[_Joint]:
-    """The states of the joints of arm and wheels at a snapshot."""
-    arm = model.description.arm.joints
-    speeds = [None] * len(arm) if s.qd_m is None else s.qd_m.tolist()
-    moving = zip(arm, s.q_m.tolist(), speeds, s.u_a.tolist(), strict=True)
+def _joints_of(s: Snapshot, model: RobotModel) -> _Joints:
+    """The states of the joints of arm and wheels at a snapshot; NaN is unknown."""
     wheels = model.wheel_positions(s.wheel_angles)
-    return [*map(_Joint._make, moving), *(_Joint(*each) for each in wheels.items())]
+    names, unknown = [*model.description.arm.joints, *wheels], [nan] * len(wheels)
+    position, effort = np.array([*s.q_m, *wheels.values()]), np.array([*s.u_a, *unknown])
+    velocity = np.empty(0) if s.qd_m is None else np.array([*s.qd_m, *unknown])
+    return _Joints(names, position, velocity, effort)
 
 
 def _put_motion(log: _Log, trace: Trace, model: RobotModel) -> None:
@@ -248,8 +225,8 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
     for s in trace.snapshots:
         row = trace.table[trace.row_at(s.t)]
         for quantity, columns in trace.groups.items():
-            curves = [_Joint(name, row[trace.index[name]]) for name in columns]
-            log.put_joints(f"/curves/{quantity}", s.t, curves)
+            values = row[[trace.index[name] for name in columns]]
+            log.put_joints(f"/curves/{quantity}", s.t, _Joints(columns, values))
         if s.config != config:
             config = s.config
             sections = config.model_dump(mode="json").items()
@@ -261,10 +238,7 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """The names of columns as valid and unique names of Protobuf fields.
-
-    Protobuf refuses two names that differ only in underscores and the case of letters.
-    """
+    """Names of Protobuf fields for columns, which differ in more than underscores and case."""
     found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)

@@ -26,12 +26,10 @@ _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": 
 
 
 class Figure(NamedTuple):
-    """A figure of a run."""
+    """A figure of a run: its description in one sentence, and its computation."""
 
     about: str
-    """Description in one sentence."""
     of: Callable[[Trace], Any]
-    """Computation of the figure from a run."""
 
 
 def metrics(run: Trace) -> dict[str, Any]:
@@ -59,22 +57,16 @@ def _value(figure: Figure, run: Trace) -> Any:
 
 
 def touches(figures: dict[str, Any]) -> list[str]:
-    """The parts that the arm touched: "the base", "itself", "the floor".
-
-    `figures` are the figures of the run.
-    """
+    """The parts that the arm touched: "the base", "itself", "the floor"."""
     return [part for key, part in _TOUCHED.items() if figures[key]]
 
 
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     """The result of a run in words: contact, smallest distance and remaining error.
 
-    Values that are None or not finite are missing, which the words state.
-
-    Args:
-        figures: The figures of the run.
-        chain: Names of the robot's bodies from the base outwards, for the displayed names of link
-            pairs; if empty, the pairs' own names are used.
+    Values that are None or not finite are missing, which the words state. `chain` has the names of
+    the robot's bodies from the base outwards, for the displayed names of link pairs; if it is
+    empty, the pairs' own names are used.
     """
     touched = touches(figures)
     distances = figures["min_distance_m"].items()
@@ -104,10 +96,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
-    """[m] smallest distance of the pairs with the base (`mobile`) or of the pairs within the arm.
-
-    It is None if there is no such pair.
-    """
+    """[m] smallest distance of the pairs with the base (`mobile`) or within the arm, if any."""
     chosen = [(pair in run.meta.mobile_pairs) == mobile for pair in run.meta.pairs]
     return float(run.distances[:, chosen].min()) if any(chosen) else None
 
@@ -123,32 +112,26 @@ def largest(values: Array, at_least: float = 0.0) -> float:
 
 
 def jumps(run: Trace, quantity: str) -> dict[str, float]:
-    """Largest change of a base acceleration in one step, for linear and angular axes.
-
-    `quantity` is the name of the acceleration.
-    """
-    changes = np.abs(np.diff(run.of(quantity), axis=0))
-    return {
-        "linear_mps2": largest(changes[:, ~run.angular]),
-        "angular_radps2": largest(changes[:, run.angular]),
-    }
+    """Largest change of a base acceleration in one step, for linear and angular axes."""
+    linear, angular = (np.abs(np.diff(each, axis=0)) for each in _by_axis(run, quantity))
+    return {"linear_mps2": largest(linear), "angular_radps2": largest(angular)}
 
 
 def sign_changes(values: Array, band: float) -> int:
-    """Largest number of sign changes in a column of values (N, k).
-
-    Values within ±`band` are left out.
-    """
+    """Largest number of sign changes in a column of values (N, k) outside of ±`band`."""
     signs = (np.sign(column[np.abs(column) > band]) for column in values.T)
     return max((int((s[1:] != s[:-1]).sum()) for s in signs), default=0)
 
 
 def _base_sign_changes(run: Trace, quantity: str) -> dict[str, int]:
+    linear, angular = (sign_changes(each, _DEAD_BAND) for each in _by_axis(run, quantity))
+    return {"linear": linear, "angular": angular}
+
+
+def _by_axis(run: Trace, quantity: str) -> tuple[Array, Array]:
+    """(N, k) and (N, l) values of a quantity of the base for its linear and angular axes."""
     values = run.of(quantity)
-    return {
-        "linear": sign_changes(values[:, ~run.angular], _DEAD_BAND),
-        "angular": sign_changes(values[:, run.angular], _DEAD_BAND),
-    }
+    return values[:, ~run.angular], values[:, run.angular]
 
 
 def _path_after_release(run: Trace) -> float | None:
@@ -203,13 +186,9 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _last(run: Trace, quantity: str) -> Any:
-    return run.of(quantity)[-1].item()
-
-
-def _total(run: Trace, quantity: str) -> int:
+def _total(quantity: str) -> Callable[[Trace], int]:
     """Number of rows in which a flag is true."""
-    return int(run.of(quantity).sum())
+    return lambda run: int(run.of(quantity).sum())
 
 
 FIGURES: dict[str, Figure] = {
@@ -220,23 +199,17 @@ FIGURES: dict[str, Figure] = {
     "min_clearance_m": Figure(
         "Smallest distance of the pairs with the base.", lambda r: clearance(r, mobile=True)
     ),
-    "contacts": Figure(
-        "Steps in which the arm touched the base.", lambda r: _total(r, "in_contact")
-    ),
+    "contacts": Figure("Steps in which the arm touched the base.", _total("in_contact")),
     "arm_min_clearance_m": Figure(
         "Smallest distance of the pairs within the arm.", lambda r: clearance(r, mobile=False)
     ),
-    "arm_contacts": Figure(
-        "Steps in which the arm touched itself.", lambda r: _total(r, "arm_in_contact")
-    ),
-    "floor_contacts": Figure(
-        "Steps in which the arm touched the floor.", lambda r: _total(r, "floor_contact")
-    ),
+    "arm_contacts": Figure("Steps in which the arm touched itself.", _total("arm_in_contact")),
+    "floor_contacts": Figure("Steps in which the arm touched the floor.", _total("floor_contact")),
     "ee_error_max_m": Figure(
         "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
     ),
     "ee_error_final_m": Figure(
-        "Final distance of the end-effector from its target.", lambda r: _last(r, "ee_error")
+        "Final distance of the end-effector from its target.", lambda r: r.of("ee_error")[-1].item()
     ),
     "base_displacement_m": Figure(
         "Displacement of the base from start to end.", lambda r: float(np.hypot(*_moves(r)[-1, :2]))
@@ -319,10 +292,10 @@ FIGURES: dict[str, Figure] = {
         lambda r: _finite(r.buffer.needed_max),
     ),
     "solver_failures": Figure(
-        "Steps with the fallback command.", lambda r: int(_last(r, "solver_failures"))
+        "Steps with the fallback command.", lambda r: int(r.of("solver_failures")[-1])
     ),
     "solver_given_up": Figure(
-        "Steps in which the base's QP had no solution.", lambda r: int(_last(r, "given_up"))
+        "Steps in which the base's QP had no solution.", lambda r: int(r.of("given_up")[-1])
     ),
     "stuck": Figure(
         "The end-effector's error at the end with its reasons, if the reference rests and the "

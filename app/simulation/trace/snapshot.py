@@ -1,8 +1,8 @@
 """The quantities of a run: one declaration for each, with columns, units and computation.
 
 A `Snapshot` has all quantities at one instant, for display; a `Trace` has their columns over time.
-A new quantity is one more field here, at the end and with a default value: log files and live
-readings use it automatically, and older log files without it can still be read.
+A new quantity is one more field here, at the end and with a default value, because older log files
+do not have it.
 """
 
 import json
@@ -28,7 +28,7 @@ from app.robot.state import RobotState
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import PullReading
-from app.simulation.plants.door import Door
+from app.simulation.plants.door import Door, DoorView
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import (
     NAN,
@@ -55,10 +55,9 @@ _DOOR = TypeAdapter(Door)
 
 
 class PairReading(NamedTuple):
-    """One link pair at one instant; positions are in the world."""
+    """One link pair at one instant, named such as `lm-lEE`; positions are in the world."""
 
     name: str
-    """Name of the pair, such as `lm-lEE`."""
     mobile: bool
     """Whether one of the two bodies is the base (a pair of L_m)."""
     d: float
@@ -75,7 +74,6 @@ class ActingReading(NamedTuple):
     """The acting point of one active pair with the base; positions and force are in the world."""
 
     name: str
-    """Name of the pair, such as `lm-lEE`."""
     p_n: Array
     """(3,) [m] point of the border nearest to p_b, at the height of p_b."""
     p_t: Array
@@ -86,28 +84,10 @@ class ActingReading(NamedTuple):
     """(3,) [N] force f_m,i of (14)."""
 
 
-class DoorView(NamedTuple):
-    """A door that the end-effector holds; after the scenario, unknown values are NaN."""
-
-    door: Door
-    """The door's constant geometry; `door.pose(angle)` is T_world_door."""
-    angle: float
-    """[rad] opening angle."""
-    force: Array
-    """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
-    radial_force: float = NAN
-    """[N] component of the force towards the true position of the hinge."""
-    radial_error: float = NAN
-    """[rad] error of the estimated radial direction, positive counter-clockwise."""
-    contact: bool = False
-    """Whether the door touches the base."""
-
-
 class GhostReading(NamedTuple):
     """A compared robot at one instant."""
 
     controller: str
-    """Name of the controller."""
     base_pose: Array
     """(3,) x, y [m] and heading φ [rad] of the base."""
     q_m: Array
@@ -124,7 +104,6 @@ class Score(NamedTuple):
     """Results of a robot since the start of the comparison."""
 
     controller: str
-    """Name of the controller."""
     clearance: float
     """[m] smallest distance of any pair with the base."""
     error: float
@@ -154,7 +133,6 @@ class Refusal(NamedTuple):
     number: int
     """Number of the refusal since the start of the loop, from 1 on."""
     message: str
-    """The reason."""
 
 
 def _pairs() -> Quantity:
@@ -191,10 +169,8 @@ def _pairs() -> Quantity:
 
 def _acting() -> Quantity:
     """The quantity of p_n, p_t, p_act and f of each pair with the base; empty without them."""
-    templates = (
-        *(f"{p}_{{mobile}}_{{xyz}}_m" for p in ("p_n", "p_t", "p_act")),
-        "f_{mobile}_{xyz}_n",
-    )
+    vectors = (("p_n", "m"), ("p_t", "m"), ("p_act", "m"), ("f", "n"))
+    templates = [f"{vector}_{{mobile}}_{{xyz}}_{unit}" for vector, unit in vectors]
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
@@ -253,14 +229,10 @@ def _door() -> Quantity:
     def take(session: Session, step: Step) -> DoorView | None:
         if session.door is None:
             return None
-        door, touches = session.door.door, step.contacts.door_base
-        if step.door is None:
-            assert session.physics.door is not None, "a plant with a door"
-            return DoorView(
-                door, session.physics.door.angle(), frozen(np.zeros(3)), contact=touches
-            )
-        angle, force, *radial = step.door
-        return DoorView(door, angle, frozen(force), *radial, contact=touches)
+        held = session.physics.door
+        assert held is not None, "a plant with a door"
+        view = step.door or DoorView(session.door.door, held.angle(), np.zeros(3))
+        return view._replace(force=frozen(view.force), contact=step.contacts.door_base)
 
     nothing = (NAN,) * (len(columns) - 1)
 
@@ -276,10 +248,7 @@ def _door() -> Quantity:
         return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
 
     def row(session: Session, step: Step) -> Sequence[Any]:
-        if session.door is None:
-            return nothing
-        _, *often = cells_of(take(session, step))
-        return often
+        return cells_of(take(session, step))[1:]  # without the text
 
     return Quantity(lambda _: columns, lambda view, _: cells_of(view), value, take, row=row)
 
@@ -296,10 +265,9 @@ def _force_bound() -> Quantity:
 def _smallest_force_bound(session: Session, step: Step) -> float:
     """[N] largest force of a person that the arm can resist (`force_bound`).
 
-    It is the smallest of several bounds. Each pair in its buffer has a bound. The force on the
-    end-effector has a further bound: up to it, each joint can hold its speed against the force, so
-    that no joint exceeds its speed limit. The result is NaN if there is no bound, if no person
-    holds the robot, and for the fallback command, which does not respect limits.
+    Each pair in its buffer has a bound, and the force on the end-effector a further one, up to
+    which each joint can hold its speed. The result is the smallest bound; NaN if there is none, if
+    no person holds the robot, and for the fallback command, which does not respect limits.
     """
     if not (step.pulls and step.control.solved):
         return NAN
@@ -312,14 +280,7 @@ _VECTOR = types.Array(types.f8, 1, "A")
 
 @compiled(Signature(types.f8, (STEP.type, _VECTOR, types.f8, _VECTOR), None))
 def _least_bound(w: Any, force: Array, size: float, tau_max: Array) -> float:
-    """[N] smallest `force_bound`; NaN without a bound.
-
-    Args:
-        w: `STEP`.
-        force: (3,) [N] force on the end-effector, in the world.
-        size: [N] size of this force.
-        tau_max: (n_m,) [N m or N] torque limits.
-    """
+    """[N] smallest `force_bound`, for a force (3,) [N] of some size on the end-effector, or NaN."""
     qdd, n_b, least = w.qdd.copy(), len(w.qdd) - len(tau_max), np.inf
     qdd[n_b:] += w.x_est[2]
     load = steady_torques(w.M, w.h, qdd)
@@ -341,11 +302,10 @@ class Snapshot:
     """The whole simulation at one instant.
 
     Most fields are quantities with one or several columns in a trace. A quantity of `number` or
-    `numbers` is recorded at each control step; the declaration names the attribute of `Step` with
-    the value, which can be a property. A quantity of `drawn` is recorded at snapshots; the
-    declaration can also compute the value from the session s after the step and the step o. If the
-    declaration has neither, the publisher of the snapshot sets the value. Of the fields without
-    columns, a file has only `physics` and `seed`.
+    `numbers` is recorded at each control step, one of `drawn` at snapshots. The declaration names
+    the attribute of `Step` with the value, or computes it from the session s after the step and the
+    step o; otherwise the publisher of the snapshot sets it. Of the fields without columns, a file
+    has only `physics` and `seed`.
     """
 
     t: Annotated[float, number("t_s", "float", "t")]
@@ -410,7 +370,6 @@ class Snapshot:
     ]
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
-    """Name of the controller."""
     config: Annotated[Config, config_changes(lambda s, o: s.config)]
     """The parameters in use, which include the changes of `Scenario.adapted`."""
     d_b: Annotated[float, drawn("d_b_m", "float", lambda s, o: s.controller.d_b)]
@@ -476,8 +435,7 @@ class Snapshot:
 
     @property
     def border(self) -> BorderConfig:
-        """The border's parameters with the present buffer distance, rounded to 5 mm while it
-        changes.
+        """The border's parameters, while the buffer distance changes with its value in 5 mm steps.
 
         The controller's acting points already are on the border at the configured d_b.
         """
@@ -494,9 +452,7 @@ class Snapshot:
 
     @property
     def clearance(self) -> float:
-        """[m] smallest distance between the base and the arm, or a door that the arm holds;
-        infinite without a pair with the base.
-        """
+        """[m] smallest distance of the pairs with the base; infinite without such a pair."""
         return min((pair.d for pair in self.pairs if pair.mobile), default=math.inf)
 
     @property
@@ -520,24 +476,13 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def make_snapshot(
-    session: Session,
-    step: Step,
-    pacer: Pacer | None,
-    *,
-    paused: bool,
-    explained: bool = True,
-    **fields: Any,
+    session: Session, step: Step, pacer: Pacer | None, *, explained: bool = True, **fields: Any
 ) -> Snapshot:
-    """Make a snapshot in separate, read-only memory.
+    """Make a snapshot in separate, read-only memory, from the last step and the session after it.
 
-    Args:
-        session: The session after the step.
-        step: The last step.
-        pacer: Source of the real-time statistics; None for a run without a clock, whose snapshots
-            are reproducible except for `duration_us`.
-        paused: Whether the simulation is paused.
-        explained: Whether to include the explanation of the motion, which no file stores.
-        fields: Further fields of `Snapshot`.
+    The `pacer` has the real-time statistics; a run without a clock has none, and its snapshots are
+    reproducible except for `duration_us`. If `explained`, the snapshot has the explanation of the
+    motion, which no file stores. `fields` are further fields of `Snapshot`.
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     computed = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
@@ -547,11 +492,10 @@ def make_snapshot(
         step_time_us=pacer.step_time_us if pacer else NAN,
         realtime_factor=pacer.realtime_factor if pacer else NAN,
         overruns=pacer.overruns if pacer else 0,
-        paused=paused,
         physics=session.kind,
         seed=session.seed,
         explanation=explain(*why) if explained else None,
-        **fields,
+        **{"paused": False, **fields},
     )
 
 
@@ -567,8 +511,7 @@ def _frozen_pull(pull: PullReading) -> PullReading:
 
 
 def _wxyz(state: RobotState) -> Array:
-    x, y, z, w = pin.Quaternion(state.R_ee).coeffs()
-    return np.array([w, x, y, z])
+    return pin.Quaternion(state.R_ee).coeffs()[[3, 0, 1, 2]]
 
 
 @lru_cache(maxsize=64)

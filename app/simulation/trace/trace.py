@@ -61,11 +61,8 @@ class Trace:
     ) -> None:
         """Combine the parts of a trace.
 
-        Args:
-            meta: The data of the run.
-            table: (N, C) a row for each recorded step, in order of time.
-            snapshots: Snapshots; each belongs to one of the rows.
-            names: The quantities in the table, in order.
+        `table` (N, C) has a row for each recorded step in order of time, and the columns of the
+        quantities `names`; each snapshot belongs to one of the rows.
         """
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
@@ -89,9 +86,8 @@ class Trace:
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
         """Make a trace with a row for each snapshot; the first one determines the run's data.
 
-        Raises:
-            LogError: There are no snapshots, they are not in order of time, or their pairs
-                differ.
+        Without snapshots, and if their times are not in order or their pairs differ, this raises a
+        LogError.
         """
         if not snapshots:
             raise LogError("there are no snapshots for a log")
@@ -119,12 +115,9 @@ class Trace:
         return self.table[:, self.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) values of a quantity, one row for each row of the table.
+        """(N,) or (N, k) values of a quantity, a field of `Snapshot`; each row is one of the table.
 
-        `quantity` is the name of a field of `Snapshot`.
-
-        Raises:
-            LogError: The run is from an older log, which does not have this quantity.
+        If an older log does not have the quantity, this raises a LogError.
         """
         if quantity not in self._slices:
             raise LogError(f"the log does not have {quantity!r}")
@@ -195,12 +188,7 @@ class Recorder:
     """Records every control step of a run."""
 
     def __init__(self, scenario: Scenario | None = None, *, drawn: bool = False) -> None:
-        """Start with no steps.
-
-        Args:
-            scenario: The scenario that moves the end-effector during the whole run, or None.
-            drawn: Whether to take snapshots at 50 Hz, beginning with the first step.
-        """
+        """Start with no steps; with `drawn`, there are snapshots at 50 Hz from the first step."""
         self._scenario, self._drawn = scenario, drawn
         self._meta: TraceMeta | None = None
         self._rows = bytearray()  # needs a fifth of a list's memory, and no garbage collection
@@ -275,14 +263,13 @@ class Recorder:
         self._order = np.argsort(np.argsort(kinds, kind="stable"))
 
     def _draw(self, session: Session, step: Step) -> None:
-        fields: dict[str, Any] = {"explained": False}  # no file stores explanations
-        if self._scenario is not None:
-            fields |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
-        self.snapshots.append(make_snapshot(session, step, None, paused=False, **fields))
+        led = self._scenario
+        about = {"scenario": led.name, "scenario_ends": led.duration} if led else {}
+        self.snapshots.append(make_snapshot(session, step, None, explained=False, **about))
 
 
 class Stored:
-    """A snapshot, as bytes after `pack`: as objects it takes about five times the memory.
+    """A snapshot, after `pack` as bytes: as an object it takes about five times the memory.
 
     Many snapshots share one configuration, which is not part of the bytes.
     """
@@ -314,13 +301,10 @@ def _unpacked(stored: Stored) -> Snapshot:
 
 
 class History:
-    """The newest snapshots in order of time; the start of a run removes all older snapshots.
-
-    Only the newest `_UNPACKED` snapshots are objects.
-    """
+    """The newest snapshots in order of time, most of them packed; a run begins without any."""
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
-        """Start empty; `stored` is the largest number of stored snapshots."""
+        """Start empty; `stored` is the largest number of snapshots."""
         self._stored: deque[Stored] = deque(maxlen=stored)
         self._latest: Snapshot | None = None
 
@@ -384,10 +368,7 @@ class Stuck(NamedTuple):
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
-    """The state of an end-effector that does not reach a resting reference in a step.
-
-    It is None if the end-effector reaches the reference, or if the reference moves or is missing.
-    """
+    """The state of an end-effector that does not reach a resting reference in a step, or None."""
     reference = step.reference
     if reference is None or step.ee_error <= SHORT:
         return None
@@ -397,13 +378,10 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
 
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
-    """Where the end-effector is in a step, and why it is not at its target, or "unknown".
+    """Where the end-effector is in a step, and why it is not at its target.
 
-    Joints and speeds are those of the simulated robot. The possible reasons: The end-effector still
-    moves towards its target. Joints are at their position or speed limits. Links of the arm are
-    within their buffer; the rows that separate these links outweigh the end-effector's task. The
-    avoidance moves the base so that the end-effector moves away from its target. The arm is
-    stretched: the end-effector's Jacobian has a small singular value.
+    The rows that separate links of the arm within their buffer outweigh the end-effector's task;
+    the avoidance can also move the base so that the end-effector moves away from its target.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)

@@ -22,10 +22,7 @@ _NOTHING = 5e-7  # [-] numbers below this one count as rounding errors
 def body(name: str, chain: Sequence[str]) -> str:
     """The displayed name of a body by its position: base, shoulder, ..., forearm, end-effector.
 
-    Args:
-        name: Name of the body, such as `lEE`.
-        chain: Names of all bodies, from the mobile base outwards; a door that the end-effector
-            holds is called `door`.
+    `chain` has the names of all bodies from the mobile base outwards, with a held door as `door`.
     """
     if name == chain[0]:
         return "base"
@@ -48,14 +45,10 @@ def spoken(name: str, chain: Sequence[str]) -> str:
 
 
 def outcome(least: float, *, touched: bool) -> Outcome:
-    """Classify a run.
+    """Classify a run by its smallest distance [m], and whether the plant reported a contact.
 
     Distances are between convex bodies that enclose the links, so bodies can overlap without a
     contact.
-
-    Args:
-        least: [m] smallest distance of the run.
-        touched: Whether the plant reported a contact.
     """
     return "contact" if touched else "overlap" if least < 0.0 else "no contact"
 
