@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from app.compiled import compiled
-from app.control.qp import backward, cholesky, forward, inverse_diagonal, times
+from app.control.qp import cholesky, fill, forward, inverse_diagonal, put, solved, times
 from app.strict import Array
 
 _MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent errors of used velocities
@@ -103,7 +103,10 @@ def speed_margin(v_error: Array, qd_max: Array) -> Array:
 @compiled()
 def speed_error(J: Array, v_error: Array) -> float:
     """[m/s] error of J q̇ by independent errors (n_m,) of the joints' speeds."""
-    return math.sqrt((J**2 * v_error**2).sum())
+    square = 0.0
+    for i in range(len(J)):
+        square += J[i] ** 2 * v_error[i] ** 2
+    return math.sqrt(square)
 
 
 @compiled()
@@ -179,7 +182,7 @@ def torque_reachable_bounds(
     found = np.empty_like(bounds)
     n_b, n_m = len(qdd_b), len(qdd_ext)
     acting = 0.5 * (u_min + u_max) - h[n_b:] - times(M[n_b:, :n_b], qdd_b)
-    qdd = qdd_ext + backward(L_aa, forward(L_aa, acting))
+    qdd = qdd_ext + solved(L_aa, acting)
     inverse = inverse_diagonal(L_aa)
     for i in range(n_m):
         moved = inverse[i]
@@ -200,8 +203,7 @@ def torque_rows(
     n_m = len(u_min)
     n_b = len(h) - n_m
     for i in range(n_m):
-        for j in range(len(h)):
-            C[i, j] = M[n_b + i, j]
+        put(C[i], M[n_b + i])
         l[i], u[i] = u_min[i] - h[n_b + i], u_max[i] - h[n_b + i]
 
 
@@ -215,8 +217,7 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
     n_m = len(unit)
     n_b = C.shape[1] - n_m
     for i in range(n_m):
-        for j in range(C.shape[1]):
-            C[i, j] = 0.0
+        fill(C[i], 0.0)
         C[i, n_b + i] = 1.0 / unit[i]
         l[i], u[i] = (bounds[0, i] - qdd_ext[i]) / unit[i], (bounds[1, i] - qdd_ext[i]) / unit[i]
 
@@ -233,8 +234,7 @@ def distance_rows(
     n_b = C.shape[1] - n_m
     for i in range(len(rows)):
         moved = 0.0
-        for j in range(C.shape[1]):
-            C[i, j] = J[rows[i], j]
+        put(C[i], J[rows[i]])
         for j in range(n_m):
             moved += J[rows[i], n_b + j] * qdd_ext[j]
         l[i], u[i] = least[i] - moved, np.inf

@@ -1,12 +1,10 @@
 """The tasks of a control step, and their continuous transition (§3.2 to §3.4).
 
-T_sca has rows J q̈ = b, each with an activation β. Each task below T_sca is an objective
-½ q̈ᵀ H q̈ + cᵀ q̈: end-effector, posture, guided arm, base at rest. The reduced accelerations
+T_sca has rows J q̈ = b, each with an activation β. The tasks below T_sca (end-effector, posture,
+guided arm, base at rest) are one strictly convex objective ½ q̈ᵀ H q̈ + cᵀ q̈, and each row of T_sca
+is a spring against its solution. Thus the result is continuous when rows enter or leave; the
+paper's hierarchy of strict levels jumps where levels become dependent. The reduced accelerations
 q̈ (n,) begin with the n_b of the base.
-
-The paper's hierarchy of strict levels jumps where levels become dependent. Here the tasks below are
-one strictly convex objective, and each row of T_sca is a spring against the solution of these
-tasks: the result is continuous in its data when rows enter or leave.
 """
 
 import math
@@ -16,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.compiled import compiled
-from app.control.qp import backward, cholesky, forward, put
+from app.control.qp import cholesky, forward, put, solved
 from app.robot.model import STABLE_STEPS
 from app.strict import Array
 
@@ -89,14 +87,10 @@ def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
 def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) -> Array:
     """ẍ_rep = k_p n − k_v ṗ (3,) [m/s²]: pushes the arm's closest point away from the base.
 
-    This is the compared method `repulsive`, realised by the arm alone. §4.2.1 names the method; its
-    force on the closest point and its damping are Dietrich's (2011, 2012).
-
-    Args:
-        n: (3,) unit normal from the base to the arm.
-        velocity: (3,) [m/s] ṗ, velocity of the closest point relative to the base.
-        k_p: [m/s²] gain of the repulsion.
-        k_v: [1/s] gain of the damping.
+    n (3,) is the unit normal from the base to the arm, ṗ (3,) [m/s] the velocity of the closest
+    point relative to the base; k_p is in m/s², k_v in 1/s. The compared method `repulsive` realises
+    this by the arm alone. §4.2.1 names the method; its force on the closest point and its damping
+    are Dietrich's (2011, 2012).
     """
     return k_p * n - k_v * velocity
 
@@ -185,11 +179,9 @@ def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
 
     Both are in axes of the world.
     """
-    error = np.empty(6)
+    error, turn = np.empty(6), np.empty((3, 3))
     for i in range(3):
         error[i] = p_ref[i] - p[i]
-    turn = np.empty((3, 3))
-    for i in range(3):
         for j in range(3):
             turn[i, j] = R_ref[i, 0] * R[j, 0] + R_ref[i, 1] * R[j, 1] + R_ref[i, 2] * R[j, 2]
     put(error[3:], rotation_vector(turn))
@@ -349,7 +341,7 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 
 @compiled()
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
-    """H (n, n) and c (n,) of min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), the task of a guided arm.
+    """H = M (n, n) and c (n,) of min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), the task of a guided arm.
 
     u_0 (n_m,) [N m or N] is the torque without T_sca. As a function of q̈_a the cost has the
     Hessian M_aa. For a fixed acceleration of the base the minimum is at u_a = u_0, and rows of the
@@ -358,7 +350,7 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     n_b, c = len(h) - len(u_0), np.zeros(len(h))
     for i in range(len(u_0)):
         c[n_b + i] = h[n_b + i] - u_0[i]
-    return M.copy(), c
+    return M, c
 
 
 @compiled()
@@ -374,8 +366,8 @@ def add_base_rest_task(
     H, c = H.copy(), c.copy()
     share = np.empty((n - n_b, n_b + 1))
     for j in range(n_b):
-        put(share[:, j], backward(L_aa, forward(L_aa, H[n_b:, j])))
-    put(share[:, n_b], backward(L_aa, forward(L_aa, c[n_b:])))
+        put(share[:, j], solved(L_aa, H[n_b:, j]))
+    put(share[:, n_b], solved(L_aa, c[n_b:]))
     M_ab = H[n_b:, :n_b].copy()
     for i in range(n_b):
         for j in range(n_b):
@@ -467,13 +459,12 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
     """R (3, n_b): end-effector motion by the base's axes that the arm cannot compensate.
 
-    The method moves the base, and the arm has to compensate the motion of the end-effector. An arm
-    that lacks a joint for that, or is at full stretch, cannot do so: the base drags the
-    end-effector along, the distance stays the same, and the base would continue. Our extension: R =
-    (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the end-effector's
-    linear Jacobian, Q the speed limits of the joints and v a speed. Along a direction in which the
-    joints can move the end-effector at v, half of the base's motion remains; at 2 v, one
-    seventeenth.
+    An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
+    drags the end-effector along, the distance stays the same, and the base would continue. Our
+    extension: R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the
+    end-effector's linear Jacobian, Q the speed limits of the joints and v a speed. Along a
+    direction in which the joints can move the end-effector at v, half of the base's motion remains;
+    at 2 v, one seventeenth.
 
     Args:
         J_ee: (6, n) end-effector Jacobian.
@@ -495,10 +486,10 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
         for j in range(n_b):
             for k in range(n_b):
                 moved[i, j] += J_ee[i, k] * J_m_inv[k, j]
-    L, found = cholesky(rest), np.empty_like(moved)
+    L = cholesky(rest)
     for j in range(n_b):
-        put(found[:, j], backward(L, forward(L, moved[:, j])))
-    return found
+        put(moved[:, j], solved(L, moved[:, j]))
+    return moved
 
 
 @compiled()
@@ -524,5 +515,4 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
         for j in range(n_b):
             for k in range(len(drag)):
                 hung[i, j] += mass * drag[k, i] * drag[k, j]
-    L = cholesky(hung)
-    return hold + backward(L, forward(L, right))
+    return hold + solved(cholesky(hung), right)
