@@ -457,18 +457,16 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     """Write the limits into w.C, w.l, w.u and w.softness, and return their number.
 
-    Args:
-        robot: `ROBOT`.
-        gains: `GAINS`, including the approach rates of the limits.
-        w: `STEP`.
-        which: The problem. All problems have the limits of torques and joints. ARM: the torques
-            are within w.u_min and w.u_max. The rows of joints and distances include external forces
-            and a margin for recent errors of velocities; while readings are rare or late, they
-            hold with a slower rate too. A joint limit demands at most the acceleration that the
-            joint's own torque can achieve. If the method has barriers, each convex part of l_a of
-            each pair has one. FREE_BASE: the barriers of all pairs without margins, if the base
-            takes part in the method's barriers. ROOM: if the method has a lookahead (`dbb`), there
-            are barriers of L_m and the buffers of the arm's links.
+    All problems have the limits of torques and joints, with the approach rates of `gains`.
+
+    - ARM: the torques are within w.u_min and w.u_max. The rows of joints and distances include
+      external forces and a margin for recent errors of velocities; while readings are rare or late,
+      they hold with a slower rate too. A joint limit demands at most the acceleration that the
+      joint's own torque can achieve. If the method has barriers, each convex part of l_a of each
+      pair has one.
+    - FREE_BASE: the barriers of all pairs without margins, if the base takes part in them.
+    - ROOM: if the method has a lookahead (`dbb`), barriers of L_m and the buffers of the arm's
+      links.
     """
     for_arm, link_buffers = which == ARM, which == ROOM and gains.lookahead
     barrier = (for_arm and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
@@ -666,19 +664,10 @@ def next_command(
 ) -> Array:
     """The velocity command after one command period, by M_a v̇ + D_a v = F, F = M_a a, exactly.
 
-    The change and the result are limited by `a_max` and `v_max`. The input a is the mean of
-    `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an effect. F
-    is not the base's part of u: that part is not zero while the base is at rest, so that the base
-    would drift.
-
-    Args:
-        acceleration: (n_b,) [m/s² or rad/s²] a, mean of the commanded acceleration.
-        command: (n_b,) [m/s or rad/s] the previous command.
-        period: [s] command period.
-        mass: (n_b,) [kg or kg m²] diagonal of M_a.
-        damping: (n_b,) [N s/m or N m s] diagonal of D_a.
-        a_max: (n_b,) [m/s² or rad/s²] largest accelerations of the base.
-        v_max: (n_b,) [m/s or rad/s] largest commands.
+    The change and the result (n_b,) are limited by `a_max` and `v_max`. The input a (n_b,) is the
+    mean of `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an
+    effect. F is not the base's part of u: that part is not zero while the base is at rest, so that
+    the base would drift. `mass` and `damping` are the diagonals (n_b,) of M_a and D_a.
     """
     found, gain = np.empty(len(command)), response(mass, damping, period)[0]
     for i in range(len(command)):

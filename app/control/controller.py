@@ -275,8 +275,8 @@ class Controller:
 class Command(NamedTuple):
     """The commands of one control step.
 
-    `step` and the properties below always refer to the loop's last step. A copy by `copy.deepcopy`
-    does not change in later steps.
+    `step` and the properties below always refer to the loop's last step, unless this is a copy by
+    `copy.deepcopy`.
     """
 
     u_a: Array

@@ -204,7 +204,7 @@ def row_slacks(w: ControlStep) -> Array:
 def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
     """Norms of the linear and of the angular part of a vector (n_b,) along the base's axes."""
     angular = np.array([axis.angular for axis in base.axes])
-    return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
+    return _norm(values[~angular]), _norm(values[angular])
 
 
 def _norm(vector: Array) -> float:

@@ -235,16 +235,9 @@ def add_tracking(
     A remaining error adds a damping λ ‖q̈ + k_v q̇‖² in the metric H, where λ is the square of the
     error (Levenberg and Marquardt, by Sugihara 2011). Thus an arm at full stretch comes to rest.
 
-    Paper: Eq. (26).
+    J (6, n) is J_ee, b (6,) the right-hand side of T_2, `lm_damping` λ [m²], `velocity` k_v q̇ (n,).
 
-    Args:
-        H: (n, n) of the posture.
-        c: (n,) of the posture.
-        J: (6, n) J_ee.
-        b: (6,) right-hand side of T_2.
-        lm_damping: [m²] λ.
-        velocity: (n,) k_v q̇.
-        weight: [-] w.
+    Paper: Eq. (26).
 
     Returns:
         (n, n) and (n,): (1 + w λ) H + w JᵀJ, and c + w (λ H k_v q̇ − Jᵀ b).
@@ -279,12 +272,10 @@ def posture_objective(
 ) -> tuple[Array, Array]:
     """H (n, n) and c (n,) that move the arm towards a posture, and bring the base to rest.
 
-    An acceleration of the base costs `base_weight` times as much as that of a joint.
     Without this task (26) does not determine the motion in the null space of T_2: the paper's robot
     has nine accelerations, and T_2 six rows. A joint also has a restoring acceleration proportional
-    to s⁵, where s is 0 in the middle of its range and ±1 at a limit. This acceleration is small
-    near the middle and large at a limit: a joint leaves its limit if the other tasks can be
-    satisfied away from this limit.
+    to s⁵, where s is 0 in the middle of its range and ±1 at a limit: a joint leaves its limit if
+    the other tasks can be satisfied away from this limit.
 
     Args:
         qd: (n,) q̇.
@@ -462,15 +453,9 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
     An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
     drags the end-effector along, the distance stays the same, and the base would continue. Our
     extension: R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the
-    end-effector's linear Jacobian, Q the speed limits of the joints and v a speed. Along a
-    direction in which the joints can move the end-effector at v, half of the base's motion remains;
-    at 2 v, one seventeenth.
-
-    Args:
-        J_ee: (6, n) end-effector Jacobian.
-        qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
-        J_m_inv: (n_b, n_b) from the base's axes to q̇_b.
-        speed: [m/s] v.
+    end-effector's linear Jacobian, Q = `qd_max` (n_m,) the speed limits of the joints and v [m/s] a
+    speed. Along a direction in which the joints can move the end-effector at v, half of the base's
+    motion remains; at 2 v, one seventeenth.
     """
     n_b, n_m = len(J_m_inv), len(qd_max)
     follows = np.zeros((3, 3))
@@ -498,14 +483,9 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
 
     The result a minimises (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖². The second term acts
     like a mass m on the end-effector along directions in which the arm does not compensate the
-    base's motion. Along all other directions D is close to 0, and a is close to a_des.
-
-    Args:
-        desired: (n_b,) [m/s² or rad/s²] a_des.
-        hold: (n_b,) [m/s² or rad/s²] a_hold: with it the end-effector fulfils its task.
-        inertia: (n_b,) [kg or kg m²] diagonal of I, the base's inertia.
-        mass: [kg] m.
-        drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.
+    base's motion. Along all other directions D is close to 0, and a is close to a_des. With a_hold
+    the end-effector fulfils its task. `inertia` (n_b,) is the diagonal of I, and D (3, n_b) is
+    `uncompensated_base_jacobian` times the gain of the admittance law.
     """
     n_b = len(inertia)
     hung, right = np.zeros((n_b, n_b)), np.empty(n_b)
