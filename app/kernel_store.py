@@ -27,7 +27,8 @@ def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     Raises:
         OSError: A file cannot be read.
     """
-    files, known, called = {Path(__file__).with_name("structs.py")}, set[FunctionType](), [function]
+    files = {Path(__file__).with_name(name) for name in ("compiled.py", "structs.py")}
+    known, called = set[FunctionType](), [function]
     while called:
         part = called.pop()
         files.add(Path(part.__code__.co_filename))

@@ -62,6 +62,26 @@ except MeasurementError as error:
     print(error)
 """
 
+MEMORY = """
+import resource
+import numpy as np
+from app.compiled import compiled
+
+@compiled("f8[::1](f8[:])")
+def tripled(x):
+    doubled = np.concatenate((x + x, np.ones(3)))
+    return x + doubled[: len(x)]
+
+sizes = (0, 1, 9, 125, 5000)
+kept = [tripled(np.full(size, 1.0 + k)) for k in range(40) for size in sizes]
+print(all((x == 3.0 * (1 + k // len(sizes))).all() for k, x in enumerate(kept)))
+del kept
+begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for k in range(200_000):
+    tripled(np.ones(sizes[k % len(sizes)]))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - begin < 20_000)
+"""
+
 
 def run(folder, script, *before, **other):
     path = os.pathsep.join([str(PROJECT), os.environ.get("PYTHONPATH", "")])
@@ -184,3 +204,8 @@ def test_measurement_is_checked_with_and_without_compiled_kernels(tmp_path, disa
     kinds, refused = run(tmp_path, "checked.py", NUMBA_DISABLE_JIT=disabled)[0].splitlines()
     assert kinds == "{'float64'}"
     assert refused.startswith("measurement.base_pose must be 3 numbers")
+
+
+def test_arrays_keep_their_values_after_later_calls_and_are_released(tmp_path):
+    (tmp_path / "memory.py").write_text(MEMORY, encoding="utf-8")
+    assert run(tmp_path, "memory.py")[0].split() == ["True", "True"]

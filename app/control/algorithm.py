@@ -5,11 +5,11 @@ table of quantities (`app.control.quantities`). The formulas take arrays and ret
 this file connects them; `readings`, `references` and `estimate_load` work on `w` itself. With
 ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
-There are no strict levels. Each QP is strictly convex: tasks have weights. A row between links, and
-of T_rep, is a spring with a stiffness that follows its activation β (`insert_rows`). The rows of
-the base are a blend (`blend_base`), and springs only in `set_up_room`. A row with β = 0 has no
-effect: `insert_rows` skips it, and `blend_base` returns a_free. Therefore lines 12 and 16 to 18,
-which leave out inactive rows, need no branch. The barrier of a pair does not depend on β.
+There are no strict levels: each QP is strictly convex, and tasks have weights. A row between links,
+and of T_rep, is a spring with a stiffness that follows its activation β (`insert_rows`). The rows
+of the base are a blend (`blend_base`), and springs only in `set_up_room`. A row with β = 0 has no
+effect, so lines 12 and 16 to 18, which leave out inactive rows, need no branch. The barrier of a
+pair does not depend on β.
 
 From the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des (29), a_base_cmd, and
 v_cmd by the admittance law (§4.1, `update_command`).
@@ -223,8 +223,8 @@ def algorithm_2(
 def activate_pairs(gains: Any, w: Any) -> None:
     """The activation of each pair, a function of its distance alone, not of time (Fig. 10).
 
-    `w.d_b` is the buffer distance of this step. If the configured d_b changes, `w.d_b` approaches
-    it at the rate `BUFFER_RATE`, but the border belongs to the new d_b at once.
+    If the configured d_b changes, `w.d_b` approaches it at the rate `BUFFER_RATE`, but the border
+    belongs to the new d_b at once.
     """
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
@@ -234,10 +234,8 @@ def activate_pairs(gains: Any, w: Any) -> None:
 def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
     """Lines 3 to 6: acting points and forces of the pairs with the base, and its acceleration."""
     for i in range(robot.n_mob):
-        fill(w.p_n[i], math.nan)
-        fill(w.p_t[i], math.nan)
-        fill(w.p_act[i], math.nan)
-        fill(w.tangent[i], math.nan)
+        for unknown in (w.p_n[i], w.p_t[i], w.p_act[i], w.tangent[i]):
+            fill(unknown, math.nan)
         w.alpha[i] = math.nan
         fill(w.f[i], 0.0)
         if w.beta[i] > 0.0:
@@ -399,15 +397,6 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
 
 
 @compiled()
-def put_objective(w: Any, H_low: Array, c_low: Array, H: Array, c: Array) -> None:
-    """Store the lowest task, and all tasks below T_sca."""
-    put_rows(w.H_low, H_low)
-    put(w.c_low, c_low)
-    put_rows(w.H, H)
-    put(w.c, c)
-
-
-@compiled()
 def put_qp(w: Any, H: Array, c: Array) -> None:
     """Store the objective of the next QP."""
     put_rows(w.qp_H, H)
@@ -441,53 +430,52 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     u_min, u_max = torque_range(last, robot.tau_max, gains.torque_rate * gains.dt)
     put(w.u_min, u_min)
     put(w.u_max, u_max)
-    if not tracking:
-        u_0 = w.u_free
-        if gains.f_arm > 0.0:
-            near = slice(0, robot.n_mob)
-            u_0 = u_0 + reaction_torque(w.d[near], w.J[near], gains.f_arm, w.d_b[()], robot.n_b)
-        H, c = guided_objective(w.M, w.h, u_0)
-        put_objective(w, H, c, H, c)
-        return
-    H_low, c_low = posture_objective(
-        w.qd,
-        w.q_m,
-        w.q_posture,
-        robot.q_limits,
-        gains.posture_stiffness,
-        gains.posture_damping,
-        gains.joint_centering,
-        gains.base_weight,
-        gains.base_damping,
-    )
-    put(w.e_ee, pose_error(w.p_ee, w.R_ee, w.x_ref[3], w.x_ref[:3].T))
-    b_ee, lm_damping = tracking_task(gains, w)
-    put(w.b_ee, b_ee)
-    w.lm_damping[()] = lm_damping
-    velocity = gains.ee_damping * w.qd
-    H, c = add_tracking(H_low, c_low, w.J_ee, b_ee, lm_damping, velocity, gains.ee_weight)
-    put_objective(w, H_low, c_low, H, c)
+    if tracking:
+        H_low, c_low = posture_objective(
+            w.qd,
+            w.q_m,
+            w.q_posture,
+            robot.q_limits,
+            gains.posture_stiffness,
+            gains.posture_damping,
+            gains.joint_centering,
+            gains.base_weight,
+            gains.base_damping,
+        )
+        put(w.e_ee, pose_error(w.p_ee, w.R_ee, w.x_ref[3], w.x_ref[:3].T))
+        b_ee, w.lm_damping[()] = tracking_task(gains, w)
+        put(w.b_ee, b_ee)
+        velocity = gains.ee_damping * w.qd
+        weight = gains.ee_weight
+        H, c = add_tracking(H_low, c_low, w.J_ee, b_ee, w.lm_damping[()], velocity, weight)
+    else:
+        near = slice(0, robot.n_mob)
+        reaction = reaction_torque(w.d[near], w.J[near], gains.f_arm, w.d_b[()], robot.n_b)
+        H_low, c_low = guided_objective(w.M, w.h, w.u_free + reaction)
+        H, c = H_low, c_low
+    put_rows(w.H_low, H_low)
+    put(w.c_low, c_low)
+    put_rows(w.H, H)
+    put(w.c, c)
 
 
 @compiled()
 def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     """Write the limits into w.C, w.l, w.u and w.softness, and return their number.
 
-    Args:
-        robot: `ROBOT`.
-        gains: `GAINS`, including the approach rates of the limits.
-        w: `STEP`.
-        which: The problem. All problems have the limits of torques and joints. ARM: the torques
-            are within w.u_min and w.u_max. The rows of joints and distances include external forces
-            and a margin for recent errors of velocities; while readings are rare or late, they
-            hold with a slower rate too. A joint limit demands at most the acceleration that the
-            joint's own torque can achieve. If the method has barriers, each convex part of l_a of
-            each pair has one. FREE_BASE: the barriers of all pairs without margins, if the base
-            takes part in the method's barriers. ROOM: if the method has a lookahead (`dbb`), there
-            are barriers of L_m and the buffers of the arm's links.
+    All problems have the limits of torques and joints, with the approach rates of `gains`.
+
+    - ARM: the torques are within w.u_min and w.u_max. The rows of joints and distances include
+      external forces and a margin for recent errors of velocities; while readings are rare or late,
+      they hold with a slower rate too. A joint limit demands at most the acceleration that the
+      joint's own torque can achieve. If the method has barriers, each convex part of l_a of each
+      pair has one.
+    - FREE_BASE: the barriers of all pairs without margins, if the base takes part in them.
+    - ROOM: if the method has a lookahead (`dbb`), barriers of L_m and the buffers of the arm's
+      links.
     """
-    barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
-    link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
+    for_arm, link_buffers = which == ARM, which == ROOM and gains.lookahead
+    barrier = (for_arm and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
     n_m, qd_limits = len(w.q_m), robot.qd_limits
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
     v_error, fastest = qdd_ext, math.inf
@@ -550,15 +538,11 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     springs; b_ee and these rows have slow gains. While a person guides the arm, a task that brings
     the base to rest replaces T_2. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the bounds of the
     joints at their full rates, and |J_m q̈_b| ≤ a_max. If the method's base takes part in the
-    barriers, the barriers of all pairs are constraints too.
-
-    Returns:
-        The number of its limits.
+    barriers, the barriers of all pairs are constraints too. Returns the number of its limits.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
     if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
-        b_ee, _ = tracking_task(slow, w)
-        velocity = slow.ee_damping * w.qd
+        velocity, b_ee = slow.ee_damping * w.qd, tracking_task(slow, w)[0]
         H, c = add_tracking(w.H_low, w.c_low, w.J_ee, b_ee, 0.0, velocity, slow.ee_weight)
     else:
         H, c = add_base_rest_task(
@@ -580,9 +564,8 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
 
     If β_m = 0, the result is a_des. If β_m > 0, a_des is clipped to ±a_max, and `limit_ee_drag`
     minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are the inertia and
-    the mass of the base, and w is `ee_hold.weight`. D leads to the part of the end-effector's
-    acceleration that the arm cannot compensate. a_hold is the command to which the base responds
-    with a_free.
+    the mass of the base, and w is `ee_hold.weight`. The base responds to the command a_hold with
+    a_free.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -604,13 +587,9 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     Minimise ‖q̈ − q̈_0‖ in the metric H, with q̈_0 the optimum of the cost for the base's response
     to its present command: the smallest change with which the arm fulfils T_2 within its limits.
     The cost is the sum of the tasks of base and arm, with a far higher weight of T_2, and with the
-    base's rows in proportion to their activation. The constraints are all constraints of the arm
-    above T_2: torques, joints, and for methods with a lookahead the distances of L_m and the
-    buffers of the arm's links. The approach rates of these constraints match the base's slow
-    response, so the base reacts early: it turns in time if a wrist joint comes near its limit.
-
-    Returns:
-        The number of its limits.
+    base's rows in proportion to their activation. The approach rates of the limits match the base's
+    slow response, so the base reacts early: it turns in time if a wrist joint comes near its limit.
+    Returns the number of its limits.
     """
     b_ee, lm_damping = tracking_task(slow, w)
     velocity, weight = slow.ee_damping * w.qd, slow.base_weight * slow.ee_weight
@@ -630,10 +609,8 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     The QP minimises ½ q̈ᵀ H q̈ + cᵀ q̈. H and c contain all tasks below T_sca and, as springs, the
     rows of T_sca that are not the base's. The torque limits of this step are hard; the bounds of
     the joints and the barriers of distances are soft. There is no slack variable: the slack of a
-    task or a row is its demand minus the result (`explanation.row_slacks`).
-
-    Returns:
-        The number of its limits.
+    task or a row is its demand minus the result (`explanation.row_slacks`). Returns the number of
+    its limits.
     """
     n_b = robot.n_b
     rows = slice(n_b, len(w.B))
@@ -650,17 +627,15 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     FREE_BASE has no fixed entries, ARM keeps its fixed entries, and ROOM can change them
     (`solve_qp_step`). If the active-set method finds no solution, `w.qp_open` marks the QP as open:
     `Controller` lets ProxQP solve it and calls `algorithm_2` again. In this second pass the result
-    is ProxQP's solution. This happens at most once for each QP of a step.
-
-    Returns:
-        (n,) the solution, and whether it exists.
+    is ProxQP's solution. This happens at most once for each QP of a step. Returns the solution (n,)
+    and whether it exists.
     """
-    limits = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
+    C, l, u, softness = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
     if which == ROOM:
-        x, found = solve_qp_step(w.qp_H, w.qp_c, limits[0], limits[1], limits[2], limits[3], fixed)
+        x, found = solve_qp_step(w.qp_H, w.qp_c, C, l, u, softness, fixed)
     else:
-        x, found = solve_qp(w.qp_H, w.qp_c, limits[0], limits[1], limits[2], limits[3], fixed)
+        x, found = solve_qp(w.qp_H, w.qp_c, C, l, u, softness, fixed)
     if not found and w.qp_tried[which] != 0.0:
         return w.qp_x[which].copy(), not math.isnan(w.qp_x[which, 0])
     if not found:
@@ -695,19 +670,10 @@ def next_command(
 ) -> Array:
     """The velocity command after one command period, by M_a v̇ + D_a v = F, F = M_a a, exactly.
 
-    The change and the result are limited by `a_max` and `v_max`. The input a is the mean of
-    `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an effect. F
-    is not the base's part of u: that part is not zero while the base is at rest, so that the base
-    would drift.
-
-    Args:
-        acceleration: (n_b,) [m/s² or rad/s²] a, mean of the commanded acceleration.
-        command: (n_b,) [m/s or rad/s] the previous command.
-        period: [s] command period.
-        mass: (n_b,) [kg or kg m²] diagonal of M_a.
-        damping: (n_b,) [N s/m or N m s] diagonal of D_a.
-        a_max: (n_b,) [m/s² or rad/s²] largest accelerations of the base.
-        v_max: (n_b,) [m/s or rad/s] largest commands.
+    The change and the result (n_b,) are limited by `a_max` and `v_max`. The input a (n_b,) is the
+    mean of `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an
+    effect. F is not the base's part of u: that part is not zero while the base is at rest, so that
+    the base would drift. `mass` and `damping` are the diagonals (n_b,) of M_a and D_a.
     """
     found, gain = np.empty(len(command)), response(mass, damping, period)[0]
     for i in range(len(command)):

@@ -123,13 +123,8 @@ def approach_speeds(twists: Array, joints: Array, p_b: Array, n: Array) -> tuple
     """[m/s] speeds of the arm's closest point p_b (3,) [m] of a pair towards the base.
 
     They are the speed relative to the floor, and the speed relative to the base, which only the
-    joints of the arm cause.
-
-    Args:
-        twists: (n_j, 6) twist of the body on each joint, as in `RobotState`.
-        joints: (2,) joints that move the base and the arm's body.
-        p_b: The point, in the world.
-        n: (3,) the pair's normal, in the world.
+    joints of the arm cause. `twists` (n_j, 6) are those of `RobotState`, `joints` (2,) move the
+    base and the arm's body, and n (3,) is the pair's normal; all are in the world.
     """
     v = -np.dot(n, np.array(point_velocity(twists[joints[1]], p_b)))
     return v, v + np.dot(n, np.array(point_velocity(twists[joints[0]], p_b)))

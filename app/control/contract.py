@@ -64,12 +64,12 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
 
     The message names the joint that is the farthest outside.
     """
-    half = 0.5 * (model.q_upper - model.q_lower)
-    i = int(np.argmax(np.abs(q_m - 0.5 * (model.q_upper + model.q_lower)) / half))
+    low, high, joints = model.q_lower, model.q_upper, model.description.arm.joints
+    i = int(np.argmax(np.abs(q_m - 0.5 * (high + low)) / (high - low)))
     return MeasurementError(
-        f"measurement.q_m: {model.description.arm.joints[i]} is at {q_m[i]:g}, its limits are "
-        f"{model.q_lower[i]:.4g} and {model.q_upper[i]:.4g} rad or m: send radians, in the order "
-        f"of {', '.join(model.description.arm.joints)} (`ControlLoop.joint_order` sorts by name)"
+        f"measurement.q_m: {joints[i]} is at {q_m[i]:g}, its limits are {low[i]:.4g} and "
+        f"{high[i]:.4g} rad or m: send radians, in the order of {', '.join(joints)} "
+        "(`ControlLoop.joint_order` sorts by name)"
     )
 
 
@@ -115,9 +115,8 @@ class JointOrder:
             MeasurementError: The number of values differs from the number of names.
         """
         q = numbers("joint states: position", position, self._size)
-        return q[self._places], velocities("joint states: velocity", velocity, self._size)[
-            self._places
-        ]
+        qd = velocities("joint states: velocity", velocity, self._size)
+        return q[self._places], qd[self._places]
 
 
 def checked_reference(reference: Reference) -> Reference:

@@ -14,7 +14,6 @@ import numpy as np
 from app.avoidance.closest_points import SmoothPoints
 from app.border.cache import BorderData, load_border_data
 from app.border.offset import border_of
-from app.border.score import ScoreField
 from app.compiled import direct
 from app.config import Config, slowed
 from app.control import CONTROLLERS
@@ -125,8 +124,9 @@ class Controller:
         self.faulty = False
         """Whether the readings of the last step have a fault."""
         self.use(name)
-        self._own_drive = _overrides(self._base, "drive_acceleration")
-        self._own_commands = _overrides(self._base, "admissible")
+        kind = type(self._base)
+        self._own_drive = kind.drive_acceleration is not BaseKind.drive_acceleration
+        self._own_commands = kind.admissible is not BaseKind.admissible
         self.reset()
 
     def use(self, name: str) -> None:
@@ -158,7 +158,7 @@ class Controller:
             w.torques += added * w.lifts
             w.loaded -= added
             w.unstated[...] = 0.0
-        if METHODS[self.name].get("hierarchy"):
+        if "hierarchy" in METHODS[self.name]:
             border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
         self._border = border_of(self._model, clouds, border).struct
@@ -183,9 +183,8 @@ class Controller:
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        The controller forgets posture, speeds, torques, estimate, commands and the counts of
-        failures. A measured period stays in use, and until the next valid reading the fallback
-        command has the gravity terms of the last valid posture.
+        A measured period stays in use, and until the next valid reading the fallback command has
+        the gravity terms of the last valid posture.
         """
         self.last.qd[...] = 0.0  # the fallback command damps these speeds
         for name in _MEMORY:
@@ -230,11 +229,7 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
-        """Execute a step as `step` does, with the base acceleration from the model of the drive.
-
-        The model computes this acceleration from the last velocity command. `v_cmd` of the returned
-        step is the new velocity command.
-        """
+        """A step as in `step`; the drive's model computes the base acceleration from `v_cmd`."""
         if not self._own_drive:
             return self._step(measurement, reference, DRIVE_MODEL)
         measurement = checked(measurement, self._model)
@@ -244,11 +239,6 @@ class Controller:
         a = self._base.drive_acceleration(v, drive, v_cmd)
         self.last.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
         return self._step(measurement, reference, BASE_MEASURED)
-
-    def score_field(self, pair: str) -> ScoreField:
-        """The score for the acting points of a pair of arm and base, by the pair's name."""
-        body = next(each.b for each in self._data.pairs.mobile if each.name == pair)
-        return ScoreField.of(self._model, body)
 
     def _step(
         self, measurement: Measurement, reference: Reference | None, base_source: int
@@ -271,9 +261,8 @@ class Controller:
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
         self._distances.update_from(data)
         self._distances.write_distances(w.d)
-        tracking = reference is not None
-        problem = robot, gains, self._slow, self._border, w.struct, base_source
-        while left_open := _law(*problem, tracking):
+        tracking, slow, border = reference is not None, self._slow, self._border
+        while left_open := _law(robot, gains, slow, border, w.struct, base_source, tracking):
             self._rescue(int(left_open) - 1)
         if self._own_commands and w.command_due:
             w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
@@ -295,8 +284,8 @@ class Controller:
 class Command(NamedTuple):
     """The commands of one control step.
 
-    `step` and the properties below always refer to the loop's last step. A copy by `copy.deepcopy`
-    does not change in later steps.
+    `step` and the properties below always refer to the loop's last step, unless this is a copy by
+    `copy.deepcopy`.
     """
 
     u_a: Array
@@ -461,8 +450,3 @@ def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Arr
     found = base.admissible(command, before)
     over = float(np.max(np.abs(found) / v_max))
     return found / over if over > 1.0 else found
-
-
-def _overrides(base: BaseKind, method: str) -> bool:
-    """Whether a kind of base overrides a method."""
-    return getattr(type(base), method) is not getattr(BaseKind, method)

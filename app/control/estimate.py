@@ -86,7 +86,7 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; a clear change of the velocity is an external acceleration.
 
-    `estimate_arm` explains the arguments; `trusted` (2, n_m) are noise variances.
+    The arguments are those of `estimate_arm`, and the noise variances `trusted` (2, n_m).
     """
     steps, dt = len(predicted), gains.dt
     for i in range(len(q)):
@@ -109,19 +109,12 @@ def process_noise(
     """(n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration in 1 s.
 
     It is at least so large that the filter responds within `RESPONSE`: a pull moves a light joint
-    beyond its speed limit within 0.05 s. The response takes at least the blind time, because
+    beyond its speed limit within 0.05 s. The response takes at least the blind time [s], because
     readings that are older than assumed contradict the predicted motion. If the standard deviation
     of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower too, so that the
-    noise of estimated speeds is limited.
-    Recent errors of predicted velocities increase the process noise, up to `_MOST_DRIFT`.
-
-    Args:
-        v_error: (n_m,) recent errors of velocities that were predicted over some control periods.
-        variance: (n_m,) noise variance of the positions.
-        qd_max: (n_m,) joint speed limits.
-        periods: Number of these control periods.
-        blind_time: [s] recent longest age of the readings.
-        gains: `GAINS`.
+    noise of estimated speeds is limited. Recent errors `v_error` (n_m,) of velocities that were
+    predicted over some control periods increase the process noise, up to `_MOST_DRIFT`; `variance`
+    (n_m,) is that of the positions' noise.
     """
     drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
     for i in range(len(v_error)):
@@ -220,16 +213,10 @@ def _learn(
     weight of one period only: it comes from a delay, a stop, or an external force during a gap, not
     from noise.
 
-    Args:
-        variances: (2, n_m) noise variances of positions and velocities; updated.
-        last: (3, n_m) velocity at the last reading, from the positions; the last position; and the
-            last unexplained second difference, or NaN; updated.
-        samples: () number of samples, including this one.
-        predicted: (k, n_m) accelerations in the control periods since the last reading.
-        q: (n_m,) positions.
-        qd: (n_m,) velocities, or NaN.
-        window: [s] time window of the variances.
-        dt: [s] control period.
+    The arguments are those of `estimate_arm`. `samples` includes this reading, q and qd (n_m,) are
+    its positions and velocities, and `window` [s] is the time window of the variances. `last`
+    (3, n_m) has the velocity at the last reading, from the positions; the last position; and the
+    last unexplained second difference, or NaN.
     """
     steps = len(predicted)
     share = max(1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / window))
@@ -253,15 +240,11 @@ def _learn(
 
 @compiled()
 def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
-    """(2, n_m) variances of positions and velocities, with lower bounds.
+    """The variances (2, n_m) of positions and velocities, with lower bounds.
 
-    Args:
-        variances: (2, n_m) estimated variances.
-        least: [rad or m] lower bound of the positions' standard deviation.
-        ratio: [1/s] lower bound of the velocities' standard deviation, divided by that of the
-            positions: drives compute velocities from the same positions.
-        dt: [s] time since the last reading; `least` / dt is a lower bound of the velocities'
-            standard deviation too.
+    `least` [rad or m] bounds the positions' standard deviation; `ratio` [1/s] times that of the
+    positions, and `least` / dt with the time dt [s] since the last reading, bound the velocities'
+    one: drives compute velocities from the same positions.
     """
     found = np.empty_like(variances)
     for i in range(variances.shape[1]):
@@ -307,20 +290,9 @@ def _follow(
     """Predict each joint since the last reading, and correct it by its position and its velocity.
 
     A measured velocity counts as the mean velocity of the last control period, as in drives and
-    simulators.
-
-    Args:
-        x: (3, n_m) position, velocity and external acceleration; updated.
-        P: (n_m, 3, 3) covariances; updated.
-        predicted: (k, n_m) predicted accelerations in the k control periods since the last reading.
-        q: (n_m,) positions.
-        qd: (n_m,) velocities; NaN has no effect.
-        variances: (2, n_m) noise variances of positions and velocities.
-        drift: (n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration
-            in one second.
-        sudden: (n_m,) [rad/s² or m/s²] largest change of the external acceleration by each of the
-            two corrections.
-        dt: [s] control period.
+    simulators; NaN has no effect. The arguments are those of `estimate_arm`, and `sudden` (n_m,)
+    [rad/s² or m/s²], the largest change of the external acceleration by each of the two
+    corrections.
     """
     advance(x, predicted, dt)
     for i in range(len(q)):
@@ -406,12 +378,8 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
     counts too. `w.loaded` is the sum of all sudden loads, minus the changes of the payload's mass,
     without the friction that remains after a person's push upwards. `w.unstated` reports this sum
     while the torques contain at least half of it. It is 0 if the sum would make the mass at the
-    end-effector negative, because then a person pushes upwards.
-
-    Args:
-        gains: `GAINS`.
-        w: `STEP`.
-        jumped: Whether the arm cannot have moved to the newest reading.
+    end-effector negative, because then a person pushes upwards. `jumped` states whether the arm
+    cannot have moved to the newest reading.
     """
     n_b, dt = len(w.g) - len(w.q_m), gains.dt
     if w.samples[()] < _SETTLED:

@@ -9,11 +9,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from app.avoidance.acting_point import resultant_force
+from app.border.score import ScoreField
 from app.config import Config
 from app.control.active_bounds import Bound, active_bounds, admittance_bounds
 from app.control.controller import Controller
 from app.control.quantities import ControlStep
 from app.robot.bases.kind import Axis, BaseKind
+from app.robot.model import RobotModel
 from app.strict import Array
 
 Planar = tuple[float, float]
@@ -143,7 +145,7 @@ def explain(
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
     limited = {bound.where for bound in bounds if bound.kind == "barrier"}
-    near = [_near_pair(controller, w, i, limited=p.name in limited) for i, p in enumerate(w.pairs)]
+    near = (_near_pair(model, w, i, limited=p.name in limited) for i, p in enumerate(w.pairs))
     nearest = int(np.argmin(w.d[: w.n_mob]))
     known = [pair for pair in near if pair is not None]
     known.sort(key=lambda p: (p.mobile, max(p.beta, p.arm_beta), -p.d), reverse=True)
@@ -202,7 +204,7 @@ def row_slacks(w: ControlStep) -> Array:
 def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
     """Norms of the linear and of the angular part of a vector (n_b,) along the base's axes."""
     angular = np.array([axis.angular for axis in base.axes])
-    return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
+    return _norm(values[~angular]), _norm(values[angular])
 
 
 def _norm(vector: Array) -> float:
@@ -223,7 +225,7 @@ def split(f: Array, n: Array) -> tuple[Array, Array]:
     return away, f - away
 
 
-def _near_pair(controller: Controller, w: ControlStep, i: int, *, limited: bool) -> NearPair | None:
+def _near_pair(model: RobotModel, w: ControlStep, i: int, *, limited: bool) -> NearPair | None:
     """The i-th pair, or None if its activation is 0 and its barrier is not active."""
     mobile, beta, n = i < w.n_mob, float(w.beta[i]), w.normal[i]
     pushed = mobile and bool((w.B[w.n_b + len(w.pairs) - w.n_mob :] > 0.0).any())
@@ -239,17 +241,17 @@ def _near_pair(controller: Controller, w: ControlStep, i: int, *, limited: bool)
         above=1.0 - math.hypot(*n[:2].tolist()) if mobile else 0.0,
         arm_beta=arm_beta,
         limited=limited,
-        force=_force_split(controller, w, i) if mobile else None,
+        force=_force_split(model, w, i) if mobile else None,
     )
 
 
-def _force_split(controller: Controller, w: ControlStep, i: int) -> ForceSplit | None:
+def _force_split(model: RobotModel, w: ControlStep, i: int) -> ForceSplit | None:
     """The force on the base for a pair, or None if the method does not move the base for it."""
     if not w.B[0] > 0.0 or np.isnan(w.p_act[i, 0]):
         return None
-    field = controller.score_field(w.pairs[i].name)
+    field = ScoreField.of(model, w.pairs[i].b)
     score, score_near = field.score(np.array([w.p_act[i], w.p_n[i]])).tolist()
-    base = controller.state.model.description.base
+    base = model.description.base
     away, turn = split(w.f[i], w.R_base.T @ w.normal[i])
     away_acc, turn_acc = (
         w.B[0] * (base.A_b @ resultant_force(f[None], w.p_act[i : i + 1])) for f in (away, turn)

@@ -60,7 +60,7 @@ ROBOT = struct_type("_Robot", _ROBOT)
 _GAINS: dict[str, Any] = {
     "dt": _FLOAT,  # [s] control period
     "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
-    "d_b": _FLOAT,  # this and the next fields: parameters of `Config`, in their units
+    "d_b": _FLOAT,  # this and the next fields: parameters of `Config`, by name, in their units
     "f_max": _FLOAT,
     "f_arm": _FLOAT,
     "alpha_gain": _FLOAT,
@@ -110,21 +110,16 @@ _Gains: Any = NamedTuple("_Gains", [(each, Any) for each in _GAINS])  # type: ig
 GAINS = struct_type("_Gains", _GAINS)
 """The struct of the gains, for signatures of compiled functions."""
 
-METHODS: Mapping[str, Mapping[str, Any]] = {
-    "dbb": {
-        "moves_base": True,
-        "link_rows": True,
-        "reaction": True,
-        "barrier": True,
-        "lookahead": True,
-    },
-    "hqp": {"moves_base": True, "link_rows": True, "hierarchy": True},
-    "repulsive": {"link_rows": True, "arm_rows": True},
-    "barrier": {"barrier": True, "base_in_barrier": True},
-    "none": {},
+METHODS: Mapping[str, frozenset[str]] = {
+    "dbb": frozenset({"moves_base", "link_rows", "reaction", "barrier", "lookahead"}),
+    "hqp": frozenset({"moves_base", "link_rows", "hierarchy"}),
+    "repulsive": frozenset({"link_rows", "arm_rows"}),
+    "barrier": frozenset({"barrier", "base_in_barrier"}),
+    "none": frozenset(),
 }
-"""The terms that each controller adds to the tasks or to the limits."""
-MOVES_BASE = frozenset(name for name, terms in METHODS.items() if terms.get("moves_base"))
+"""The terms that each controller adds to the tasks or to the limits: flags of `_GAINS`, and the
+"reaction" of the arm with the force `force.f_arm`."""
+MOVES_BASE = frozenset(name for name, terms in METHODS.items() if "moves_base" in terms)
 """Names of the controllers that move the base by the avoidance force."""
 
 
@@ -157,57 +152,24 @@ def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> A
 
 def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any:
     """`GAINS` of a configuration for a controller in `METHODS`; `dt` [s] is the control period."""
-    c, method, base = config, METHODS[name], model.description.base
-    values = _Gains(
-        dt=dt,
-        joint_damping=model.joint_damping,
-        d_b=c.border.d_b,
-        f_max=c.force.f_max,
-        f_arm=c.force.f_arm if method.get("reaction") else 0.0,
-        alpha_gain=c.force.alpha_gain,
-        alpha_min=c.force.alpha_min,
-        alpha_max=c.force.alpha_max,
-        d_full=c.activation.d_full,
-        closest_point_smoothing=c.activation.closest_point_smoothing,
-        k_p=c.repulsion.k_p,
-        k_v=c.repulsion.k_v,
-        d_min=c.barrier.d_min,
-        barrier_rate=c.barrier.rate,
-        max_separation_speed=c.barrier.max_separation_speed,
-        ee_hold_min_speed=c.ee_hold.min_speed,
-        ee_hold_weight=c.ee_hold.weight,
-        ee_stiffness=c.task.ee_stiffness,
-        ee_damping=c.task.ee_damping,
-        ee_speed=c.task.ee_speed,
-        posture_stiffness=c.task.posture_stiffness,
-        posture_damping=c.task.posture_damping,
-        joint_centering=c.task.joint_centering,
-        base_damping=c.task.base_damping,
-        base_weight=c.task.base_weight,
-        ee_weight=c.task.ee_weight,
-        slack_weight=c.task.slack_weight,
-        position_rate=c.limit.position_rate,
-        velocity_rate=c.limit.velocity_rate,
-        torque_rate=c.limit.torque_rate,
-        external_drift=c.estimate.external_drift,
-        payload_mass=c.payload.mass,
-        least_noise=c.estimate.least_noise,
-        velocity_noise=c.estimate.velocity_noise,
-        noise_window=c.estimate.noise_window,
-        delay=c.estimate.delay,
-        command_period=c.admittance.period,
-        virtual_mass=base.by_axis(c.admittance.mass, c.admittance.inertia),
-        virtual_damping=base.by_axis(c.admittance.damping, c.admittance.angular_damping),
-        largest_command=largest_command(base, c.admittance),
-        moves_base=method.get("moves_base", False),
-        link_rows=method.get("link_rows", False),
-        arm_rows=method.get("arm_rows", False),
-        barrier=method.get("barrier", False),
-        base_in_barrier=method.get("base_in_barrier", False),
-        lookahead=method.get("lookahead", False),
-        hierarchy=method.get("hierarchy", False),
-    )
-    return GAINS.made_of(_contiguous(values, _GAINS))
+    c, terms, base = config, METHODS[name], model.description.base
+    sections = c.border, c.force, c.activation, c.repulsion, c.barrier, c.task, c.limit, c.estimate
+    found = {name: value for section in sections for name, value in section}
+    found |= {
+        "dt": dt,
+        "joint_damping": model.joint_damping,
+        "f_arm": c.force.f_arm if "reaction" in terms else 0.0,
+        "barrier_rate": c.barrier.rate,
+        "ee_hold_min_speed": c.ee_hold.min_speed,
+        "ee_hold_weight": c.ee_hold.weight,
+        "payload_mass": c.payload.mass,
+        "command_period": c.admittance.period,
+        "virtual_mass": base.by_axis(c.admittance.mass, c.admittance.inertia),
+        "virtual_damping": base.by_axis(c.admittance.damping, c.admittance.angular_damping),
+        "largest_command": largest_command(base, c.admittance),
+    }
+    found |= {name: name in terms for name, kind in _GAINS.items() if kind is _FLAG}
+    return GAINS.made_of(_contiguous(_Gains(**{name: found[name] for name in _GAINS}), _GAINS))
 
 
 def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from app.compiled import compiled
-from app.control.qp import backward, cholesky, forward, inverse_diagonal, times
+from app.control.qp import cholesky, fill, forward, inverse_diagonal, put, solved, times
 from app.strict import Array
 
 _MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent errors of used velocities
@@ -23,12 +23,9 @@ _MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a l
 
 @compiled()
 def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
-    """The smallest and largest torques (n_m,) of a step, from torque limits and slew rate.
+    """The smallest and largest torques (n_m,) [N m or N] of a step.
 
-    Args:
-        u_last: (n_m,) [N m or N] torque of the last step.
-        tau_max: (n_m,) torque limits.
-        change: [N m or N] largest change in one step.
+    They follow from the last torques (n_m,), the limits (n_m,), and the largest change in one step.
     """
     low, high = np.empty(len(u_last)), np.empty(len(u_last))
     for i in range(len(u_last)):
@@ -60,14 +57,8 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
     ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
     that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
     because h is limited to −2 max_speed/λ. It is the second-order form of the barriers
-    ḣ + λ h ≥ 0 of libraries at velocity level.
-
-    Args:
-        Jdqd: [m/s²] acceleration of the distance at q̈ = 0.
-        d_dot: [m/s] speed of the distance.
-        h: [m] d − d_min.
-        rate: [1/s] λ.
-        max_speed: [m/s] largest speed of separation.
+    ḣ + λ h ≥ 0 of libraries at velocity level. `Jdqd` [m/s²] is the acceleration of the distance at
+    q̈ = 0, `d_dot` [m/s] its speed, `rate` [1/s] λ.
     """
     return -2.0 * rate * d_dot - rate**2 * max(h, -2.0 * max_speed / rate) - Jdqd
 
@@ -103,7 +94,10 @@ def speed_margin(v_error: Array, qd_max: Array) -> Array:
 @compiled()
 def speed_error(J: Array, v_error: Array) -> float:
     """[m/s] error of J q̇ by independent errors (n_m,) of the joints' speeds."""
-    return math.sqrt((J**2 * v_error**2).sum())
+    square = 0.0
+    for i in range(len(J)):
+        square += J[i] ** 2 * v_error[i] ** 2
+    return math.sqrt(square)
 
 
 @compiled()
@@ -164,22 +158,14 @@ def torque_reachable_bounds(
     its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose speed is lower than the
     speed limit by v can therefore brake in time from the acceleration √(2 (M_aa⁻¹)_ii r v).
 
-    Args:
-        M: (n, n) inertia matrix.
-        h: (n,) Coriolis and gravity terms.
-        L_aa: (n_m, n_m) Cholesky factor of the arm's part of M.
-        u_min: (n_m,) smallest torques of this step.
-        u_max: (n_m,) largest torques.
-        torque_rate: [N m/s or N/s] r.
-        bounds: (2, n_m) bounds on q̈_m.
-        room: (2, n_m) lower and upper speed limit minus q̇_m: −q̇_max − q̇_m and q̇_max − q̇_m.
-        qdd_b: (n_b,) acceleration of the base's coordinates.
-        qdd_ext: (n_m,) external acceleration of the joints.
+    M, h, L_aa, u_min and u_max are quantities of the step, `torque_rate` is r [N m/s or N/s],
+    `room` (2, n_m) the lower and the upper speed limit minus q̇_m, `qdd_b` (n_b,) the acceleration
+    of the base's coordinates, and `qdd_ext` (n_m,) the external acceleration of the joints.
     """
     found = np.empty_like(bounds)
     n_b, n_m = len(qdd_b), len(qdd_ext)
     acting = 0.5 * (u_min + u_max) - h[n_b:] - times(M[n_b:, :n_b], qdd_b)
-    qdd = qdd_ext + backward(L_aa, forward(L_aa, acting))
+    qdd = qdd_ext + solved(L_aa, acting)
     inverse = inverse_diagonal(L_aa)
     for i in range(n_m):
         moved = inverse[i]
@@ -200,8 +186,7 @@ def torque_rows(
     n_m = len(u_min)
     n_b = len(h) - n_m
     for i in range(n_m):
-        for j in range(len(h)):
-            C[i, j] = M[n_b + i, j]
+        put(C[i], M[n_b + i])
         l[i], u[i] = u_min[i] - h[n_b + i], u_max[i] - h[n_b + i]
 
 
@@ -215,8 +200,7 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
     n_m = len(unit)
     n_b = C.shape[1] - n_m
     for i in range(n_m):
-        for j in range(C.shape[1]):
-            C[i, j] = 0.0
+        fill(C[i], 0.0)
         C[i, n_b + i] = 1.0 / unit[i]
         l[i], u[i] = (bounds[0, i] - qdd_ext[i]) / unit[i], (bounds[1, i] - qdd_ext[i]) / unit[i]
 
@@ -233,8 +217,7 @@ def distance_rows(
     n_b = C.shape[1] - n_m
     for i in range(len(rows)):
         moved = 0.0
-        for j in range(C.shape[1]):
-            C[i, j] = J[rows[i], j]
+        put(C[i], J[rows[i]])
         for j in range(n_m):
             moved += J[rows[i], n_b + j] * qdd_ext[j]
         l[i], u[i] = least[i] - moved, np.inf

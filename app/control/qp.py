@@ -74,14 +74,18 @@ def forward(L: Array, b: Array) -> Array:
 
 
 @compiled()
-def backward(L: Array, b: Array) -> Array:
-    """L⁻ᵀ b."""
-    x = b.copy()
+def _back_substitute(L: Array, x: Array) -> Array:
     for i in range(len(x) - 1, -1, -1):
         for l in range(i + 1, len(x)):
             x[i] -= L[l, i] * x[l]
         x[i] /= L[i, i]
     return x
+
+
+@compiled()
+def backward(L: Array, b: Array) -> Array:
+    """L⁻ᵀ b."""
+    return _back_substitute(L, b.copy())
 
 
 @compiled()
@@ -100,9 +104,9 @@ def inverse_diagonal(L: Array) -> Array:
 
 
 @compiled()
-def _minimum(L: Array, c: Array) -> Array:
-    """-H⁻¹ c (n,) with H = L Lᵀ."""
-    return backward(L, forward(L, -c))
+def solved(L: Array, b: Array) -> Array:
+    """H⁻¹ b with H = L Lᵀ."""
+    return _back_substitute(L, forward(L, b))
 
 
 @compiled()
@@ -141,8 +145,7 @@ def _within(K: Array, active: Array, r: Array) -> Array:
     for i in range(size):
         for j in range(size):
             W[i, j] = K[active[i], active[j]]
-    factor = cholesky(W)
-    return backward(factor, forward(factor, r))
+    return solved(cholesky(W), r)
 
 
 @compiled()
@@ -187,10 +190,9 @@ def _activate_row(
 def compliances(softness: Array, length: Array) -> Array:
     """(m,) compliances of the rows, which are scaled to unit length.
 
-    Before this scaling, all soft rows of the same slack weight have the same compliance. Its value
-    follows from the shortest soft row. Thus a slack s costs s² times the same factor in each of
-    these rows. If the cost depended on the row, a light wrist would accelerate strongly to brake a
-    heavy shoulder.
+    Before this scaling, all soft rows of the same slack weight have the compliance that follows
+    from the shortest soft row: a slack s costs s² times the same factor in each of them. If the
+    cost depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
 
     Args:
         softness: (m,) [-] softness of each row; a row with 0 is hard.
@@ -299,6 +301,14 @@ def _joined(fixed: Array, rest: Array) -> Array:
 
 
 @compiled()
+def _free_optimum(H: Array, c: Array, fixed: Array) -> tuple[Array, Array]:
+    """The Cholesky factor of H, and the optimum without limits, of the entries after the fixed."""
+    k = len(fixed)
+    L = cholesky(H[k:, k:])
+    return L, solved(L, -(c[k:] + times(H[k:, :k], fixed)))
+
+
+@compiled()
 def solve_qp(
     H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
 ) -> tuple[Array, bool]:
@@ -323,8 +333,8 @@ def solve_qp(
         (n,) the solution, and whether the active sets found it.
     """
     k = len(fixed)
-    L, moved = cholesky(H[k:, k:]), times(C[:, :k], fixed)
-    free = _minimum(L, c[k:] + times(H[k:, :k], fixed))
+    L, free = _free_optimum(H, c, fixed)
+    moved = times(C[:, :k], fixed)
     rest, found = _nearest_within(free, L, C[:, k:], l - moved, u - moved, softness)
     return _joined(fixed, rest), found
 
@@ -341,7 +351,5 @@ def solve_qp_step(
     Returns:
         (n,) the solution, and whether the active sets found it.
     """
-    k = len(fixed)
-    rest = _minimum(cholesky(H[k:, k:]), c[k:] + times(H[k:, :k], fixed))
-    x = _joined(fixed, rest)
+    x = _joined(fixed, _free_optimum(H, c, fixed)[1])
     return _nearest_within(x, cholesky(H), C, l, u, softness)

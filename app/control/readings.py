@@ -242,10 +242,7 @@ def _implausible(q: Array, limits: Array) -> bool:
 
 @compiled()
 def _recall(w: Any, ago: int, count: int) -> Array:
-    """(count, n_m) predicted accelerations of `count` successive control periods.
-
-    The newest of these control periods ended `ago` control periods ago.
-    """
+    """(count, n_m) predicted accelerations of successive periods; the newest ended `ago` before."""
     found = np.empty((count, w.history.shape[1]))
     for k in range(count):
         put(found[k], w.history[(int(w.periods[()]) - ago - count + 1 + k) % HISTORY])
@@ -304,9 +301,8 @@ def _polynomials(ages: Array, count: int) -> Array:
 def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
     """Estimate `w.lag`, the delay of the readings in control periods.
 
-    The mean of each group of successive readings counts: this reduces noise. Each possible lag
-    predicts the motion of the last groups, up to a polynomial of time, which stands for the
-    motion by external forces (`_weigh_lags`).
+    Each possible lag predicts the motion of the last groups' mean positions, which have little
+    noise, up to a polynomial of time for the motion by external forces (`_weigh_lags`).
     """
     ages = w.group_age
     for k in range(len(ages)):
@@ -328,12 +324,9 @@ def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
 def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> Array:
     """(lags + 1,) [rad²] squared residuals of one joint for each lag, and without a prediction.
 
-    Args:
-        q: (n,) [rad] mean positions of the groups.
-        ways: (count,) [rad] predicted motion until 0, 1, ... control periods ago.
-        ages: (n,) mean ages of the groups, in control periods.
-        basis: (m, n) orthonormal polynomials, whose best fit is subtracted.
-        lags: Number of possible lags.
+    q (n,) [rad] and `ages` (n,) are the mean positions and ages [control periods] of the groups,
+    `ways` (count,) [rad] the predicted motion until 0, 1, ... control periods ago. The best fit of
+    `basis` (m, n), orthonormal polynomials, is subtracted.
     """
     found, fitted, rest = np.zeros(lags + 1), np.zeros((len(basis), lags + 1)), np.empty(lags + 1)
     for k in range(len(q)):
@@ -469,10 +462,7 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
 
 @compiled()
 def _measure_from(w: Any, q: Array, qd: Array) -> None:
-    """Restart the measurement of the control period.
-
-    It starts at the joint positions q (n_m,) and velocities qd (n_m,).
-    """
+    """Restart the measurement of the control period at positions q and velocities qd (n_m,)."""
     put(w.travel[0], q)
     fill(w.travel[1], 0.0)
     put(w.travel[2], qd)
@@ -611,10 +601,7 @@ def _forget_groups(w: Any) -> None:
 
 @compiled()
 def _use_stated_lag(gains: Any, w: Any) -> None:
-    """Update `w.lag` by the change of the stated delay, in control periods.
-
-    The stated delay is a time, so its number of control periods changes too if the period changes.
-    """
+    """Update `w.lag` if the stated delay, or its number of control periods, changes."""
     stated = min(round(gains.delay / gains.dt), _MOST_LAG)
     if stated != w.stated_lag[()]:
         w.lag[()] = min(max(w.lag[()] + stated - w.stated_lag[()], 0.0), _MOST_LAG)
@@ -652,9 +639,7 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _differs(error: Array, way: float, turn: float) -> bool:
-    """Whether the error (3,) of a base motion exceeds `_NEAR` plus half of the motion's length
-    `way` [m], or plus half of its angle `turn` [rad].
-    """
+    """Whether the error (3,) of a base motion exceeds `_NEAR` + `way`/2 [m], or `turn`/2 [rad]."""
     far = math.hypot(error[0], error[1]) > _NEAR + 0.5 * way
     return far or abs(error[2]) > _NEAR + 0.5 * turn
 
@@ -795,8 +780,8 @@ def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool
 
     `w.v_error` is the largest recent error of the velocities that the law used for the time of the
     reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. It decays with the time
-    constant of the noise estimate. A large error, or a jump of the arm (`jumped`), shows that the
-    readings can be older than assumed; therefore `w.blind_time` then includes `_LATE`.
+    constant of the noise estimate. `w.blind_time` includes `_LATE` after a large error or a jump of
+    the arm: the readings can then be older than assumed.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, blind = math.exp(-steps * gains.dt / gains.noise_window), steps + lag > 1.0

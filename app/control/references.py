@@ -266,17 +266,9 @@ def take_reference(
 ) -> bool:
     """Write the reference of this step into x_ref, v_ref and a_ref.
 
-    Args:
-        gains: `GAINS`.
-        w: `STEP`.
-        R: (3, 3) rotation of the reference, in the world.
-        p: (3,) [m] position of the reference.
-        v: (6,) velocity: linear [m/s], then angular [rad/s].
-        a: (6,) acceleration: linear [m/s²], then angular [rad/s²].
-        interpolate: Whether to interpolate references that jump.
-
-    Returns:
-        Whether the reference is a possible motion (`_is_motion`). If it is not, nothing is written.
+    The fields of the caller's `Reference` are R (3, 3) and p (3,), v (6,) and a (6,). `interpolate`
+    states whether to interpolate references that jump. Returns whether the reference is a possible
+    motion (`_is_motion`); if it is not, nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False

@@ -18,22 +18,15 @@ _ENOUGH = 1e-6  # required accuracy of ProxQP
 
 
 class OpenQP(NamedTuple):
-    """min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed."""
+    """min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, as in `qp.solve_qp`."""
 
     H: Array
-    """(n, n) symmetric positive definite."""
     c: Array
-    """(n,)."""
     C: Array
-    """(m, n)."""
     l: Array
-    """(m,)"""
     u: Array
-    """(m,)"""
     softness: Array
-    """(m,) [-] softness of each row, as in `qp.solve_qp`; a row with 0 is hard."""
     fixed: Array
-    """(k,) the first entries of x."""
 
 
 def solved_by_proxqp(qp: OpenQP) -> Array:
@@ -56,11 +49,7 @@ def solved_by_proxqp(qp: OpenQP) -> Array:
 
 
 def changed_by_proxqp(qp: OpenQP) -> Array:
-    """The feasible x (n,) nearest to x_0, the optimum with the fixed entries and without limits.
-
-    The distance is in the metric H, and all entries of x can differ from x_0, the fixed entries
-    too. The result is NaN in the same cases as in `solved_by_proxqp`.
-    """
+    """The solution (n,) as by `qp.solve_qp_step`; NaN in the cases of `solved_by_proxqp`."""
     free = np.concatenate([qp.fixed, _without_limits(qp)])
     return solved_by_proxqp(qp._replace(c=-qp.H @ free, fixed=qp.fixed[:0]))
 

@@ -1,12 +1,10 @@
 """The tasks of a control step, and their continuous transition (§3.2 to §3.4).
 
-T_sca has rows J q̈ = b, each with an activation β. Each task below T_sca is an objective
-½ q̈ᵀ H q̈ + cᵀ q̈: end-effector, posture, guided arm, base at rest. The reduced accelerations
+T_sca has rows J q̈ = b, each with an activation β. The tasks below T_sca (end-effector, posture,
+guided arm, base at rest) are one strictly convex objective ½ q̈ᵀ H q̈ + cᵀ q̈, and each row of T_sca
+is a spring against its solution. Thus the result is continuous when rows enter or leave; the
+paper's hierarchy of strict levels jumps where levels become dependent. The reduced accelerations
 q̈ (n,) begin with the n_b of the base.
-
-The paper's hierarchy of strict levels jumps where levels become dependent. Here the tasks below are
-one strictly convex objective, and each row of T_sca is a spring against the solution of these
-tasks: the result is continuous in its data when rows enter or leave.
 """
 
 import math
@@ -16,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.compiled import compiled
-from app.control.qp import backward, cholesky, forward, put
+from app.control.qp import cholesky, forward, put, solved
 from app.robot.model import STABLE_STEPS
 from app.strict import Array
 
@@ -89,14 +87,10 @@ def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
 def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) -> Array:
     """ẍ_rep = k_p n − k_v ṗ (3,) [m/s²]: pushes the arm's closest point away from the base.
 
-    This is the compared method `repulsive`, realised by the arm alone. §4.2.1 names the method; its
-    force on the closest point and its damping are Dietrich's (2011, 2012).
-
-    Args:
-        n: (3,) unit normal from the base to the arm.
-        velocity: (3,) [m/s] ṗ, velocity of the closest point relative to the base.
-        k_p: [m/s²] gain of the repulsion.
-        k_v: [1/s] gain of the damping.
+    n (3,) is the unit normal from the base to the arm, ṗ (3,) [m/s] the velocity of the closest
+    point relative to the base; k_p is in m/s², k_v in 1/s. The compared method `repulsive` realises
+    this by the arm alone. §4.2.1 names the method; its force on the closest point and its damping
+    are Dietrich's (2011, 2012).
     """
     return k_p * n - k_v * velocity
 
@@ -185,11 +179,9 @@ def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
 
     Both are in axes of the world.
     """
-    error = np.empty(6)
+    error, turn = np.empty(6), np.empty((3, 3))
     for i in range(3):
         error[i] = p_ref[i] - p[i]
-    turn = np.empty((3, 3))
-    for i in range(3):
         for j in range(3):
             turn[i, j] = R_ref[i, 0] * R[j, 0] + R_ref[i, 1] * R[j, 1] + R_ref[i, 2] * R[j, 2]
     put(error[3:], rotation_vector(turn))
@@ -243,16 +235,9 @@ def add_tracking(
     A remaining error adds a damping λ ‖q̈ + k_v q̇‖² in the metric H, where λ is the square of the
     error (Levenberg and Marquardt, by Sugihara 2011). Thus an arm at full stretch comes to rest.
 
-    Paper: Eq. (26).
+    J (6, n) is J_ee, b (6,) the right-hand side of T_2, `lm_damping` λ [m²], `velocity` k_v q̇ (n,).
 
-    Args:
-        H: (n, n) of the posture.
-        c: (n,) of the posture.
-        J: (6, n) J_ee.
-        b: (6,) right-hand side of T_2.
-        lm_damping: [m²] λ.
-        velocity: (n,) k_v q̇.
-        weight: [-] w.
+    Paper: Eq. (26).
 
     Returns:
         (n, n) and (n,): (1 + w λ) H + w JᵀJ, and c + w (λ H k_v q̇ − Jᵀ b).
@@ -287,12 +272,10 @@ def posture_objective(
 ) -> tuple[Array, Array]:
     """H (n, n) and c (n,) that move the arm towards a posture, and bring the base to rest.
 
-    An acceleration of the base costs `base_weight` times as much as that of a joint.
     Without this task (26) does not determine the motion in the null space of T_2: the paper's robot
     has nine accelerations, and T_2 six rows. A joint also has a restoring acceleration proportional
-    to s⁵, where s is 0 in the middle of its range and ±1 at a limit. This acceleration is small
-    near the middle and large at a limit: a joint leaves its limit if the other tasks can be
-    satisfied away from this limit.
+    to s⁵, where s is 0 in the middle of its range and ±1 at a limit: a joint leaves its limit if
+    the other tasks can be satisfied away from this limit.
 
     Args:
         qd: (n,) q̇.
@@ -349,7 +332,7 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 
 @compiled()
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
-    """H (n, n) and c (n,) of min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), the task of a guided arm.
+    """H = M (n, n) and c (n,) of min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), the task of a guided arm.
 
     u_0 (n_m,) [N m or N] is the torque without T_sca. As a function of q̈_a the cost has the
     Hessian M_aa. For a fixed acceleration of the base the minimum is at u_a = u_0, and rows of the
@@ -358,7 +341,7 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     n_b, c = len(h) - len(u_0), np.zeros(len(h))
     for i in range(len(u_0)):
         c[n_b + i] = h[n_b + i] - u_0[i]
-    return M.copy(), c
+    return M, c
 
 
 @compiled()
@@ -374,8 +357,8 @@ def add_base_rest_task(
     H, c = H.copy(), c.copy()
     share = np.empty((n - n_b, n_b + 1))
     for j in range(n_b):
-        put(share[:, j], backward(L_aa, forward(L_aa, H[n_b:, j])))
-    put(share[:, n_b], backward(L_aa, forward(L_aa, c[n_b:])))
+        put(share[:, j], solved(L_aa, H[n_b:, j]))
+    put(share[:, n_b], solved(L_aa, c[n_b:]))
     M_ab = H[n_b:, :n_b].copy()
     for i in range(n_b):
         for j in range(n_b):
@@ -467,19 +450,12 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
     """R (3, n_b): end-effector motion by the base's axes that the arm cannot compensate.
 
-    The method moves the base, and the arm has to compensate the motion of the end-effector. An arm
-    that lacks a joint for that, or is at full stretch, cannot do so: the base drags the
-    end-effector along, the distance stays the same, and the base would continue. Our extension: R =
-    (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the end-effector's
-    linear Jacobian, Q the speed limits of the joints and v a speed. Along a direction in which the
-    joints can move the end-effector at v, half of the base's motion remains; at 2 v, one
-    seventeenth.
-
-    Args:
-        J_ee: (6, n) end-effector Jacobian.
-        qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
-        J_m_inv: (n_b, n_b) from the base's axes to q̇_b.
-        speed: [m/s] v.
+    An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
+    drags the end-effector along, the distance stays the same, and the base would continue. Our
+    extension: R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the
+    end-effector's linear Jacobian, Q = `qd_max` (n_m,) the speed limits of the joints and v [m/s] a
+    speed. Along a direction in which the joints can move the end-effector at v, half of the base's
+    motion remains; at 2 v, one seventeenth.
     """
     n_b, n_m = len(J_m_inv), len(qd_max)
     follows = np.zeros((3, 3))
@@ -495,10 +471,10 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
         for j in range(n_b):
             for k in range(n_b):
                 moved[i, j] += J_ee[i, k] * J_m_inv[k, j]
-    L, found = cholesky(rest), np.empty_like(moved)
+    L = cholesky(rest)
     for j in range(n_b):
-        put(found[:, j], backward(L, forward(L, moved[:, j])))
-    return found
+        put(moved[:, j], solved(L, moved[:, j]))
+    return moved
 
 
 @compiled()
@@ -507,14 +483,9 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
 
     The result a minimises (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖². The second term acts
     like a mass m on the end-effector along directions in which the arm does not compensate the
-    base's motion. Along all other directions D is close to 0, and a is close to a_des.
-
-    Args:
-        desired: (n_b,) [m/s² or rad/s²] a_des.
-        hold: (n_b,) [m/s² or rad/s²] a_hold: with it the end-effector fulfils its task.
-        inertia: (n_b,) [kg or kg m²] diagonal of I, the base's inertia.
-        mass: [kg] m.
-        drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.
+    base's motion. Along all other directions D is close to 0, and a is close to a_des. With a_hold
+    the end-effector fulfils its task. `inertia` (n_b,) is the diagonal of I, and D (3, n_b) is
+    `uncompensated_base_jacobian` times the gain of the admittance law.
     """
     n_b = len(inertia)
     hung, right = np.zeros((n_b, n_b)), np.empty(n_b)
@@ -524,5 +495,4 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
         for j in range(n_b):
             for k in range(len(drag)):
                 hung[i, j] += mass * drag[k, i] * drag[k, j]
-    L = cholesky(hung)
-    return hold + backward(L, forward(L, right))
+    return hold + solved(cholesky(hung), right)
