@@ -98,7 +98,7 @@ def test_plots_keep_their_width_within_the_panel(browser, served, size):
     before = tab.page.evaluate(edges)
     assert before
     assert all(visible for _, visible in before)
-    tab.page.wait_for_timeout(2500)  # [ms] the width changed within 1.5 s
+    tab.page.wait_for_timeout(1600)  # [ms] the width changed within 1.5 s
     assert tab.page.evaluate(edges) == before
     tab.close()
 
@@ -177,7 +177,7 @@ def pull_by_finger(tab: DashboardTab, served: Served) -> None:
 
 
 def test_untouched_page_plays_the_demonstration_until_the_first_input(browser, served, monkeypatch):
-    monkeypatch.setattr(page, "UNTOUCHED", 1.0)
+    monkeypatch.setattr(page, "UNTOUCHED", 0.5)
     served.begin_anew()
     tab = DashboardTab(browser, served.server.address, fresh=True)
     commands = served.loop.commands
@@ -194,7 +194,7 @@ def test_untouched_page_plays_the_demonstration_until_the_first_input(browser, s
     assert Compare() in commands
     tab.page.locator("#dbb-card").wait_for(state="hidden")
     del commands[:]
-    tab.page.wait_for_timeout(2500)
+    tab.page.wait_for_timeout(1500)
     assert not any(isinstance(c, Play) for c in commands)
 
 

@@ -178,7 +178,7 @@ def test_ctrl_c_ends_the_browser_too(tmp_path):
             assert time.monotonic() < deadline, "no browser was started"
             children = psutil.Process(process.pid).children(recursive=True)
             time.sleep(0.2)
-        time.sleep(1.0)
+        time.sleep(0.5)
         children = psutil.Process(process.pid).children(recursive=True)
         os.killpg(process.pid, signal.SIGINT)
         assert process.wait(timeout=60) == 130
