@@ -159,6 +159,12 @@ def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "load_border_data", border_of)
 
 
+@pytest.fixture
+def made_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the dashboard's jobs work in this process; a film still has a process of its own."""
+    monkeypatch.setattr(job.Job, "run", lambda self, work, *args: work(self.report, *args))
+
+
 _models: dict[str, RobotModel] = {}
 _borders: dict[RobotModel, BorderData] = {}
 

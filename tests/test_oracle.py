@@ -24,11 +24,11 @@ from tests.robots import with_mobile_shapes
 
 Array = np.ndarray
 
-STEPS, DT = 200, 0.004  # [s]
+STEPS, DT = 150, 0.004  # [s]
 NOISE = 1e-5  # [rad] of the measured positions
-GAP = 120
+GAP = 90
 """The step with a NaN reading."""
-RECONFIGURED = 40
+RECONFIGURED = 30
 """From this step on, the buffer is wider, and the effective buffer distance follows."""
 AGREES = 1e-6
 """[-] tolerance relative to the largest entry of the quantity along the path."""
