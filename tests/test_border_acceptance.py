@@ -107,7 +107,7 @@ class Arm:
 @pytest.fixture(scope="module", params=PAIRS)
 def sampled(request, clouds):
     arm = Arm(request.param.split("-")[1])
-    return request.param, clouds[request.param], arm, *arm.beside(300_000, seed=12345)
+    return request.param, clouds[request.param], arm, *arm.beside(500_000, seed=12345)
 
 
 def test_every_randomly_reached_point_is_near_a_point_of_the_cloud(sampled):

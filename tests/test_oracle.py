@@ -24,11 +24,11 @@ from tests.robots import with_mobile_shapes
 
 Array = np.ndarray
 
-STEPS, DT = 150, 0.004  # [s]
+STEPS, DT = 200, 0.004  # [s]
 NOISE = 1e-5  # [rad] of the measured positions
-GAP = 90
+GAP = 120
 """The step with a NaN reading."""
-RECONFIGURED = 30
+RECONFIGURED = 40
 """From this step on, the buffer is wider, and the effective buffer distance follows."""
 AGREES = 1e-6
 """[-] tolerance relative to the largest entry of the quantity along the path."""
