@@ -1,7 +1,6 @@
 """A user's own robot in the page: a zip is uploaded, converted, shown and pulled.
 
-Only the numbers of samples are smaller than in normal use, and no further process is started;
-test_robot_build.py has a test of the process.
+Only the numbers of samples are smaller than in normal use.
 """
 
 from __future__ import annotations
@@ -58,7 +57,10 @@ SAMPLING = SamplingConfig(
 
 
 def make_robot_with_few_samples(report: Report, request: Request) -> None:
-    """Make the robot, with one guiding line; the border is stored beside the robots."""
+    """Main function of the process that makes the robot, with one guiding line.
+
+    The border is stored beside the robots.
+    """
     with few_samples(request.out.parent), pytest.MonkeyPatch.context() as patch:
         patch.setattr(new_robot, "SIDES", ("guiding-front",))
         finish(
@@ -105,7 +107,6 @@ def wait_for_text(tab: DashboardTab, text: str) -> None:
     found.wait_for(timeout=240_000)  # [ms] making a robot takes long
 
 
-@pytest.mark.usefixtures("made_here")
 def test_zip_becomes_a_robot_whose_base_avoids_the_end_effector(
     browser: Any, server: DashboardServer, tmp_path: Path
 ) -> None:
