@@ -74,6 +74,7 @@ def test_a_pair_detects_each_collision_of_random_postures(
 ) -> None:
     monkeypatch.setattr(grouping, "TEST_POSTURES", 300)
     monkeypatch.setattr(grouping, "ENOUGH", 5)
+    monkeypatch.setattr(collision_sampling, "_NEAREST", 10)
     monkeypatch.setattr(collision_sampling, "_TRIES", 3)
     row = arm_row(model_of(name))
     assert row.outcome in {"passed", "warned"}, row
