@@ -28,7 +28,8 @@ MIN_DIFFERENCE = 24
 HARMLESS = "Unable to preventDefault inside passive event listener invocation."
 """A message that Chromium logs when viser's own page starts a drag; it is not an error."""
 
-_AT_REST = 0.8  # [s] without a change
+_AT_REST = 0.25  # [s] without a change
+_FRAMES = 8  # [-] number of frames without a change; a busy machine takes longer for them
 _NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('{SEEN}', 'yes');"
 """Marks the visitor as a returning one, so that the tour does not open."""
 
@@ -142,13 +143,15 @@ class DashboardTab:
         Both settle after the first picture, so an earlier click would miss its target.
         """
         deadline, since = time.monotonic() + 60.0, time.monotonic()
-        before = None
+        before, frames = None, 0
         while not self._rests:
             assert time.monotonic() < deadline, "the camera does not stop moving"
             self.render(2)
             now = (self.canvas_box(), self.camera().round(3).tolist())
-            before, since = now, since if now == before else time.monotonic()
-            self._rests = time.monotonic() - since > _AT_REST
+            frames += 2
+            if now != before:
+                before, since, frames = now, time.monotonic(), 0
+            self._rests = frames >= _FRAMES and time.monotonic() - since > _AT_REST
 
     def _listen(self, message: Any) -> None:
         if message.type == "error" and message.text != HARMLESS:
@@ -274,7 +277,7 @@ class DashboardTab:
         axis: int,
         metres: float,
         scale: float,
-        steps: int = 8,
+        steps: int = 5,
         *,
         drop: bool = True,
     ) -> None:
@@ -309,7 +312,7 @@ class DashboardTab:
             raise LookupError(f"arrow {axis} of {node} is hidden in this view")
         return np.array(found)
 
-    def drag(self, a: np.ndarray, b: np.ndarray, steps: int = 8, *, drop: bool = True) -> None:
+    def drag(self, a: np.ndarray, b: np.ndarray, steps: int = 5, *, drop: bool = True) -> None:
         """Drag from pixel `a` to pixel `b` with the mouse, and release it if `drop`."""
         self.page.mouse.move(*a)
         self.render(1)  # the scene must see the pointer above it first
@@ -330,7 +333,7 @@ class DashboardTab:
         self._fingers = self._fingers or self.page.context.new_cdp_session(self.page)
         self._fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
-    def touch(self, a: np.ndarray, b: np.ndarray, steps: int = 8) -> None:
+    def touch(self, a: np.ndarray, b: np.ndarray, steps: int = 5) -> None:
         """Drag from pixel `a` to pixel `b` with one finger, and lift it."""
 
         def send(kind: str, *places: np.ndarray) -> None:

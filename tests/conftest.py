@@ -1,5 +1,6 @@
 """Shared fixtures: the paper's robot, compiled once, and its border from the cache."""
 
+import math
 import signal
 from asyncio import events
 from collections.abc import Generator, Iterator
@@ -16,9 +17,9 @@ from app.border.cache import BorderData, load_border_data
 from app.cli import common
 from app.dashboard import job
 from app.errors import DbbError
+from app.jobs import bounded
 from app.jobs.process import run_in_process
 from app.robot.model import RobotModel
-from app.simulation.trace import arrow
 from tests.browser import chromium
 from tests.robots import husky_panda
 
@@ -37,22 +38,26 @@ settings.register_profile(
 settings.load_profile("patient")
 
 
+_SMALL = bounded.SMALL
+
 _LONGEST = (
     "test_onboarding_robot",
     "test_dashboard_browser",
-    "test_screenshot",
     "test_browser_layers",
+    "test_robots_shipped",
+    "test_screenshot",
+    "test_screens",
     "test_browser_downloads",
-    "test_browser_upload",
-    "test_oracle",
-    "test_refrigerator",
-    "test_postures",
     "test_study_run",
+    "test_refrigerator",
+    "test_dashboard",
     "test_cli",
-    "test_end_to_end",
-    "test_accessibility",
+    "test_own_loop",
+    "test_oracle",
+    "test_jobs",
+    "test_browser_upload",
 )
-"""Files that take over 30 s, the longest first: a long file that starts last runs alone."""
+"""Files that take over 15 s, the longest first: a long file that starts last runs alone."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -127,16 +132,22 @@ def border_data(robot: RobotModel) -> BorderData:
     return load_border_data(robot, progress=False)
 
 
-@pytest.fixture(autouse=True)
-def _read_logs_in_this_process(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Read logs in this process, except in tests of the budget for reading.
+@pytest.fixture(scope="session", autouse=True)
+def _read_in_this_process() -> Iterator[None]:
+    """Read large data of users in this process, except in tests of the budget for reading.
 
     A child process would spend most of its time on imports.
     """
-    if not request.node.get_closest_marker("budget"):
-        monkeypatch.setattr(arrow, "within_budget", lambda read, *args, **_: read(*args))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bounded, "SMALL", math.inf)
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _read_within_budget(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Restore the child processes that read large data in tests with the marker `budget`."""
+    if request.node.get_closest_marker("budget"):
+        monkeypatch.setattr(bounded, "SMALL", _SMALL)
 
 
 @pytest.fixture
@@ -157,6 +168,12 @@ def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(common, "load_model", model_of)
     monkeypatch.setattr(cache, "load_border_data", border_of)
+
+
+@pytest.fixture
+def made_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the dashboard's jobs work in this process; a film still has a process of its own."""
+    monkeypatch.setattr(job.Job, "run", lambda self, work, *args: work(self.report, *args))
 
 
 _models: dict[str, RobotModel] = {}

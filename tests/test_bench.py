@@ -97,7 +97,7 @@ def test_rollout_speed_is_a_multiple_of_real_time(monkeypatch: pytest.MonkeyPatc
 
 
 def test_bench_reports_every_figure(monkeypatch, recorded, robot, border_data) -> None:
-    some = [path[::10] for path in recorded]
+    some = [path[::40] for path in recorded]
     monkeypatch.setattr(bench_module, "record", lambda *_: some)
     rollouts = Rollouts({1: 3.0, 2: 5.0}, 1.7)
     monkeypatch.setattr(bench_module, "time_rollouts", lambda *_: rollouts)

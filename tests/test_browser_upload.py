@@ -47,9 +47,9 @@ viser applies changes after removals; the widgets of the old robot are removed a
 """
 SAMPLING = SamplingConfig(
     pair_samples=2000,
-    cloud_samples=4000,
-    voxel_plan=0.04,
-    voxel_height=0.04,
+    cloud_samples=2000,
+    voxel_plan=0.05,
+    voxel_height=0.05,
     rounds=1,
     retries=1,
     sectors=2,

@@ -560,7 +560,7 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     deadline = time.monotonic() + 60
     while not out.exists() and time.monotonic() < deadline:  # created just before the run
         time.sleep(0.05)
-    time.sleep(1.0)
+    time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     printed, err = process.communicate(timeout=30)
     assert process.returncode == 130

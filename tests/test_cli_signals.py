@@ -121,14 +121,15 @@ def test_a_second_signal_does_not_interrupt_the_clean_up(monkeypatch, capsys):
 DEAF = r"""
 import ctypes, os, tempfile
 from pathlib import Path
-from app.jobs.progress import ending_signals_raised
+from app.jobs import progress
 from app.system import whole_folder
+progress._LONGEST = 0.5
 kept = tempfile.TemporaryDirectory()
 robot = whole_folder(Path(tempfile.gettempdir()) / "robot")
 robot.__enter__()
 lock = ctypes.create_string_buffer(256)
 ctypes.CDLL(None).pthread_mutex_init(lock, None)
-with ending_signals_raised():
+with progress.ending_signals_raised():
     while True:
         try:
             os.write(1, b"started\n")  # the second pass blocks for ever in compiled code
@@ -158,7 +159,7 @@ def test_a_signal_ends_a_command_with_a_blocked_main_thread(number, guarded, tmp
 
 
 HANGING = DEAF.replace("ctypes.CDLL", "ctypes.PyDLL").replace(
-    "kept =", "from app.jobs import progress\nprogress._PATIENCE = 1.0\nkept ="
+    "kept =", "progress._PATIENCE = 1.0\nkept ="
 )
 """This program holds Python's global lock, so that no thread of its process can run."""
 

@@ -433,7 +433,7 @@ def test_reset_releases_every_grip(dashboard, loop):
 
 def test_drawing_resumes_at_once_after_a_suspension(dashboard, monkeypatch):
     """As after SIGSTOP and SIGCONT: the suspended time does not count as time of drawing."""
-    held_up = 4.0  # [s]
+    held_up = 2.0  # [s]
     with RawClient(dashboard.address):
         page = page_of(dashboard)
         draw, held = page.draw, threading.Event()

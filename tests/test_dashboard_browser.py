@@ -185,7 +185,7 @@ def test_link_dragged_by_the_mouse_is_pulled_and_shows_the_force(tab, served):
     along = [tab.pixel("", tuple(pull.point + u * (pull.target - pull.point))) for u in (0.3, 0.6)]
     tab.wait_for_change(before, 40, np.array(along), radius=12)
 
-    tab.page.wait_for_timeout(2000)  # [ms] longer than a sleeping browser may hold a pull
+    tab.page.wait_for_timeout(1600)  # [ms] longer than a sleeping browser may hold a pull
     assert not any(isinstance(command, Release) for command in loop.commands), (
         "the mouse button is still pressed"
     )

@@ -106,6 +106,7 @@ def test_saved_edits_are_marked_and_everything_else_is_unchanged(
     RobotModel(after)  # its URDF was copied
 
 
+@pytest.mark.budget
 def test_the_source_description_is_read_within_its_budget(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

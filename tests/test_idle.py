@@ -24,7 +24,7 @@ from tests.raw_client import RawClient
 
 pytestmark = pytest.mark.slow
 
-MEASURED = 2.0  # [s]
+MEASURED = 1.0  # [s]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_page_shows_a_banner_while_the_simulation_process_is_stopped(dashboard):
         for paused in (False, True):
             loop.send(Pause(paused))
             wait_for(lambda paused=paused: loop.latest().paused is paused, what="the pause")
-            time.sleep(2 * PATIENCE)
+            time.sleep(1.5 * PATIENCE)
             assert not page._hung.visible, "a paused loop still responds"
             os.kill(child, signal.SIGSTOP)
             try:

@@ -570,6 +570,7 @@ def test_only_a_missing_xacro_argument_is_requested(
         parse(options)
 
 
+@pytest.mark.budget
 def test_a_xacro_that_expands_to_gigabytes_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("xacrodoc")
     text = TOY.replace('radius="0.1"', """radius="${len('x' * 2 * 10**9)}\"""")

@@ -412,10 +412,14 @@ def test_bodies_are_fitted_again_if_new_postures_show_a_gap(
     assert len({*seeds}) == fits
 
 
-def test_arm_that_cannot_reach_the_base_gets_no_lines_and_no_warning(tmp_path: Path) -> None:
+def test_arm_that_cannot_reach_the_base_gets_no_lines_and_no_warning(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     text = robot([*cart(), *arm()]).replace('xyz="0.15 0 0.1"', 'xyz="0.15 0 3.0"')
     request = Request(urdf=str(write(tmp_path, text)), base="base", tip="hand", out=tmp_path / "t")
     with few_samples(tmp_path) as sampling:
+        for module in (new_robot, grouping):  # far from the base, collisions are rare
+            monkeypatch.setattr(module, "ENOUGH", 20)
         high, data = finish(request, processes=1, sampling=sampling)
     assert not data.pairs.mobile
     assert not [*high.reach, *high.places, *high.lacking, *written(high).description.lines]
@@ -653,8 +657,12 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     return compiled(description(request, parsed, found.bodies), path)
 
 
-def test_paper_robot_made_from_its_urdf_detects_its_collisions(husky: RobotModel) -> None:
+def test_paper_robot_made_from_its_urdf_detects_its_collisions(
+    husky: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By the pairs of (1); the fitted bodies of l_2 and l_EE can never meet."""
+    monkeypatch.setattr(grouping, "TEST_POSTURES", 2000)
+    monkeypatch.setattr(grouping, "ENOUGH", 0)
     pairs = find_link_pairs(husky, samples=3000, seed=2)
     assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
     assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3"}
@@ -726,6 +734,8 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         fit_base(bare, meetings),
         *ArmFitter(bare, meetings).bodies([[1, 2, 3], [4], [5, 6, 7]]),
     ]
+    monkeypatch.setattr(grouping, "TEST_POSTURES", 600)
+    monkeypatch.setattr(grouping, "ENOUGH", 0)
     free, stopped = (
         compiled(description(request, each, bodies), path)
         for each in (parsed, replace(parsed, limits=limits))

@@ -152,6 +152,7 @@ def chain(links: int, joints: int) -> str:
     return robot(rows)
 
 
+@pytest.mark.usefixtures("made_here")
 def test_zip_is_stored_until_the_next_upload(making: RobotBuild, tmp_path: Path) -> None:
     content = zipped(tmp_path, {"toy.urdf": TOY}).read_bytes()
     making.receive("../My Robot (2).ZIP", content)
@@ -226,6 +227,7 @@ def visitor(server: DashboardServer) -> Iterator[tuple[RawClient, Page]]:
         yield client, server.pages[max(server.pages)]
 
 
+@pytest.mark.usefixtures("made_here")
 def test_form_is_filled_from_the_upload_and_gives_the_request(
     server: DashboardServer, tmp_path: Path
 ) -> None:
@@ -263,6 +265,7 @@ def test_form_is_filled_from_the_upload_and_gives_the_request(
                 own.request()
 
 
+@pytest.mark.usefixtures("made_here")
 def test_form_shows_only_fields_of_the_kind_of_base_and_ignores_others(
     server: DashboardServer, tmp_path: Path
 ) -> None:
@@ -291,6 +294,7 @@ def test_form_shows_only_fields_of_the_kind_of_base_and_ignores_others(
             assert own.request().half_track == (0.2 if kind == "differential" else None)
 
 
+@pytest.mark.usefixtures("made_here")
 def test_upload_is_not_stored_in_the_page_and_deleted_after_the_build(
     server: DashboardServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -321,6 +325,7 @@ def test_messages_name_form_fields_instead_of_options() -> None:
     assert in_words("give --mount and --base-x") == "give --mount and --base-x"
 
 
+@pytest.mark.usefixtures("made_here")
 def test_second_upload_replaces_the_links_in_the_form(
     server: DashboardServer, tmp_path: Path
 ) -> None:

@@ -135,12 +135,12 @@ def test_viewers_get_the_other_robot_with_their_parameters_and_layers() -> None:
         wait_for(lambda: loop.latest().config == OWN, what="the undone step")
 
 
-def test_four_changes_leave_no_objects_behind() -> None:
+def test_three_changes_leave_no_objects_behind() -> None:
     """After the second change, the numbers of threads, loops, widgets and nodes do not grow."""
     loops = Loops()
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         counts, threads, models = [], [], []
-        for k in range(4):
+        for k in range(3):
             choose(server, OTHER if k % 2 == 0 else "husky_panda")
             models.append(weakref.ref(server.shared.parts))
             drawn = server.pictures
@@ -160,11 +160,11 @@ def test_four_changes_leave_no_objects_behind() -> None:
                     len(loops.alive()),
                 )
             )
-        assert counts[1:] == [counts[1]] * 3
+        assert counts[2] == counts[1]
         assert counts[1][-1] == 1
-        assert max(threads[2:]) <= threads[1]  # fewer after the tour has queried the browser
+        assert threads[2] <= threads[1]  # fewer after the tour has queried the browser
         gc.collect()
-        assert [ref() is None for ref in models] == [True] * 3 + [False]
+        assert [ref() is None for ref in models] == [True] * 2 + [False]
 
 
 def test_a_replaced_robot_is_freed_without_a_garbage_collection() -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 import re
+from collections.abc import Iterator
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from app.errors import AssetError
+from app.onboarding import check
 from app.onboarding.check import arm_row, base_row, dynamics_row, limits_row
-from app.onboarding.fit import grouping, stops
+from app.onboarding.fit import collision_sampling, grouping, stops
 from app.robot import assets
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.description import load_robot
@@ -25,6 +28,19 @@ PACKAGES = {
     "tiago": "example-robot-data",
 }
 """The package of each robot's meshes; all but the first belong to the extra `robots`."""
+
+
+@cache
+def model_of(name: str) -> RobotModel:
+    return RobotModel(load_robot(name))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _geometry_read_once() -> Iterator[None]:
+    """Both tests of a robot's bodies share the convex pieces of its links."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(check, "_geometry", cache(check._geometry))
+        yield
 
 
 def test_all_robots_of_the_list_are_shipped() -> None:
@@ -45,7 +61,7 @@ def test_description_is_read_without_meshes_and_states_its_sources(
 def test_robot_has_the_same_dynamics_in_both_engines(name: str) -> None:
     if not package_roots(PACKAGES[name]):
         pytest.skip("pip install '.[robots]'")
-    model = RobotModel(load_robot(name))
+    model = model_of(name)
     engines = (dynamics_row(model, "pybullet"), dynamics_row(model, "mujoco"))
     for row in (*engines, limits_row(model), base_row(model)):
         assert row.outcome == "passed", row
@@ -57,8 +73,10 @@ def test_a_pair_detects_each_collision_of_random_postures(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(grouping, "TEST_POSTURES", 300)
-    monkeypatch.setattr(grouping, "ENOUGH", 30)
-    row = arm_row(RobotModel(load_robot(name)))
+    monkeypatch.setattr(grouping, "ENOUGH", 5)
+    monkeypatch.setattr(collision_sampling, "_NEAREST", 10)
+    monkeypatch.setattr(collision_sampling, "_TRIES", 3)
+    row = arm_row(model_of(name))
     assert row.outcome in {"passed", "warned"}, row
 
 
@@ -96,10 +114,12 @@ def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
     For a UR10e the named buffer distance is 0.06 m, and a pair then detects all these contacts. For
     a UR5 it is below the range of d_b.
     """
-    monkeypatch.setattr(grouping, "TEST_POSTURES", 2000)
+    monkeypatch.setattr(grouping, "TEST_POSTURES", 800)
+    monkeypatch.setattr(grouping, "ENOUGH", 0)
+    monkeypatch.setattr(collision_sampling, "_TRIES", 3)
     monkeypatch.setattr(stops, "parameter", lambda _: SimpleNamespace(low=0.01))
     description = load_robot("husky_ur5")
-    row = arm_row(RobotModel(description))
+    row = arm_row(model_of("husky_ur5"))
     assert row.numbers["left_out_poses"] > 50
     assert row.outcome == "warned"
     assert ", which a pair can detect with --buffer-distance 0.0" in row.text

@@ -48,6 +48,11 @@ def moving_log() -> Trace:
     return trace_of(snapshots)
 
 
+def few_rows() -> Trace:
+    """Every tenth row of `moving_log`, for tests that read a log many times."""
+    return trace_of(moving_log().snapshots[::10])
+
+
 def test_key_numbers_equal_those_of_the_motion():
     log = moving_log()
     numbers = key_numbers(log)
@@ -127,17 +132,21 @@ def test_dbb_report_reports_wrong_files_in_one_error(tmp_path, capsys):
 def test_values_that_are_not_finite_are_missing(tmp_path, monkeypatch):
     monkeypatch.setattr("app.studies.style.DPI", 20)
     bad = (np.nan, [-1]), (-np.inf, [-1]), (np.inf, slice(None))
-    log, path = moving_log(), tmp_path / "log.parquet"
+    log, path = few_rows(), tmp_path / "log.parquet"
     write_trace(path, log)
     whole = pq.read_table(path)
-    damaged = whole
-    numbers = [f.name for f in whole.schema if str(f.type) == "double" and f.name != "t_s"]
-    for k, name in enumerate([*numbers, *numbers[::-1]]):  # each one alone, then all together
-        cells = np.array(whole[name].to_pylist(), dtype=float)
-        value, rows = bad[(numbers.index(name) + (k >= len(numbers))) % 3]
-        cells[rows] = value
-        column = whole.schema.get_field_index(name)
-        damaged = (whole if k < len(numbers) else damaged).set_column(column, name, [cells])
+    numbers = {f.name for f in whole.schema if str(f.type) == "double" and f.name != "t_s"}
+    alone = [
+        next(([column.name] for column in each.columns(log.meta) if column.name in numbers), [])
+        for each in QUANTITIES.values()
+    ]
+    for k, names in enumerate([*filter(None, alone), sorted(numbers)]):  # one, then all together
+        damaged = whole
+        for i, name in enumerate(names, start=k):
+            cells = np.array(whole[name].to_pylist(), dtype=float)
+            value, rows = bad[i % 3]
+            cells[rows] = value
+            damaged = damaged.set_column(whole.schema.get_field_index(name), name, [cells])
         pq.write_table(damaged, path)
         read = read_trace(path)
         json.dumps(key_numbers(read), allow_nan=False)
@@ -152,7 +161,7 @@ def test_values_that_are_not_finite_are_missing(tmp_path, monkeypatch):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_time_that_is_not_finite_is_refused(value, tmp_path):
     path = tmp_path / "log.parquet"
-    write_trace(path, moving_log())
+    write_trace(path, few_rows())
     table = pq.read_table(path)
     times = table["t_s"].to_numpy().copy()
     times[-1] = value
@@ -162,7 +171,7 @@ def test_time_that_is_not_finite_is_refused(value, tmp_path):
 
 
 def test_an_older_log_without_newer_quantities_has_numbers_and_a_report(tmp_path: Path):
-    log, path = moving_log(), tmp_path / "log.parquet"
+    log, path = few_rows(), tmp_path / "log.parquet"
     write_trace(path, log)
     table, known = pq.read_table(path), key_numbers(log)
     newer = {each.name for each in fields(Snapshot) if each.default is not MISSING}

@@ -443,6 +443,7 @@ def test_loop_process_works_without_linux_functions(
     )
     code = """
 import os
+import time
 from functools import partial
 import numpy as np
 from app.border.cache import load_border_data
@@ -461,6 +462,7 @@ if __name__ == "__main__":
     loop.start()
     while loop.latest().t < 0.1:
         assert loop.error is None
+        time.sleep(0.02)
     loop.stop()
     print("ran")
 """

@@ -111,7 +111,7 @@ def test_slow_shutdown_of_a_server_prints_nothing(capfd) -> None:
     assert loop is not None
     loop.call_soon_threadsafe(time.sleep, 1.5)  # [s] longer than viser waits
     close_server(server)
-    time.sleep(1.0)
+    time.sleep(0.7)
     assert capfd.readouterr().out == ""
 
 

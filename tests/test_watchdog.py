@@ -64,6 +64,7 @@ def test_pull_continues_while_a_busy_browser_moves_it_without_answers(served):
 @pytest.mark.parametrize("why", ["reads nothing", "is sent nothing"])
 def test_connection_that_delivers_nothing_is_closed_and_counted(served, why, monkeypatch, caplog):
     monkeypatch.setattr(viser_compat, "STUCK", 6)
+    monkeypatch.setattr(viser_compat, "LOOK", 0.25)
     monkeypatch.setattr(viser_compat, "_said", {})
     with RawClient(served.server.address) as raw, RawClient(served.server.address) as other:
         wait_for(lambda: len(served.server.pages) == 2, what="two pages")

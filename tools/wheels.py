@@ -11,7 +11,7 @@ import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
@@ -38,6 +38,7 @@ OPTIONAL = {
 _MACOS = "14.0"  # oldest supported version
 _AT_ONCE = 4  # [-] number of parallel resolutions
 _PATIENCE = 300  # [s] timeout of a resolution
+_ALL = (str(PROJECT / "pyproject.toml"), "--all-extras")
 
 
 class IndexUnreachableError(Exception):
@@ -51,14 +52,17 @@ Outcome = str | frozenset[str]
 def resolve(platform: str, python: str) -> Outcome:
     """The packages for this project with all its extras, from wheels alone.
 
+    The index is read only if uv's cache does not suffice.
+
     Raises:
         IndexUnreachableError: No package index answers.
     """
-    arguments = ["--all-extras", "--python-platform", PLATFORMS[platform], "--python-version"]
-    return compiled([str(PROJECT / "pyproject.toml"), *arguments, python])
+    cell = [*_ALL, "--python-platform", PLATFORMS[platform], "--python-version", python]
+    known = compiled([*cell, "--offline"])
+    return known if isinstance(known, frozenset) else compiled(cell)
 
 
-def compiled(arguments: list[str]) -> Outcome:
+def compiled(arguments: Sequence[str]) -> Outcome:
     """The result of `uv pip compile` with these arguments, from wheels alone.
 
     Raises:
@@ -86,9 +90,13 @@ def compiled(arguments: list[str]) -> Outcome:
 def resolve_all() -> dict[tuple[str, str], Outcome]:
     """The outcome for each platform and Python.
 
+    A first resolution for all platforms renews uv's cache, because each resolution with the index
+    would ask it again for every package.
+
     Raises:
         IndexUnreachableError: No package index answers.
     """
+    compiled([*_ALL, "--universal", "--python-version", PYTHONS[0]])
     cells = list(product(PLATFORMS, PYTHONS))
     with ThreadPoolExecutor(_AT_ONCE) as threads:
         return dict(zip(cells, threads.map(lambda cell: resolve(*cell), cells), strict=True))
