@@ -1,8 +1,8 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-`publisher`, `subscribe`, `timer` and `now` of `ros` stand for create_publisher(…).publish,
-create_subscription, create_timer and get_clock().now() of rclpy, and `stamp` for header.stamp in
-seconds. Run it: python examples/ros2_shape.py
+`publisher`, `subscribe` and `timer` of `ros` stand for create_publisher(…).publish,
+create_subscription and create_timer of rclpy; `now` and `stamp` for get_clock().now() and
+header.stamp, both in seconds. Run it: python examples/ros2_shape.py
 """
 
 from functools import partial

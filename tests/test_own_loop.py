@@ -78,7 +78,7 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
         real: float = 0.001,
         time: float = 1.6,
         start: Any = FRONT,
-        pull: Array = PULL,
+        pull: Array | Callable[[int], Array] = PULL,
         reference: Callable[[float, pin.SE3], Reference] | None = None,
         driven: Callable[[Array], Array] = lambda v: v,
         created: Callable[[ControlLoop], None] = lambda loop: None,
@@ -100,7 +100,8 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
                 faults.setdefault(name, k * real)
             seen.update_kinematics(sent)
             ee.append(seen.p_ee.copy())
-            plant.step(command.u_a, driven(np.asarray(command.base_velocity)), pull)
+            force = pull(k) if callable(pull) else pull
+            plant.step(command.u_a, driven(np.asarray(command.base_velocity)), force)
         sent = plant.measure()
         return Run(sent.base_pose, share, nearest, faults, np.array(ee), sent)
 
@@ -588,15 +589,77 @@ def test_pause_of_the_loop_is_no_wrong_period(run) -> None:
     assert run(paused).faults == {}
 
 
-@pytest.mark.parametrize(
-    ("error", "faults"), [(-0.5, {"invalid", "stale"}), (0.2, {"lag", "stale"})]
-)
-def test_clocks_that_differ_lead_to_the_fallback(run, error: float, faults: set[str]) -> None:
+def with_age(age: Callable[[int], float]) -> Degradation:
+    """Readings that are new, with time stamps that claim an age [s] in step k."""
+    return stamped(lambda k, m: m._replace(time=m.time - age(k)))
+
+
+@pytest.mark.parametrize(("age", "words"), [(-0.5, "0.5 s after"), (0.2, "0.2 s before")])
+def test_clocks_that_differ_are_refused_first_and_reported_later(
+    run, age: float, words: str
+) -> None:
+    with pytest.raises(MeasurementError, match=words):
+        run(with_age(lambda k: age))
+    found = run(with_age(lambda k: age if k > 100 else 0.0), time=0.25)
+    assert set(found.faults) == {"stale", "lag" if age > 0.0 else "invalid"}
+
+
+def test_time_in_nanoseconds_is_refused(robot: RobotModel, border_data: BorderData) -> None:
+    with pytest.raises(MeasurementError, match="not nanoseconds"):
+        ControlLoop(robot, border_data).step(ready(robot)._replace(now=1.7e18, time=1.7e18))
+
+
+WRONG_VELOCITIES = {
+    "zero": lambda qd: 0.0 * qd,
+    "opposite": lambda qd: -qd,
+    "degrees": lambda qd: 57.3 * qd,
+    "rpm": lambda qd: 9.55 * qd,
+    "twice": lambda qd: 2.0 * qd,
+}
+
+
+@pytest.mark.parametrize("case", WRONG_VELOCITIES)
+def test_a_clock_does_not_hide_wrong_velocities_after_a_rest(run, case: str) -> None:
+    change = WRONG_VELOCITIES[case]
     found = run(
-        lambda k, m: stamped(lambda _, each: each)(k, m)._replace(time=EPOCH + 0.001 * k - error),
-        time=0.3,
+        stamped(lambda k, m: m._replace(qd_m=change(m.qd_m))), pull=lambda k: PULL * (k > 150)
     )
-    assert set(found.faults) == faults
+    assert "velocity" in found.faults
+    assert found.share < 1.05
+    assert found.nearest > 0.02
+
+
+@pytest.mark.parametrize("delay", [5, 10, 20])
+def test_delay_before_the_time_stamp_is_estimated_too(run, delay: int) -> None:
+    """A driver stamps on sending; without an estimate, a joint reaches 2 to 20 times its limit."""
+    behind = late(delay)
+    found = run(stamped(lambda k, m: behind(k, m)._replace(time=m.time)))
+    assert "lag" in found.faults
+    assert found.share < 1.25
+
+
+def test_delay_before_the_time_stamp_can_be_stated(run) -> None:
+    behind = late(15)
+    config = Config().changed({"estimate.delay": 0.015})
+    found = run(stamped(lambda k, m: behind(k, m)._replace(time=m.time)), config=config)
+    assert "lag" not in found.faults
+    assert found.share < 1.05
+
+
+@pytest.mark.parametrize("jitter", [0.0002, 0.0008])
+def test_jitter_of_the_clock_changes_nothing(run, jitter: float) -> None:
+    """The age is about half a period, so that the rounded age would change in each step."""
+    wake = np.random.default_rng(0).uniform(0.0, jitter, 2000)
+    found = run(with_age(lambda k: -(0.0005 + wake[k])), pull=FRONTAL)
+    early = run(with_age(lambda k: 0.0005 + wake[k] - 0.5 * jitter), pull=FRONTAL)
+    assert max(found.share, early.share) < 1.05
+
+
+@pytest.mark.parametrize("clock", [lambda t: 0.0, lambda t: 0.01 * np.floor(100.0 * t)])
+def test_a_coarse_or_resting_clock_does_not_hide_a_wrong_period(run, clock: Any) -> None:
+    found = run(lambda k, m: m._replace(now=float(clock(0.001 * k))), stated=0.004)
+    assert found.faults["period"] < 0.5
+    assert found.share < 1.05
 
 
 def test_driver_that_ends_at_rest_is_reported_by_its_time_stamps(run) -> None:

@@ -19,6 +19,11 @@ from app.studies.sweep.plan import OPTIONS, SweepPlan
 
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
 _MAX_CASES = 10_000_000
+_INSIDE = (
+    "Narrow the ranges of the random quantities to the envelope that the project states "
+    "(docs/safety_study.md); a range completely outside the envelope is an error."
+)
+_TIME_STAMPS = "The readings have time stamps, and each control step has the time."
 
 
 def reproduce(
@@ -126,17 +131,8 @@ def study(
     *,
     ranges: Annotated[Given, from_record(StudyRange)],
     setup: options.SetupOptions,
-    inside: Annotated[
-        options.Flag,
-        tyro.conf.arg(
-            help="Narrow the ranges of the random quantities to the envelope that the project "
-            "states (docs/safety_study.md); a range completely outside the envelope is an error."
-        ),
-    ] = False,
-    time_stamps: Annotated[
-        options.Flag,
-        tyro.conf.arg(help="The readings have time stamps, and each control step has the time."),
-    ] = False,
+    inside: Annotated[options.Flag, tyro.conf.arg(help=_INSIDE)] = False,
+    time_stamps: Annotated[options.Flag, tyro.conf.arg(help=_TIME_STAMPS)] = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,
     out: Path = Path("out/study"),

@@ -9,12 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from app.config import Config, sections
+from app.control.readings import MAX_AGE
 from app.control.references import FASTEST, HARDEST
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, did_you_mean
 from app.parameters import Parameter
 from app.robot.model import RobotModel
-from app.robot.state import numbers, velocities
+from app.robot.state import Measurement, numbers, velocities
 from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
@@ -70,6 +71,16 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
         f"measurement.q_m: {joints[i]} is at {q_m[i]:g}, its limits are {low[i]:.4g} and "
         f"{high[i]:.4g} rad or m: send radians, in the order of {', '.join(joints)} "
         "(`ControlLoop.joint_order` sorts by name)"
+    )
+
+
+def clocks_differ(measurement: Measurement) -> MeasurementError:
+    """The error for a first reading whose time stamp does not belong to the step's time."""
+    age = measurement.now - measurement.time
+    side = "before" if age > 0.0 else "after"
+    return MeasurementError(
+        f"measurement.time is {abs(age):.4g} s {side} measurement.now: "
+        f"both must be seconds of the same clock; readings can be up to {MAX_AGE} s old"
     )
 
 

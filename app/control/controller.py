@@ -34,13 +34,14 @@ from app.control.contract import (
     check_gains,
     checked_period,
     checked_reference,
+    clocks_differ,
     implausible,
     no_motion,
 )
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
 from app.control.quantities import QUANTITIES, ControlStep
-from app.control.readings import FAULTS, IMPLAUSIBLE, PERIOD
+from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD
 from app.control.references import take_reference
 from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
@@ -254,8 +255,11 @@ class Controller:
         if self.faulty and w.faults[PERIOD]:
             self._dt = min(max(self._dt * float(w.ratio), SHORTEST), LONGEST)
             self._set_gains()
-        if self.faulty and w.faults[IMPLAUSIBLE] and np.isnan(w.q_posture[0]):
-            raise implausible(self._model, measurement.q_m)
+        if self.faulty and np.isnan(w.q_posture[0]):
+            if w.faults[IMPLAUSIBLE]:
+                raise implausible(self._model, measurement.q_m)
+            if w.faults[LAG] or measurement.time - measurement.now > EARLY:
+                raise clocks_differ(measurement)
         if not self.faulty or w.valid:
             self.state.drive = measurement.drive
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)

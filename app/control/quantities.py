@@ -103,6 +103,8 @@ clock_span | | 2 | s, 1 | | readings |
 clock_ratio | | | 1 | | readings |
     memory: ratio of the control period by the clock to `dt`; 0 before a measurement
 stamp | | | s | | readings | memory: time stamp of the newest reading; NaN without one
+hidden_lag | | | 1 | | readings |
+    memory: the part of `lag` that time stamps do not show, in control periods
 stated_lag | | | 1 | | readings | memory: the part of `lag` that `estimate.delay` states
 blind_time | T | | s | | readings |
     memory: recent longest age of the readings in use, including doubts about it

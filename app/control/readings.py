@@ -50,8 +50,8 @@ FAULTS = {
     "velocity": "velocities of joints or base are missing, impossible, or do not match the "
     "positions: positions and the model of the base's drive are used instead",
     "repeated": "the readings have not changed: the motion since the last new reading is predicted",
-    "stale": "for 0.1 s, all readings were invalid, implausible, or repeated although the robot "
-    "moves: the step returns the fallback command",
+    "stale": "for 0.1 s, all readings were invalid, implausible, too old, or repeated: the step "
+    "returns the fallback command",
     "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
     "lag": "the readings are older than stated: the age is compensated, up to 24 periods or, with "
     "time stamps, 0.1 s",
@@ -73,18 +73,18 @@ LOCALISATION, LOAD, BASE, CONTRADICTORY = range(8, 12)
 
 HISTORY = 128
 """Largest age of a reading, in control periods, over which the motion can be predicted."""
-_MAX_AGE = 0.1  # [s] largest time without a new reading before the fallback command
+MAX_AGE = 0.1
+"""[s] largest time without a new reading before the fallback command."""
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
-_RIGHT, _RIGHT_BY_CLOCK, _MEASURED_RIGHT = (
-    1.1,
-    1.05,
-    1.02,
-)  # [-] largest ratio, or its inverse, that
-# counts as 1
+_RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
+_RIGHT_BY_CLOCK = 1.05  # [-] the same for a control period that a clock shows
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
+EARLY = 0.01
+"""[s] largest difference by which a time stamp can be later than the control step."""
+_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag
 _MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
 # periods, for a measurement of the period by the clock
 _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
@@ -392,8 +392,7 @@ def _compare_lags(
         prediction to the best lag, from the joints that have just been faster than `_VIOLENT`
         times their speed limit.
     """
-    lags = len(w.evidence)
-    present = min(int(w.lag[()]), lags - 1)
+    lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
     ratios, totals, worse = np.ones(lags), np.zeros(lags + 1), np.ones(lags)
     friction = _error_of_friction(robot, w, n, dt)
@@ -431,7 +430,7 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     oldest = min(int(w.known[()]), HISTORY) - lags - 1
     while n < len(ages) and ages[n] < oldest:
         n += 1
-    if n < _FEWEST_GROUPS:
+    if n < _FEWEST_GROUPS or w.lag[()] > _MOST_LAG:
         return
     ways = _explained(w, gains.dt, int(ages[n - 1]) + lags + 1)
     gain, totals, clear, against = _compare_lags(robot, w, ways, n, gains.dt)
@@ -448,12 +447,12 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
         w.evidence[lag] = min(max(w.evidence[lag] + more - _DOUBT, 0.0), 2.0 * lasting)
     best = int(np.argmax(w.evidence))
     known = np.argmin(totals) <= _MOST_LAG  # the residuals of longer lags are larger
-    stamped = not math.isnan(w.stamp[()])
-    if stamped or not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
+    if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
         return
     newest = max(2 * n // 3, _FEWEST_GROUPS)
     _, totals, clear, _ = _compare_lags(robot, w, ways, newest, gains.dt)
     if w.evidence[best] > lasting or totals[best] < clear:
+        w.hidden_lag[()] += best - w.lag[()]
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)
@@ -486,9 +485,10 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     period explains the readings: then `w.no_velocity` and `w.ratio` become 1. At least three
     successive ratios that differ from 1, and agree for 0.05 s, set the fault `period`. From then
     on, each ratio that differs from 1, and agrees with the last ratio, corrects the period; it
-    needs a larger displacement.
+    needs a larger displacement. If a clock shows the period, such ratios set `w.no_velocity`.
     """
-    if steps > HISTORY or (steps == 1 and w.known[()] == 0.0):  # a gap of unknown duration
+    gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
+    if gap or w.faults[PERIOD] != 0.0:
         _measure_from(w, q, qd)
         return
     right, precisely = _RIGHT, 1.0
@@ -518,18 +518,19 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         if low > 0.0 and high < math.inf:
             found = math.sqrt(low * high)
     by_clock = w.clock_ratio[()] == 1.0  # then the velocities are wrong, not the period
-    if not unclear and (found == 1.0 or not by_clock):
-        w.no_velocity[()] = 0.0 if _SMALLEST < found < _LARGEST else 1.0  # NaN too
+    plausible = _SMALLEST < found < _LARGEST  # not NaN
+    if not unclear and (found == 1.0 or not (by_clock and plausible)):
+        w.no_velocity[()] = 0.0 if plausible else 1.0
     if w.no_velocity[()] != 0.0:
         found = 1.0
     elif found != 1.0:
         agrees = abs(found - w.ratio[()]) < 0.15 * found
-        time = found * w.travel_time[()]
+        time = w.travel_time[()] * (1.0 if by_clock else found)
         w.agreed[()] = w.agreed[()] + time if agrees else 0.0
         if w.agreed[()] >= max(_AGREED, 1.5 * time):
             if by_clock:
                 w.no_velocity[()] = 1.0
-            elif math.isnan(w.clock[()]):
+            elif w.clock_ratio[()] == 0.0:
                 w.faults[PERIOD] = w.corrected[()] = 1.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = found
@@ -545,7 +546,7 @@ def _watch_clock(w: Any, now: float, dt: float) -> None:
     """
     interval = now - w.clock[()]
     w.clock[()] = now
-    if not 0.0 < interval < _MAX_AGE:  # NaN too
+    if not 0.0 <= interval < MAX_AGE:  # NaN too
         fill(w.clock_span, 0.0)
         return
     w.clock_span[0] += interval
@@ -564,12 +565,12 @@ def _watch_clock(w: Any, now: float, dt: float) -> None:
 
 @compiled()
 def _is_too_old(w: Any, age: float, dt: float) -> bool:
-    """Whether an age [s] by a time stamp is too long for a prediction, or negative.
+    """Whether an age [s] by a time stamp is too long for a prediction, or clearly negative.
 
-    The age is NaN without a time stamp. If it is below minus one control period, the two clocks
-    differ: then the reading is invalid.
+    The age is NaN without a time stamp. A clearly negative age means that the clocks differ: then
+    the reading is invalid.
     """
-    future, old = age < -dt, age > min(_MAX_AGE, (HISTORY - 1) * dt)
+    future, old = age < -EARLY, age > min(MAX_AGE, (HISTORY - 1) * dt)
     if future:
         w.faults[INVALID] = 1.0
     if old:
@@ -579,12 +580,17 @@ def _is_too_old(w: Any, age: float, dt: float) -> bool:
 
 @compiled()
 def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
-    """Set `w.lag` by the age [s] of a new reading.
+    """Set `w.lag` by the age [s] of a new reading, and by the delay that time stamps do not show.
+
+    The lag remains if the age is within 0.9 control periods of it: else the jitter of the clock
+    would change the number of periods between two readings.
 
     Returns:
         Whether the reading is older than the last one; then `w.age` is negative.
     """
-    lag = max(round(age / dt), 0)
+    lag, periods = w.lag[()], age / dt + w.hidden_lag[()]
+    if first or abs(periods - lag) > _JITTER:
+        lag = 1.0 * max(round(periods), 0)
     if not first:
         w.age[()] += w.lag[()] - lag
     w.lag[()] = lag
@@ -603,9 +609,11 @@ def _forget_groups(w: Any) -> None:
 def _use_stated_lag(gains: Any, w: Any) -> None:
     """Update `w.lag` if the stated delay, or its number of control periods, changes."""
     stated = min(round(gains.delay / gains.dt), _MOST_LAG)
-    if stated != w.stated_lag[()]:
-        w.lag[()] = min(max(w.lag[()] + stated - w.stated_lag[()], 0.0), _MOST_LAG)
-        w.stated_lag[()] = stated
+    more = stated - w.stated_lag[()]
+    w.hidden_lag[()] = min(max(w.hidden_lag[()] + more, 0.0), _MOST_LAG)
+    if more != 0.0 and math.isnan(w.stamp[()]):
+        w.lag[()] = min(max(w.lag[()] + more, 0.0), _MOST_LAG)
+    w.stated_lag[()] = stated
 
 
 @compiled()
@@ -791,8 +799,8 @@ def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool
         error = abs(w.x_read[1, i] - used[i]) if compared else 0.0
         doubtful = doubtful or error > _DOUBTFUL * gains.dt * robot.qd_max[i]
         w.v_error[i] = max(error if blind else 0.0, decay * w.v_error[i])
-    if doubtful and math.isnan(w.stamp[()]):
-        w.blind_time[()] = max(w.blind_time[()], min((steps + lag) * gains.dt, _MAX_AGE) + _LATE)
+    if doubtful and (math.isnan(w.stamp[()]) or steps + lag == 1.0):
+        w.blind_time[()] = max(w.blind_time[()], min((steps + lag) * gains.dt, MAX_AGE) + _LATE)
 
 
 @compiled()
@@ -838,7 +846,7 @@ def _store_reading(
 @compiled()
 def _remains_valid(w: Any, lost: bool, first: bool, dt: float) -> bool:
     """Update `w.valid` and the faults that lead to the fallback command; `w.valid` as a bool."""
-    w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * dt > _MAX_AGE else 0.0
+    w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * dt > MAX_AGE else 0.0
     w.faults[CONTRADICTORY] = 1.0 if w.contradiction[()] > _CONTRADICTORY else 0.0
     unusable = w.faults[STALE] != 0.0 or w.faults[CONTRADICTORY] != 0.0
     w.valid[()] = not (unusable or (lost and first))
@@ -915,7 +923,7 @@ def _take_new(
     if rested > 0.0:
         _forget_groups(w)
     w.age[()] += rested
-    gap, longest = rested * gains.dt > _MAX_AGE, round(_MAX_AGE / gains.dt)
+    gap, longest = rested * gains.dt > MAX_AGE, round(MAX_AGE / gains.dt)
     leapt = gap and has_jumped(w.x_read, q, robot.qd_max, longest, gains.dt)
     age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
     if first:

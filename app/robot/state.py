@@ -21,6 +21,7 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 _FLOAT = np.dtype(float)
+_LATEST = 1e11  # [s] times from here on are in nanoseconds
 _Vector = Array | tuple[float, float, float]
 
 
@@ -42,7 +43,7 @@ class Measurement(NamedTuple):
     now: float = np.nan
     """[s] time of this control step, by any clock that does not jump; NaN without a clock."""
     time: float = np.nan
-    """[s] time stamp of the readings by the same clock; NaN if the driver has none."""
+    """[s] time at which the joints were measured, by the same clock; NaN without a time stamp."""
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
@@ -87,11 +88,12 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     if type(pose) is type(v) is type(q) is type(qd) is type(drive) is Array:
         shapes = pose.shape, v.shape, q.shape, qd.shape, drive.shape
         floats = pose.dtype is v.dtype is q.dtype is qd.dtype is drive.dtype is _FLOAT
-        floats = floats and type(now) is type(time) is float
-        if floats and shapes in model.reading_shapes and (time != time or now == now):
+        no_times = now is time is np.nan
+        times = no_times or (type(now) is type(time) is float and abs(now) < _LATEST)
+        if floats and times and shapes in model.reading_shapes:
             return measurement
     now, time = _seconds("measurement.now", now), _seconds("measurement.time", time)
-    if np.isfinite(time) and not np.isfinite(now):
+    if time == time and now != now:
         raise MeasurementError(
             "measurement.time needs measurement.now, the time of the control step by the same clock"
         )
@@ -110,8 +112,8 @@ def _seconds(name: str, value: Any) -> float:
     """A time [s]; None becomes NaN."""
     if value is None:
         return np.nan
-    if not isinstance(value, Real) or isinstance(value, bool):
-        raise MeasurementError(f"{name} must be seconds, was {value!r}")
+    if not isinstance(value, Real) or isinstance(value, bool) or abs(value) >= _LATEST:
+        raise MeasurementError(f"{name} must be seconds (not nanoseconds), was {value!r}")
     return float(value)
 
 
