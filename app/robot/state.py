@@ -8,6 +8,7 @@ body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced
 the base to its twist (v_x, v_y, ω_z).
 """
 
+import math
 from collections.abc import Sequence
 from numbers import Real
 from typing import Any, NamedTuple
@@ -112,9 +113,10 @@ def _seconds(name: str, value: Any) -> float:
     """A time [s]; None becomes NaN."""
     if value is None:
         return np.nan
-    if not isinstance(value, Real) or isinstance(value, bool) or abs(value) >= _LATEST:
+    found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
+    if abs(found) >= _LATEST:
         raise MeasurementError(f"{name} must be seconds (not nanoseconds), was {value!r}")
-    return float(value)
+    return found
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
