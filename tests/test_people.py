@@ -81,7 +81,7 @@ def test_opposite_pushes_on_one_point_cancel(plant):
         for _ in range(100):
             state.update(plant.measure())
             plant.step(state.g[2:], (0.1, 0.2), np.zeros(3), pushes)
-        traces.append(np.concatenate(plant.measure()))
+        traces.append(np.concatenate(plant.measure()[:5]))
     np.testing.assert_allclose(*traces, atol=ROUNDING[plant.kind])
 
 
@@ -93,7 +93,7 @@ def test_pushes_on_one_point_add_up(plant):
         for _ in range(100):
             state.update(plant.measure())
             plant.step(state.g[2:], (0.0, 0.0), np.zeros(3), pushes)
-        traces.append(np.concatenate(plant.measure()))
+        traces.append(np.concatenate(plant.measure()[:5]))
     np.testing.assert_allclose(*traces, atol=ROUNDING[plant.kind])
 
 

@@ -219,7 +219,7 @@ def serve_small_border(monkeypatch: pytest.MonkeyPatch, loops: Loops) -> None:
     """Run `dbb serve` with a small border and without a simulation's process."""
     monkeypatch.setattr(serve, "load_model", lambda _: RobotModel(husky_panda().description))
     monkeypatch.setattr(serve, "_border", lambda _: BorderData(None, clouds(), "cache"))  # type: ignore[arg-type]
-    monkeypatch.setattr(serve._First, "q_start", lambda *_: None)
+    monkeypatch.setattr(serve, "free_start", lambda *_: None)
     monkeypatch.setattr(serve._First, "begin_loop", lambda _, *about: loops(*about[:4]))
     asked = serve.Serving(port=0)
     serve._serve(serve._First(Setup(), Config(), asked, None, None))  # type: ignore[arg-type]

@@ -142,9 +142,9 @@ def filmed(
 
 
 def is_case(word: str) -> bool:
-    """Whether a word is the file of a case; an `UnknownNameError` if it is neither a scenario."""
-    if case := word.lower().endswith(".json"):
-        return case
+    """Whether a word is the file of a case; an `UnknownNameError` if it is no scenario either."""
+    if word.lower().endswith(".json"):
+        return True
     check_name("scenario", word, SCENARIOS)
     return False
 

@@ -87,7 +87,7 @@ def sweep(
             --above, a PNG of the paths from above for each speed too.
     """
     if "controllers" in plan:
-        plan["controllers"] = filter(None, ",".join(plan["controllers"]).split(","))
+        plan["controllers"] = [name for name in ",".join(plan["controllers"]).split(",") if name]
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
     robot = plan.get("robot", SweepPlan.robot)

@@ -346,7 +346,8 @@ class Uploads:
         """Register an announced file of `size` [bytes] in `parts`; an empty file has no parts.
 
         Raises:
-            RefusedError: The file or the number of parts is impossible, or too many are unfinished.
+            RefusedError: The file is too large, the number of parts is impossible, or too many
+                uploads are unfinished.
         """
         if size > self._largest:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")

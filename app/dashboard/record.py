@@ -50,7 +50,7 @@ class Course:
 
     Attributes:
         name, running: Name of the scenario, empty if none has started; whether it is running.
-        duration, until: [s] end of the scenario; time of its last snapshot, at most `duration`.
+        duration, until: [s] end of the scenario; time of its last snapshot, `duration` at its end.
         least: [m] smallest distance of all pairs; infinite before the first snapshot.
         pull, speed, path: Largest external force [N], peak speed of the end-effector [m/s], length
             of the base's path [m].

@@ -118,8 +118,8 @@ class RobotSwitch(Job):
             ConfigError: The robot does not exist or cannot be used, or another switch is running.
         """
         entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
-        if entry is None:
-            raise ConfigError(f"the robot {name!r} does not exist")
+        if entry is None or self._start_loop is None:
+            raise ConfigError(f"the robot {name!r} does not exist, or cannot be used here")
         if entry.problem is not None:
             raise ConfigError(f"{entry.title}: {entry.problem}")
         replaced = [running]

@@ -54,7 +54,7 @@ _said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of e
 
 
 def _passes(record: logging.LogRecord) -> bool:
-    """Whether a log record is written: at most one of each kind per minute, because of any peer.
+    """Whether a log record is written: one of each kind per minute, as any peer can cause records.
 
     The websockets library would write a whole traceback for each wrong or excess connection, up to
     a hundred times per second. If the peer or the connection can explain an error, the record is
@@ -289,8 +289,8 @@ class Watchdog:
                 self._on_silent(number)
             if max(seen.unanswered, seen.unsent) == STUCK:
                 self.closed += 1
-                text = "nothing reached viewer %d for %g s: the connection is closed, so that the "
-                logger.warning(text + "page connects anew", number, STUCK * LOOK)
+                text = "nothing reached viewer %d for %g s: the connection is closed and made anew"
+                logger.warning(text, number, STUCK * LOOK)
                 live[number].transport.abort()
         self._loop.call_later(LOOK, self._look)
 

@@ -55,8 +55,8 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
         return read(*args)
     budget = Budget.of(size)
     with _AT_ONCE, suppress(MemoryError, EndedError):
-        never = {"report": lambda *_: None, "cancelled": threading.Event()}
-        return pickle.loads(run_in_process(_limited_read, budget, read, args, **never, niceness=0))
+        own = {"report": lambda *_: None, "cancelled": threading.Event(), "niceness": 0}
+        return pickle.loads(run_in_process(_limited_read, budget, read, args, **own))
     raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
 
 

@@ -182,7 +182,7 @@ class _Shares:
             self.take(*self._sent.get())
 
     def take(self, number: int, share: float) -> None:
-        """Store the share of a job, also if it starts again, and report the mean of all jobs."""
+        """Store the share of a job, which never decreases, and report the mean of all jobs."""
         self._of[number] = max(self._of[number], min(share, 1.0))
         self._on_progress(sum(self._of) / len(self._of))
 

@@ -83,7 +83,10 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status if the process ends within `patience` [s], otherwise None."""
+        """The exit status if the process ends within `patience` [s], otherwise None.
+
+        After a signal, it is the negative number of the signal.
+        """
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:

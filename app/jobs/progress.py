@@ -24,7 +24,9 @@ _received: list[int] = []
 
 
 @contextmanager
-def progress_bar(text: str, total: float, *, shown: bool = True) -> Iterator[OnProgress]:
+def progress_bar(
+    text: str, total: float, *, shown: bool = True
+) -> Iterator[Callable[[float], None]]:
     """Display the progress of the work `text`, whose amount is `total`; nothing if not `shown`.
 
     Yields:
@@ -44,7 +46,10 @@ def progress_bar(text: str, total: float, *, shown: bool = True) -> Iterator[OnP
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """A function that takes the share of the part from `begin` to `end` of some work, 0 to 1."""
+    """A function that takes the share of a part of some work, and reports that of the whole.
+
+    The part is from `begin` to `end`; all shares are from 0 to 1.
+    """
     return lambda share: on_progress(begin + (end - begin) * share)
 
 
@@ -55,7 +60,7 @@ def _raise_lost_signal() -> None:
 
 
 @contextmanager
-def _bar(text: str, total: float) -> Iterator[OnProgress]:
+def _bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
     # Imported here: it would delay the start of every command.
     from rich import progress
     from rich.console import Console

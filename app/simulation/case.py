@@ -104,8 +104,9 @@ class RunCase(Strict):
     def differences(self) -> list[str]:
         """Changes of the program's version and parameters since then, one line of text each."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
+        same = self.version == now
         return [
-            *([f"dbb {self.version} wrote the case; this is dbb {now}"] * (self.version != now)),
+            *([] if same else [f"dbb {self.version} wrote the case; this is dbb {now}"]),
             *(
                 f"the parameter {path} no longer exists; its value was {own[path]}"
                 for path in sorted(own.keys() - known.keys())

@@ -172,8 +172,8 @@ class JobStatus(Panel):
         self._job, self._idle = job, idle
         self.text = self._gui.add_html("", visible=False)
         self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
-        cancel, look = lambda _: job.cancel(), {"color": "gray", "visible": False}
-        self._cancel = self.button("Cancel", cancel, viser.Icon.X, **look)
+        look: Any = {"color": "gray", "visible": False}
+        self._cancel = self.button("Cancel", lambda _: job.cancel(), viser.Icon.X, **look)
 
     def update(self, moment: Moment) -> None:
         progress, text = self._job.progress, self._idle()

@@ -172,7 +172,10 @@ class BulletWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] distance from each `begins` to the first hit before `ends`, or infinity."""
+        """(n,) [m] length of each ray from `begins` to `ends` (n, 3) [m] up to the first hit.
+
+        It is infinite without a hit.
+        """
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares

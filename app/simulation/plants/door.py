@@ -142,7 +142,7 @@ class DoorView(NamedTuple):
     radial_error: float = math.nan
     """[rad] error of the estimated radial direction, positive counter-clockwise."""
     contact: bool = False
-    """Whether the door touches the base."""
+    """Whether the door touches the base; always False in a `Step`, whose `contacts` has it."""
 
 
 class OpenDoor(NamedTuple):

@@ -189,7 +189,8 @@ def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None
     motor's reference acceleration is (speed - v) / dt. The solver starts from the accelerations
     with which the motors have their commanded speeds after the step; from the last step's solution
     it would need three iterations. `aref` (m,) has the reference accelerations of all constraints,
-    those of the motors from `row` on.
+    those of the motors from `row` on; `u_a` (n_m,) is in N m or N, and `force` (3,) [N] acts on the
+    end-effector's origin, in the world.
     """
     for k in range(len(bodies.speeds)):
         aref[row + k] += bodies.per_step * bodies.speeds[k]

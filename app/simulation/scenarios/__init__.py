@@ -111,8 +111,8 @@ def free_start(
 def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
     """Options of `Scenario.changed` with a robot's own line for a scenario, if there is one."""
     lines = description.lines
-    if unknown := min(lines.keys() - LINES.keys(), default=""):
-        where = f"{description.name}: [lines.{unknown}] in robot.toml"
+    if unknown := sorted(lines.keys() - LINES.keys()):
+        where = f"{description.name}: [lines.{unknown[0]}] in robot.toml"
         raise DescriptionError(f"{where} belongs to no scenario; lines are for: {', '.join(LINES)}")
     place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))
     return {} if place is None else {"start": place.start_m, "move": place.move_m}

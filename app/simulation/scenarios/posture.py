@@ -46,9 +46,6 @@ class Found(NamedTuple):
     """Number of failed tries for each reason."""
 
 
-NOTHING = Found(None, 0.0, Counter())
-
-
 class PostureSearch:
     """Tries postures of the arm and evaluates them."""
 

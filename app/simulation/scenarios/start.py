@@ -11,7 +11,7 @@ from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel, kept_per_model
 from app.simulation.plants.door import Door
-from app.simulation.scenarios.posture import NOTHING, Found, PostureSearch, Target, manipulability
+from app.simulation.scenarios.posture import Found, PostureSearch, Target, manipulability
 from app.strict import Array
 
 _PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # [rad] below the horizon, best first
@@ -92,7 +92,7 @@ class StartSolver:
             )
         turned, rng = pin.utils.rotate("z", turn), np.random.default_rng(seed)
         directions = [turned @ self._direction(target, pitch) for pitch in _PITCHES]
-        best, flaws = NOTHING, Counter[str]()
+        best, flaws = Found(None, 0.0, Counter()), Counter[str]()
         for direction in (*directions, *([] if self._points_anywhere else [None])):
             found = self._try(Target(target, direction), self._guesses(rng, tries), along)
             best = max(best, found, key=lambda each: each.quality)
@@ -244,7 +244,7 @@ class _GraspSearch:
 
     def best(self, seed: int) -> tuple[Array, pin.SE3]:
         rng = np.random.default_rng(seed)
-        best, target = NOTHING, pin.SE3.Identity()
+        best, target = Found(None, 0.0, Counter()), pin.SE3.Identity()
         self._search.stand(self._base_pose)
         far = self._search.beyond(self._door.handle(self._angle).translation) > 0.0
         for roll in () if far else _ROLLS:

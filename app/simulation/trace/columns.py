@@ -166,7 +166,8 @@ class Quantity(NamedTuple):
     """Attributes of a control step, such as `truth.q_m`, with the numbers and float arrays that are
     recorded at each control step."""
     row: Take | None = None
-    """Computation of the numbers that are recorded at each control step, if there are no `paths`.
+    """Computation of the numbers that are recorded at each control step, if there are no `paths`;
+    None for a quantity that is recorded at snapshots only.
     It is called at 50 Hz, and the cells of the other steps are empty; while the end-effector holds
     a door, it is called at each control step."""
 

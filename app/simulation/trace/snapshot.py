@@ -435,7 +435,7 @@ class Snapshot:
 
     @property
     def border(self) -> BorderConfig:
-        """The border's parameters, while the buffer distance changes with its value in 5 mm steps.
+        """The border's parameters with the present buffer distance, in 5 mm steps while it changes.
 
         The controller's acting points already are on the border at the configured d_b.
         """

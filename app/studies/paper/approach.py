@@ -61,7 +61,7 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     for name, e in _TRACKED.items():
         look = _TIMES, _VIEWS["lateral"], e.aim()
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], sources.runs[e], *look))
-    return drawing.of_strips(
+    return drawing.snapshot_drawing(
         sources.model, strips, "controller", _MOTION, aim="target and desired motion"
     )
 
@@ -117,7 +117,7 @@ def figure_13(sources: Sources) -> drawing.Drawing:
         times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[name], e.aim()))
-    return drawing.of_strips(
+    return drawing.snapshot_drawing(
         sources.model, strips, "direction", _MOTION, aim="guiding direction and its end"
     )
 
@@ -266,7 +266,7 @@ def figure_17(sources: Sources) -> drawing.Drawing:
         look = {"solids": partial(refrigerator, run), "marks": arc(run)}
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], run, _DOOR_TIMES, view, **look))
     shown = "controller", _OF_DOOR, "door_angle_rad"
-    return drawing.of_strips(sources.model, strips, *shown, marks="arc of the door's edge")
+    return drawing.snapshot_drawing(sources.model, strips, *shown, marks="arc of the door's edge")
 
 
 @style.picture("fig18", "Figure 18: distance of the door and activation", *_DOORS.values())

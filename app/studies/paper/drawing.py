@@ -146,7 +146,7 @@ class Strip:
         return {name: column[::10] for name, column in table.items()}
 
 
-def of_strips(
+def snapshot_drawing(
     model: RobotModel,
     strips: Sequence[Strip],
     kind: str,

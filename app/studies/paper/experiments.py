@@ -116,12 +116,13 @@ class Sources:
         config = self.config.border
         return construct_dbb(self.data.clouds[pair.name], config.d_b, config.eps)
 
-    def finder(self, *border: Border) -> ActingPointFinder:
+    def finder(self, border: Border | None = None) -> ActingPointFinder:
         """Algorithm 3 on a border of points of the end-effector, as printed in the paper.
 
-        Without an argument the border is the continuous surface, as in the controller.
+        By default the border is the continuous surface, as in the controller.
         """
-        return ActingPointFinder(BorderSearch(self.offset.table, list(border)), self.field)
+        points = [] if border is None else [border]
+        return ActingPointFinder(BorderSearch(self.offset.table, points), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None

@@ -55,7 +55,7 @@ def figure_3(sources: Sources) -> drawing.Drawing:
             part = drawing.points_table(points[_some(len(points), rng)])
             parts[f"{kind} {pair.name}"] = part
             ax = figure.add_subplot(2, 2, place, projection="3d")
-            _view(ax, sources.model, parts["P lm-lEE"], 1.05)
+            _view(ax, sources.model, next(iter(parts.values())), 1.05)
             _scatter(ax, part, color=style.PAIR_COLOURS[pair.name], alpha=alpha)
             text = rf"$\mathcal{{{kind}}}_i$ of {style.PAIR_NAMES[pair.name]}"
             style.panel_title(ax, f"{letter}{k}", text)

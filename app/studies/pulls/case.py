@@ -248,7 +248,8 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """The shortened displacement (3,) [m] of a pull, the run's duration [s], the pull's share.
+    """The displacement (3,) [m] of a pull, shortened if it would take too long; the duration [s] of
+    the run; and the pull's share [-] of it.
 
     `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
     rest of 1 s after the pull, or of a quarter of `longest` if that is shorter.

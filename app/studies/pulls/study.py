@@ -137,11 +137,13 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
-    for path in folder.glob("case-*.json"):
-        path.unlink()
+    former = set(folder.glob("case-*.json"))
     for row in filter(case.failed, rows):
-        text = RunCase.of(case.spec_of(row, parameters)).text()
-        write_whole(folder / f"case-{row['case']:05d}.json", text)
+        path = folder / f"case-{row['case']:05d}.json"
+        write_whole(path, RunCase.of(case.spec_of(row, parameters)).text())
+        former.discard(path)
+    for path in former:
+        path.unlink()
 
 
 class Journal(AbstractContextManager["Journal"]):

@@ -51,7 +51,10 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan at which the bar of a value ends; that of the limit if it is bad."""
+        """[m] radius in plan at which the bar of a value ends.
+
+        If larger values are better, all values below the limit have its radius.
+        """
         if self.more_is_better and self.limit is not None:
             value = max(value, self.limit)
         return _INNER + (_OUTER - _INNER) * max(self.share(value), _MIN_BAR)
@@ -75,7 +78,10 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance and time, the last two with scales from 0 to their maximum."""
+    """Final error, smallest distance and time; the last two have scales from 0 to their maximum.
+
+    An overlap counts as a distance of 0.
+    """
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)

@@ -54,8 +54,8 @@ class Approach:
     axis; "above": vertical, downwards."""
     height: float = 0.0  # [m] height of the end-effector's origin, for horizontal paths
     direction_deg: float = 0.0
-    """[deg] direction from the base to the start of a horizontal path, counter-clockwise from the
-    front; 90 or 270 for `wheel_axis`."""
+    """[deg] direction from the middle of the base's box to the start of a horizontal path,
+    counter-clockwise from the front; 90 or 270 for `wheel_axis`."""
     offset: float = 0.0
     """[m] x of p_b, the arm's point nearest to the base, at the start, for `wheel_axis`."""
     place: tuple[float, float] = (0.0, 0.0)  # [m] x and y of the end-effector, for `above`
