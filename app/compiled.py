@@ -119,7 +119,7 @@ class _Lowering(NativeLowering):
         optimise = library._optimize_final_module
         library._optimize_final_module = lambda: _count_plainly(library, optimise)
         config.LOOP_VECTORIZE = codegen._loopvect = 0
-        codegen._pass_builder = partial(_pass_builder, codegen)  # numba 0.61 has no such method
+        codegen._pass_builder = partial(_pass_builder, codegen)
         try:
             return super().run_pass(state)
         finally:

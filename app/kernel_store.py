@@ -19,7 +19,7 @@ from app.system import cache_folders
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     """Name and digest of a kernel's source file, of the files of the functions that it calls, and
-    of the file with the memory layout of structs.
+    of the files that compile kernels and lay out structs.
 
     Called functions are found by their names in the kernel. The kernel's constants must be in the
     kernel's file. A digest, unlike a time, does not change if an installation is copied.

@@ -80,7 +80,7 @@ def lower_priority(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit the additional processor time [s] and address space [bytes] during the `with`.
+    """Limit the process's additional processor time [s] and address space [bytes] in the `with`.
 
     Beyond the memory limit, an allocation fails. Beyond the time limit, the system ends the
     process. macOS limits only the time.

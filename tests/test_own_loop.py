@@ -1480,3 +1480,20 @@ def test_friction_of_a_joint_that_turns_back_is_not_reported_as_lag(
         evidence = max(evidence, float(command.step.evidence.max()))
         plant.step(command.u_a, command.base_velocity, np.zeros(3))
     assert evidence > 0.5, "the friction does not resemble a lag"
+
+
+def test_a_clock_corrects_the_period_before_the_first_valid_reading(run) -> None:
+    def lost_at_first(k: int, m: Measurement) -> Measurement:
+        return m._replace(q_m=m.q_m if k >= 12 else NAN)
+
+    loops: list[ControlLoop] = []
+    found = run(stamped(lost_at_first, 0.005), stated=0.001, real=0.005, created=loops.append)
+    assert loops[0].controller.dt == pytest.approx(0.005, rel=0.01)
+    assert "jump" not in found.faults
+
+
+def test_a_clock_that_ends_is_not_used_any_longer(run) -> None:
+    def ended(k: int, m: Measurement) -> Measurement:
+        return m._replace(now=EPOCH + 0.001 * k if k < 100 else np.nan, qd_m=2.0 * m.qd_m)
+
+    assert "period" in run(ended).faults  # without a clock, the two causes are the same

@@ -148,8 +148,15 @@ def load_border_data(
     from app.border.sampling import sample_clouds
 
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
-    how: dict[str, Any] = {"progress": progress, "processes": processes, "on_progress": on_progress}
-    data = BorderData(pairs, sample_clouds(model, pairs.mobile, sampling, **how), "sampled")
+    clouds = sample_clouds(
+        model,
+        pairs.mobile,
+        sampling,
+        progress=progress,
+        processes=processes,
+        on_progress=on_progress,
+    )
+    data = BorderData(pairs, clouds, "sampled")
     key = border_key(model.description, sampling)
     path = _path(assets.cache_folder(), model, key)
     try:

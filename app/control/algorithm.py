@@ -564,8 +564,8 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
 
     If β_m = 0, the result is a_des. If β_m > 0, a_des is clipped to ±a_max, and `limit_ee_drag`
     minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are the inertia and
-    the mass of the base, and w is `ee_hold.weight`. The base responds to the command a_hold with
-    a_free.
+    the mass of the base, w is `ee_hold.weight`, and D leads to the end-effector's acceleration that
+    the arm cannot compensate. The base responds to the command a_hold with a_free.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -670,10 +670,12 @@ def next_command(
 ) -> Array:
     """The velocity command after one command period, by M_a v̇ + D_a v = F, F = M_a a, exactly.
 
-    The change and the result (n_b,) are limited by `a_max` and `v_max`. The input a (n_b,) is the
-    mean of `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an
+    The change and the result (n_b,) are limited by `a_max` [m/s² or rad/s²] and `v_max`; `command`
+    and `v_max` are in m/s or rad/s, `period` in s. The input a (n_b,) [m/s² or rad/s²] is the mean
+    of `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an
     effect. F is not the base's part of u: that part is not zero while the base is at rest, so that
-    the base would drift. `mass` and `damping` are the diagonals (n_b,) of M_a and D_a.
+    the base would drift. `mass` and `damping` are the diagonals (n_b,) of M_a [kg or kg m²] and D_a
+    [N s/m or N m s].
     """
     found, gain = np.empty(len(command)), response(mass, damping, period)[0]
     for i in range(len(command)):

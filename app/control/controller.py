@@ -184,6 +184,7 @@ class Controller:
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
+        The controller forgets posture, speeds, torques, estimate, commands and counts of failures.
         A measured period stays in use, and until the next valid reading the fallback command has
         the gravity terms of the last valid posture.
         """
@@ -230,7 +231,10 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
-        """A step as in `step`; the drive's model computes the base acceleration from `v_cmd`."""
+        """A step as in `step`, with the base acceleration from the model of the drive.
+
+        The model computes it from the last velocity command; `v_cmd` of the result is the new one.
+        """
         if not self._own_drive:
             return self._step(measurement, reference, DRIVE_MODEL)
         measurement = checked(measurement, self._model)
@@ -253,7 +257,8 @@ class Controller:
                 raise no_motion(reference)
         self.faulty = _estimate(robot, gains, w.struct, *measurement)
         if self.faulty and w.faults[PERIOD]:
-            self._dt = min(max(self._dt * float(w.ratio), SHORTEST), LONGEST)
+            ratio = float(w.clock_ratio or w.ratio)
+            self._dt = min(max(self._dt * ratio, SHORTEST), LONGEST)
             self._set_gains()
         if self.faulty and np.isnan(w.q_posture[0]):
             if w.faults[IMPLAUSIBLE]:

@@ -58,7 +58,8 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
     that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
     because h is limited to −2 max_speed/λ. It is the second-order form of the barriers
     ḣ + λ h ≥ 0 of libraries at velocity level. `Jdqd` [m/s²] is the acceleration of the distance at
-    q̈ = 0, `d_dot` [m/s] its speed, `rate` [1/s] λ.
+    q̈ = 0, `d_dot` [m/s] its speed, `h` [m] is d − d_min, `rate` [1/s] λ, and `max_speed` [m/s] the
+    largest speed of separation.
     """
     return -2.0 * rate * d_dot - rate**2 * max(h, -2.0 * max_speed / rate) - Jdqd
 

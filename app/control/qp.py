@@ -75,6 +75,7 @@ def forward(L: Array, b: Array) -> Array:
 
 @compiled()
 def _back_substitute(L: Array, x: Array) -> Array:
+    """L⁻ᵀ x, written into x."""
     for i in range(len(x) - 1, -1, -1):
         for l in range(i + 1, len(x)):
             x[i] -= L[l, i] * x[l]

@@ -542,12 +542,14 @@ def _watch_clock(w: Any, now: float, dt: float) -> None:
     """Measure the control period by the caller's clock; `now` [s] is NaN without one.
 
     Two successive measurements that differ from the stated period, and agree, set the fault
-    `period`, and `w.ratio` becomes the ratio of the true period to `dt`. A pause counts as none.
+    `period`; then `w.clock_ratio` is the ratio of the true period to `dt`. A pause does not count.
     """
     interval = now - w.clock[()]
     w.clock[()] = now
     if not 0.0 <= interval < MAX_AGE:  # NaN too
         fill(w.clock_span, 0.0)
+        if math.isnan(now):
+            w.clock_ratio[()] = 0.0
         return
     w.clock_span[0] += interval
     w.clock_span[1] += 1.0
@@ -558,7 +560,6 @@ def _watch_clock(w: Any, now: float, dt: float) -> None:
         found = 1.0
     elif abs(found - w.clock_ratio[()]) < _ALIKE_PERIODS * found:
         w.faults[PERIOD] = 1.0
-        w.ratio[()] = found
     w.clock_ratio[()] = found
     fill(w.clock_span, 0.0)
 

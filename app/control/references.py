@@ -266,7 +266,8 @@ def take_reference(
 ) -> bool:
     """Write the reference of this step into x_ref, v_ref and a_ref.
 
-    The fields of the caller's `Reference` are R (3, 3) and p (3,), v (6,) and a (6,). `interpolate`
+    The fields of the caller's `Reference` are R (3, 3) and p (3,) [m], v (6,) [m/s, rad/s] and
+    a (6,) [m/s², rad/s²], linear above angular, in the world. `interpolate`
     states whether to interpolate references that jump. Returns whether the reference is a possible
     motion (`_is_motion`); if it is not, nothing is written.
     """

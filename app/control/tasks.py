@@ -235,7 +235,8 @@ def add_tracking(
     A remaining error adds a damping λ ‖q̈ + k_v q̇‖² in the metric H, where λ is the square of the
     error (Levenberg and Marquardt, by Sugihara 2011). Thus an arm at full stretch comes to rest.
 
-    J (6, n) is J_ee, b (6,) the right-hand side of T_2, `lm_damping` λ [m²], `velocity` k_v q̇ (n,).
+    J (6, n) is J_ee, b (6,) the right-hand side of T_2, `lm_damping` λ [m²], `velocity` k_v q̇ (n,);
+    H is (n, n), c (n,).
 
     Paper: Eq. (26).
 
@@ -453,9 +454,10 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
     An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
     drags the end-effector along, the distance stays the same, and the base would continue. Our
     extension: R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the
-    end-effector's linear Jacobian, Q = `qd_max` (n_m,) the speed limits of the joints and v [m/s] a
-    speed. Along a direction in which the joints can move the end-effector at v, half of the base's
-    motion remains; at 2 v, one seventeenth.
+    end-effector's linear Jacobian, in `J_ee` (6, n) and J_b = J_ee J_m_inv; Q = `qd_max` (n_m,)
+    [rad/s or m/s] the speed limits of the joints, and v [m/s] a speed. Along a direction in which
+    the joints can move the end-effector at v, half of the base's motion remains; at 2 v, one
+    seventeenth.
     """
     n_b, n_m = len(J_m_inv), len(qd_max)
     follows = np.zeros((3, 3))
@@ -484,7 +486,8 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
     The result a minimises (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖². The second term acts
     like a mass m on the end-effector along directions in which the arm does not compensate the
     base's motion. Along all other directions D is close to 0, and a is close to a_des. With a_hold
-    the end-effector fulfils its task. `inertia` (n_b,) is the diagonal of I, and D (3, n_b) is
+    the end-effector fulfils its task. `desired` and `hold` (n_b,) are in m/s² or rad/s², `inertia`
+    (n_b,) [kg or kg m²] is the diagonal of I, `mass` m [kg], and `drag` D (3, n_b) is
     `uncompensated_base_jacobian` times the gain of the admittance law.
     """
     n_b = len(inertia)

@@ -28,7 +28,7 @@ from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
 Bare = Literal["design", "mistake"]
 """Whether a link extends beyond its body by design, because no link of a body that is not a
-neighbour can reach these parts."""
+neighbour can reach these parts; otherwise by mistake."""
 
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
 """Colours of links: None for links inside of their bodies."""

@@ -109,11 +109,12 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     name = None if in_place else out.name
     try:
         before = file_text(file)
-        text = within_budget(_changed_text, before, name, changes, size=len(before))
-    except BudgetError as error:
-        raise DescriptionError(f"{file}: {error}") from None
     except (OSError, ValueError) as error:
         raise DescriptionError(f"{file}: cannot be read: {error}") from None
+    try:
+        text = within_budget(_changed_text, before, name, changes, size=len(before))
+    except (BudgetError, ValueError) as error:
+        raise DescriptionError(f"{file}: cannot be changed: {error}") from None
     with temporary_folder() as tried:  # an invalid description must not replace a valid one
         write_whole(tried / "robot.toml", text)
         load_description(tried / "robot.toml")

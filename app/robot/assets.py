@@ -148,8 +148,8 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     roots = package_roots(package)
     if not roots:
-        # For other names no installation is advised: a file has the name, and anyone can register
-        # the name.
+        # For other names no installation is advised: the name comes from a file, and anyone can
+        # register it.
         how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
         how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
@@ -332,7 +332,7 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse the `placeholder` of a file; `content` has its first bytes, `where` its name.
+    """Refuse content that is a `placeholder`: the first bytes of a file with the name `where`.
 
     Raises:
         RobotFileError: The content is a placeholder; the message names its kind.

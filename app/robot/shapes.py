@@ -180,7 +180,7 @@ def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
     A hull without a volume, for example of points on a line, gets a thickness of 0.1 mm. trimesh's
-    own correction of inward triangles needs networkx, which is possibly not installed.
+    own correction of inward triangles is not used: it needs networkx, which may be missing.
     """
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError
@@ -280,7 +280,9 @@ def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, floa
 def polytope_vertices(
     semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
 ) -> Array:
-    """(6 intervals² + 2, 3) [m] points of the surface whose hull approximates it; read-only.
+    """(6 intervals² + 2, 3) [m] points of the surface, in its frame; read-only.
+
+    Their hull is inside of the surface, and approximates it.
 
     Rays from the centre through a grid on a cube's faces meet the surface at these points. The grid
     is denser towards the edges, where a small exponent bends the surface most.

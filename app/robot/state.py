@@ -90,7 +90,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         shapes = pose.shape, v.shape, q.shape, qd.shape, drive.shape
         floats = pose.dtype is v.dtype is q.dtype is qd.dtype is drive.dtype is _FLOAT
         no_times = now is time is np.nan
-        times = no_times or (type(now) is type(time) is float and abs(now) < _LATEST)
+        times = no_times or (type(now) is type(time) is float and max(now, time) < _LATEST)
         if floats and times and shapes in model.reading_shapes:
             return measurement
     now, time = _seconds("measurement.now", now), _seconds("measurement.time", time)
@@ -437,7 +437,7 @@ class RobotState:
 
     @property
     def measurement(self) -> Measurement:
-        """The measurement of the last update."""
+        """The measurement of the last update, without times."""
         return Measurement(self.base_pose, self.base_velocity, self.q_m, self.qd_m, self.drive)
 
     @property

@@ -169,7 +169,7 @@ def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
     touching = compress(pairs, shallow)
-    return frozenset((u, v) for u, v in touching if units[u].joint > 1 < units[v].joint)
+    return frozenset((u, v) for u, v in touching if min(units[u].joint, units[v].joint) > 1)
 
 
 def _look(_: object, part: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> Array:

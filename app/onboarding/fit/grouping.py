@@ -312,8 +312,8 @@ def _left_out(
     units, q_m = met.units, met.random.q_m
     near, distant = sorted(met.close - met.nested), set(met.pairs)
     shaped = combinations([unit for unit in units if unit.parts], 2)
-    apart = [(a.index, b.index) for a, b in shaped if a.joint != b.joint]
-    beside = [pair for pair in apart if pair not in distant]
+    separate = [(a.index, b.index) for a, b in shaped if a.joint != b.joint]
+    beside = [pair for pair in separate if pair not in distant]
     sampled = met.random.distances[:, [met.pairs.index(pair) for pair in near]]
     gaps = np.hstack([sampled, hull_distances(model, units, beside, q_m)])
     touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)

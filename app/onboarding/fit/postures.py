@@ -166,7 +166,7 @@ def find_place(
     1. lines on which the arm would touch the base, then lines on which it would come nearest;
     2. lines on which the arm best holds its end-effector while the base moves;
     3. the order of `_front` or `_lateral`, far starts first; then heights near 0.8 of a part of
-    l_m.
+       l_m.
 
     Args:
         model: The robot.
@@ -182,11 +182,11 @@ def find_place(
         return found
     hundredths = range(round(100 * parameter("border.d_b").low), round(100 * d_b))
     smaller = [k / 100 for k in reversed(hundredths)]
-    leads = [f"--buffer-distance {each:g} can give a line" for each in smaller]
+    advice = [f"--buffer-distance {each:g} can give a line" for each in smaller]
     k = bisect_left(
         smaller, True, key=lambda d_b: bool(chosen(_Guide(model, pairs, d_b).lines(name), d_b))
     )
-    return f"{guide.obstacles}; {[*leads, _NOT_SMALLER][k]}"
+    return f"{guide.obstacles}; {[*advice, _NOT_SMALLER][k]}"
 
 
 def chosen(
@@ -377,7 +377,10 @@ class _Guide:
             yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from a start at height z, which ends early at the base; None if it has none."""
+        """The line from a start at height z, which ends early at the base.
+
+        None if the arm cannot start there, or comes too near to the floor.
+        """
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
@@ -404,9 +407,8 @@ class _Guide:
 
         Returns:
             The posture (n_m,) at the end; the smallest distance [m] to the base; for each step
-            inside the
-                buffers, the share [-] of the base's motion that the arm does not compensate; and
-                the smallest distance [m] to the floor.
+                inside the buffers, the share [-] of the base's motion that the arm does not
+                compensate; and the smallest distance [m] to the floor.
         """
         search, model, least, carried, low = self._search, self._model, np.inf, [], np.inf
         speed = model.description.config.ee_hold.min_speed

@@ -79,7 +79,7 @@ Geometry = Mapping[str, LinkGeometry]  # by the names of the links
 
 
 def read_geometry(tree: Tree) -> Geometry:
-    """The geometry of each link; errors as for `link_geometry`."""
+    """The geometry of each link; raises the RobotFileError of `link_geometry`."""
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 
@@ -246,9 +246,12 @@ def _states_unit(path: Path) -> bool:
         RobotFileError: The unit is not a number above zero.
     """
     try:
-        with path.open("rb") as file:  # the first <asset> is the file's own
-            found = (element for _, element in iterparse(file) if element.tag.endswith("asset"))
-            asset = next(found, Element("asset"))
+        with path.open("rb") as file:
+            events = iterparse(file, ("start", "end"))
+            _, root = next(events)
+            ends = (element for event, element in events if event == "end")  # not of a library
+            assets = (each for each in ends if each.tag.endswith("asset") and each in root)
+            asset = next(assets, Element("asset"))
     except (SyntaxError, ValueError, LookupError):  # XML that is not well-formed; an encoding
         return True
     unit, up = asset.find("{*}unit"), asset.findtext("{*}up_axis", "").strip()

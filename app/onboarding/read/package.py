@@ -30,7 +30,7 @@ FOLDER = "package"  # name of the folder in a robot's own folder into which a zi
 LARGEST_ARCHIVE = 100_000_000  # [bytes] largest zip
 LARGEST_CONTENT = 500_000_000  # [bytes] largest expanded size of all files
 MOST_FILES = 2000  # [-] largest number of files
-KEPT = (".urdf", ".xml", *FORMATS[:-1], ".bin")  # the last: numbers of a .gltf
+KEPT = (".urdf", ".xml", *FORMATS[:-1], ".bin")  # .bin: numbers of a .gltf
 """Endings of the unpacked files, besides licences; other files, such as programs, are left out."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest list; an entry has 46 bytes and a name
@@ -133,7 +133,7 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
         "is locked by a password": info.flag_bits & 1,
         "is packed by another method than deflate": info.compress_type not in _BOUNDED,
     }
-    for problem in compress(problems, problems.values()):
+    if problem := next(compress(problems, problems.values()), None):
         raise RobotFileError(
             f"{where}: {name[:_LONGEST_NAME]!r} {problem}; "
             "zip the package's folder itself, with plain files below it"

@@ -73,7 +73,7 @@ class Tree:
         return next(link for link in self.links if link not in self.joint_of)
 
     def check_link(self, name: str, option: str) -> None:
-        """Refuse a name that no link has; the message names `option` and the existing links."""
+        """Raise a RobotFileError, which names `option` and the links, if no link has this name."""
         if name not in self.links:
             raise RobotFileError(
                 f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
@@ -89,7 +89,7 @@ class Tree:
         return found
 
     def chain(self, base: str, tip: str) -> list[Joint]:
-        """The joints on the path from `base` to `tip`, which must be a descendant."""
+        """The joints on the path from `base` to its descendant `tip`; else a RobotFileError."""
         chain, link = [], tip
         while link != base:
             if link not in self.joint_of:
@@ -210,10 +210,8 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         raise RobotFileError(f"{where}: its axis is zero")
     mimic = None
     if (found := element.find("mimic")) is not None:
-        (factor,), (offset,) = (
-            numbers(found, key, (usual,), where).tolist()
-            for key, usual in (("multiplier", 1.0), ("offset", 0.0))
-        )
+        factor = float(numbers(found, "multiplier", (1.0,), where)[0])
+        offset = float(numbers(found, "offset", (0.0,), where)[0])
         mimic = str(found.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
@@ -338,7 +336,10 @@ def parallel(a: Joint, b: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse an ancestor of the base with shapes or other children, unless a joint moves it."""
+    """Refuse an ancestor of the base with shapes or other children.
+
+    Ancestors above a planar or floating joint do not count.
+    """
     link = base
     while link in tree.joint_of and tree.joint_of[link].kind not in FREE:
         parent = tree.joint_of[link].parent

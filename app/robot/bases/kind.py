@@ -96,7 +96,8 @@ class Wheels(NamedTuple):
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
 """Function from the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the
-velocity command (n_b,) to the velocity and the drive one step later."""
+velocity command (n_b,) to the velocity and the drive one step later. It does not change its
+arguments."""
 
 
 class BaseKind(Sourced, ABC):
