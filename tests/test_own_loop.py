@@ -1487,9 +1487,8 @@ def test_a_clock_corrects_the_period_before_the_first_valid_reading(run) -> None
         return m._replace(q_m=m.q_m if k >= 12 else NAN)
 
     loops: list[ControlLoop] = []
-    found = run(stamped(lost_at_first, 0.005), stated=0.001, real=0.005, created=loops.append)
+    run(stamped(lost_at_first, 0.005), stated=0.001, real=0.005, created=loops.append)
     assert loops[0].controller.dt == pytest.approx(0.005, rel=0.01)
-    assert "jump" not in found.faults
 
 
 def test_a_clock_that_ends_is_not_used_any_longer(run) -> None:
