@@ -146,8 +146,8 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
     try:
         with guarded(heard, _PATIENCE, numbers) as passed_on:
-            sources = os.dup(passed_on), os.dup(heard)
-            threading.Thread(target=_end_late, args=(sources, numbers), daemon=True).start()
+            ending = ((os.dup(passed_on), os.dup(heard)), numbers, _LONGEST)
+            threading.Thread(target=_end_late, args=ending, daemon=True).start()
             yield
     finally:
         signal.set_wakeup_fd(before)
@@ -155,13 +155,13 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
         os.close(heard)
 
 
-def _end_late(sources: Sequence[int], numbers: Sequence[int]) -> None:
+def _end_late(sources: Sequence[int], numbers: Sequence[int], longest: float) -> None:
     for source in sources:
         with os.fdopen(source, "rb", buffering=0) as signals:
             while number := signals.read(1):
                 if number[0] in numbers:
                     wake_children()
-                    sleep(_LONGEST)
+                    sleep(longest)
                     # The exit functions remove temporary folders; a removal may hang.
                     tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
                     tidying.start()
