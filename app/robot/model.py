@@ -306,8 +306,9 @@ def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
         text = f"arm.joints: must be in the order of the chain: {', '.join(chain)}"
         raise _error(description, text)
     if model.nq != 4 + len(chain):
-        text = (
-            "each must be revolute or prismatic; write continuous joints as revolute, wide limits"
+        raise _error(
+            description,
+            "arm.joints: each must be revolute or prismatic; "
+            "write a continuous joint as revolute with wide limits",
         )
-        raise _error(description, f"arm.joints: {text}")
     return model
