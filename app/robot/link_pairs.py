@@ -5,12 +5,11 @@ from dataclasses import dataclass, field
 from itertools import combinations, product
 from typing import NamedTuple
 
-import coal
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled, direct
 from app.robot.model import RobotModel
+from app.robot.state import ShapeDistances
 from app.strict import Array
 
 
@@ -77,52 +76,7 @@ class LinkPairs:
         return self.mobile + self.manipulator
 
 
-def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Data for distances that depend on the poses of the bodies alone, not on former calls.
-
-    With pinocchio's own requests, each search would start at the result of the last search.
-    """
-    data = pin.GeometryData(geometry)
-    for k in range(len(data.distanceRequests)):
-        data.distanceRequests[k] = coal.DistanceRequest()
-    return data
-
-
-def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
-
-    Reading the results one by one would take as long as computing them. Each result stores its
-    distance before its normal, and all results have the same size. The present distances are lost.
-    """
-    if len(results) == 0:
-        return np.zeros(0)
-    first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
-    size = (last - first) // max(len(results) - 1, 1)
-    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
-    view = before[:, 1]
-    for k, each in enumerate(results):
-        each.min_distance = float(k)
-    assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
-    return view
-
-
-@compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
-def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
-
-    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
-    `order` at which each group begins, then m.
-    """
-    for k in range(len(into)):
-        into[k] = values[order[firsts[k]]]
-        for j in range(firsts[k] + 1, firsts[k + 1]):
-            into[k] = min(into[k], values[order[j]])
-
-
-_write_least = direct(_put_least)
-
-
-class PairDistances:
+class PairDistances(ShapeDistances):
     """Distances and closest points of some pairs, by the collision library.
 
     Call `update` or `update_from` once for a configuration, before all other methods but `sampled`.
@@ -135,24 +89,19 @@ class PairDistances:
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
         self.pairs, self.data = tuple(pairs), model.pin.createData()
-        self._model, self._geometry = model, model.geometry.copy()
-        self._geometry.removeAllCollisionPairs()
+        shapes: list[tuple[int, int]] = []
         groups: list[list[range]] = []
         for pair in self.pairs:
-            first, each = len(self._geometry.collisionPairs), len(model.shape_ids[pair.b])
-            for shapes in product(model.shape_ids[pair.a], model.shape_ids[pair.b]):
-                self._geometry.addCollisionPair(pin.CollisionPair(*shapes))
-            whole = range(first, len(self._geometry.collisionPairs))
+            first, each = len(shapes), len(model.shape_ids[pair.b])
+            shapes += product(model.shape_ids[pair.a], model.shape_ids[pair.b])
+            whole = range(first, len(shapes))
             parts = [range(k, k + each) for k in whole[::each]]
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
         rows = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
-        self._order = np.concatenate([np.arange(0), *rows])
-        self._firsts = np.cumsum([0, *map(len, rows)])
-        self._placed = geometry_data(self._geometry)
+        super().__init__(model, shapes, rows)
         # References to pinocchio's result objects: requesting these objects again at each step
         # would take longer than computing the distances.
         results = self._placed.distanceResults
-        self._signed = distance_view(results)
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
         """For each pair a list: first the results of all pairs of shapes of `a` and `b`, then, if
         `a` has several parts, the results of each part with the shapes of `b`."""
@@ -161,17 +110,6 @@ class PairDistances:
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
         pin.updateGeometryPlacements(self._model.pin, self.data, self._geometry, self._placed, q)
         pin.computeDistances(self._geometry, self._placed)
-
-    def update_from(self, data: pin.Data) -> None:
-        """Compute all distances from pinocchio's data with existing kinematics."""
-        pin.updateGeometryPlacements(self._model.pin, data, self._geometry, self._placed)
-        pin.computeDistances(self._geometry, self._placed)
-
-    def write_distances(self, into: Array) -> None:
-        """Write the signed distances [m] of all pairs into an array, then those of each part of
-        the bodies `a` with several parts.
-        """
-        _write_least(self._signed, self._order, self._firsts, into)
 
     def distance(self, i: int) -> float:
         """[m] signed distance of the i-th pair."""

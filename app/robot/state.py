@@ -13,10 +13,11 @@ from collections.abc import Sequence
 from numbers import Real
 from typing import Any, NamedTuple
 
+import coal
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled
+from app.compiled import compiled, direct
 from app.errors import MeasurementError
 from app.robot.model import RobotModel
 from app.strict import Array
@@ -370,6 +371,77 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     last = np.array(data.oMi[joints - 1].translation)
     assert (oMi[-1, 3] == last).all(), "pinocchio does not store placements as assumed here"
     return {"M_pin": data.M, "h_pin": data.nle, "g_pin": data.g, "J_pin": data.J, "oMi": oMi}
+
+
+def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
+    """Data for distances that depend on the poses of the bodies alone, not on former calls.
+
+    With pinocchio's own requests, each search would start at the result of the last search.
+    """
+    data = pin.GeometryData(geometry)
+    for k in range(len(data.distanceRequests)):
+        data.distanceRequests[k] = coal.DistanceRequest()
+    return data
+
+
+def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
+    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
+
+    Reading the results one by one would take as long as computing them. Each result stores its
+    distance before its normal, and all results have the same size. The present distances are lost.
+    """
+    if len(results) == 0:
+        return np.zeros(0)
+    first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
+    size = (last - first) // max(len(results) - 1, 1)
+    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
+    view = before[:, 1]
+    for k, each in enumerate(results):
+        each.min_distance = float(k)
+    assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
+    return view
+
+
+@compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
+def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
+    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
+
+    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
+    `order` at which each group begins, then m.
+    """
+    for k in range(len(into)):
+        into[k] = values[order[firsts[k]]]
+        for j in range(firsts[k] + 1, firsts[k + 1]):
+            into[k] = min(into[k], values[order[j]])
+
+
+_write_least = direct(_put_least)
+
+
+class ShapeDistances:
+    """Present signed distances of groups of pairs of shapes, by the collision library."""
+
+    def __init__(
+        self, model: RobotModel, shapes: Sequence[tuple[int, int]], groups: Sequence[range]
+    ) -> None:
+        """Prepare pairs of shapes, by their indices in `model.geometry`, and groups of these."""
+        self._model, self._geometry = model, model.geometry.copy()
+        self._geometry.removeAllCollisionPairs()
+        for pair in shapes:
+            self._geometry.addCollisionPair(pin.CollisionPair(*pair))
+        self._placed = geometry_data(self._geometry)
+        self._order = np.concatenate([np.arange(0), *groups])
+        self._firsts = np.cumsum([0, *map(len, groups)])
+        self._signed = distance_view(self._placed.distanceResults)
+
+    def update_from(self, data: pin.Data) -> None:
+        """Compute all distances from pinocchio's data with existing kinematics."""
+        pin.updateGeometryPlacements(self._model.pin, data, self._geometry, self._placed)
+        pin.computeDistances(self._geometry, self._placed)
+
+    def write_distances(self, into: Array) -> None:
+        """Write the smallest signed distance [m] of each group into an array."""
+        _write_least(self._signed, self._order, self._firsts, into)
 
 
 class RobotState:

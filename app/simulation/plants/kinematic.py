@@ -17,9 +17,8 @@ import pinocchio as pin
 from app.compiled import compiled, direct
 from app.control.drive import Drive
 from app.control.qp import fill
-from app.robot.link_pairs import distance_view
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import Measurement, RobotState, distance_view
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
 from app.simulation.plants.interface import NO_CONTACTS, Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist

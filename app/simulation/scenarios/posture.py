@@ -10,9 +10,9 @@ import pinocchio as pin
 from scipy.optimize import least_squares
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.robot.link_pairs import LinkPairs, geometry_data
+from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel, length_bound
-from app.robot.state import RobotState, at_rest
+from app.robot.state import RobotState, at_rest, geometry_data
 from app.simulation.trace.words import spoken
 from app.strict import Array
 
