@@ -693,10 +693,7 @@ def test_invalid_period_or_too_large_a_gain_for_it_is_refused(
 def test_refused_readings_do_not_use_up_the_reference(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    loop, m = (
-        ControlLoop(robot, border_data),
-        ready(robot),
-    )
+    loop, m = ControlLoop(robot, border_data), ready(robot)
     start = pin.SE3(pin.XYZQUATToSE3(np.array([0.9, 0.0, 0.8, 1.0, 0.0, 0.0, 0.0])))
     for k in range(4):
         pose = pin.SE3(start.rotation, start.translation + np.array([1e-4 * k, 0.0, 0.0]))
@@ -773,10 +770,7 @@ def turned(robot: RobotModel, border_data: BorderData) -> Callable[..., ControlS
 
     def turned(dt: float, acceleration: float, count: int) -> ControlStep:
         loop = ControlLoop(robot, border_data, dt=dt)
-        m, turning = (
-            ready(robot),
-            np.arange(7) == 6,
-        )
+        m, turning = ready(robot), np.arange(7) == 6
         for k in range(count):
             t = dt * k
             q, qd = 0.5 * acceleration * t**2, acceleration * t
@@ -1220,10 +1214,7 @@ def test_command_reports_its_gravity_torques(robot: RobotModel, border_data: Bor
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
 def test_copied_command_does_not_change(robot: RobotModel, border_data: BorderData, copied) -> None:
-    loop, m = (
-        ControlLoop(robot, border_data),
-        ready(robot),
-    )
+    loop, m = ControlLoop(robot, border_data), ready(robot)
     command = loop.step(m._replace(qd_m=NAN))
     record, gravity = copied(command), command.gravity
     loop.step(m._replace(q_m=m.q_m + 0.004))

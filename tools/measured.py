@@ -41,23 +41,35 @@ ROBOTS = (
     "frankie_omni",
     "racecar_panda",
 )
-EXACT = (
-    *("--hand-stiffness", "300", "2000", "--hand-mass", "0", "0", "--base-delay", "0", "0"),
-    *("--encoder-noise", "0", "0", "--mass-error", "0", "0", "--slip", "0", "0"),
-    *("--v-max", "0.5", "0.5", "--speed", "0.3", "1.2", "--payload", "0", "0", "--faulty", "0"),
+MODELLED = (
+    *("--hand-mass", "0", "0", "--base-delay", "0", "0", "--mass-error", "0", "0"),
+    *("--slip", "0", "0", "--v-max", "0.5", "0.5", "--payload", "0", "0"),
 )
-"""Options of both studies: no errors of the model, noise, payload or faults."""
+"""Options of all studies: robot and base agree with their models, without a payload."""
+EXACT = (
+    *("--hand-stiffness", "300", "2000", "--encoder-noise", "0", "0"),
+    *("--speed", "0.3", "1.2", "--faulty", "0", *MODELLED),
+)
+"""Options of the studies of pulls: also no noise and no faults."""
 PULLS = ("--cases", "690", "--seed", "17", "--hand-f-max", "30", "100", *EXACT)
 """Options of the study of pulls with up to 100 N."""
 ENVELOPE = ("--cases", "20000", "--seed", "1", "--hand-f-max", "30", "50", *EXACT)
 """Options of the study from which the stated envelope is fitted; it takes two hours."""
 FAULTY = (
     *("--cases", "2000", "--seed", "5", "--hand-f-max", "5", "36", "--duration", "5"),
-    *("--base-delay", "0", "0", "--mass-error", "0", "0", "--slip", "0", "0", "--faulty", "1"),
-    *("--v-max", "0.5", "0.5", "--hand-mass", "0", "0", "--payload", "0", "0"),
-    *("--encoder-noise", "0", "0.0003"),
+    *("--faulty", "1", "--encoder-noise", "0", "0.0003", *MODELLED),
 )
 """Options of the study of random faults."""
+_OF_FAULTS = {
+    "cases": "runs",
+    "contact": "contact of arm and base",
+    "bodies_overlap": "convex bodies of arm and base met",
+    "without_readings": "no usable reading for 0.1 s",
+    "too_fast": "a joint above 1.05 of its speed limit, no torque at its limit",
+    "too_fast_without_floor_contact": "of these, without a contact with the floor",
+    "too_fast_with_readings": "of these, with a usable reading at least each 0.1 s",
+}
+"""Counts of the study of random faults, and their titles."""
 
 
 TRUST = {
@@ -388,18 +400,7 @@ def study_table(found: Figures) -> str:
 def faults_table(found: Figures) -> str:
     """A row per outcome and per fault; a column per study: with and without time stamps."""
     studies = list(found.values())
-    rows = [
-        [title, *(f"{study[key]:,}" for study in studies)]
-        for key, title in (
-            ("cases", "runs"),
-            ("contact", "contact of arm and base"),
-            ("bodies_overlap", "convex bodies of arm and base met"),
-            ("without_readings", "no usable reading for 0.1 s"),
-            ("too_fast", "a joint above 1.05 of its speed limit, no torque at its limit"),
-            ("too_fast_without_floor_contact", "of these, without a contact with the floor"),
-            ("too_fast_with_readings", "of these, with a usable reading at least each 0.1 s"),
-        )
-    ]
+    rows = [[title, *(f"{study[key]:,}" for study in studies)] for key, title in _OF_FAULTS.items()]
     for name in studies[0]["faults"]:
         counts = [study["faults"][name] for study in studies]
         cells = (f"{each['within_200_ms']:,} of {each['cases']:,}" for each in counts)
@@ -457,8 +458,7 @@ def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
 
 def keep_faults(printed: dict[str, Any]) -> dict[str, Any]:
     """The displayed numbers."""
-    keys = ("cases", "contact", "bodies_overlap", "without_readings", "faults")
-    return {key: printed[key] for key in printed if key in keys or key.startswith("too_fast")}
+    return {key: printed[key] for key in (*_OF_FAULTS, "faults")}
 
 
 def keep_all(printed: dict[str, Any]) -> dict[str, Any]:

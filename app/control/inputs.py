@@ -154,7 +154,7 @@ def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any
     """`GAINS` of a configuration for a controller in `METHODS`; `dt` [s] is the control period."""
     c, terms, base = config, METHODS[name], model.description.base
     sections = c.border, c.force, c.activation, c.repulsion, c.barrier, c.task, c.limit, c.estimate
-    found = {name: value for section in sections for name, value in section}
+    found = {each: value for section in sections for each, value in section}
     found |= {
         "dt": dt,
         "joint_damping": model.joint_damping,
@@ -168,8 +168,8 @@ def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any
         "virtual_damping": base.by_axis(c.admittance.damping, c.admittance.angular_damping),
         "largest_command": largest_command(base, c.admittance),
     }
-    found |= {name: name in terms for name, kind in _GAINS.items() if kind is _FLAG}
-    return GAINS.made_of(_contiguous(_Gains(**{name: found[name] for name in _GAINS}), _GAINS))
+    found |= {each: each in terms for each, kind in _GAINS.items() if kind is _FLAG}
+    return GAINS.made_of(_contiguous(_Gains(**{each: found[each] for each in _GAINS}), _GAINS))
 
 
 def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:

@@ -608,7 +608,10 @@ def _forget_groups(w: Any) -> None:
 
 @compiled()
 def _use_stated_lag(gains: Any, w: Any) -> None:
-    """Update `w.lag` if the stated delay, or its number of control periods, changes."""
+    """Update the lag if the stated delay, or its number of control periods, changes.
+
+    With time stamps, `w.lag` follows from `w.hidden_lag` at the next reading.
+    """
     stated = min(round(gains.delay / gains.dt), _MOST_LAG)
     more = stated - w.stated_lag[()]
     w.hidden_lag[()] = min(max(w.hidden_lag[()] + more, 0.0), _MOST_LAG)
@@ -872,6 +875,7 @@ def take_readings(
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, if there has been no usable reading for 0.1 s, and from the fault
     `contradictory` until `reset`.
+
     The arguments after `w`, a `STEP`, are the fields of a `Measurement`.
     """
     _use_stated_lag(gains, w)

@@ -73,7 +73,7 @@ def _bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
 
 
 @contextmanager
-def _lines(text: str, total: float) -> Iterator[OnProgress]:
+def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
     begin = last = monotonic()
 
     def update(done: float) -> None:

@@ -71,6 +71,7 @@ _LENGTH = 0.15, 0.60  # [m] length of a pull along the base; the upper end also 
 _REST = 1.0  # [s] time of the run after the pull, when a collision is still possible
 _PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
 _RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
+_FASTEST = 1.05  # [-] largest tolerated speed of a joint, relative to its limit
 _MAX_FAULTS = 3  # [-] largest number of faults in a case
 _LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
 _FREE = 0.1, 0.9  # [-] time from release to new grasp: range as a share of the time after the pull
@@ -334,6 +335,11 @@ def met_base(row: Row) -> bool:
 def met_itself(row: Row) -> bool:
     """Whether the arm touched itself in the plant, or two bodies of a pair within the arm met."""
     return bool(row.get("arm_contacts")) or _at_most_zero(row.get("arm_min_clearance_m"))
+
+
+def too_fast(row: Row) -> bool:
+    """Whether a joint exceeded its speed limit by 5 % while no torque was at its limit."""
+    return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
 
 
 def entered_buffer(row: Row, d_b: float) -> bool:

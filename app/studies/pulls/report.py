@@ -17,7 +17,7 @@ from app.simulation.session import DT
 from app.simulation.trace.words import number_text
 from app.studies.page import Grid, Part, label, page_html
 from app.studies.pulls import envelope as fit
-from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, met_itself
+from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, met_itself, too_fast
 from app.studies.pulls.envelope import FORCE, Envelope, exerted, tally
 from app.studies.pulls.parameters import FAULTS, PARAMETERS, StudyParameters
 from app.studies.runs import Row
@@ -50,15 +50,13 @@ _INCIDENTS: Events = {
 }
 _FAULTY: Events = {
     "without_readings": lambda row: row.get("fault_stale_s") is not None,
-    "too_fast": lambda row: _is_too_fast(row),
-    "too_fast_without_floor_contact": lambda row: _is_too_fast(row) and not row["floor_contacts"],
+    "too_fast": too_fast,
+    "too_fast_without_floor_contact": lambda row: too_fast(row) and not row["floor_contacts"],
     "too_fast_with_readings": lambda row: (
-        _is_too_fast(row) and not row["floor_contacts"] and row.get("fault_stale_s") is None
+        too_fast(row) and not row["floor_contacts"] and row.get("fault_stale_s") is None
     ),
 }
-"""Outcomes of faulty readings. A case is too fast if a joint exceeds `_FASTEST` times its speed
-limit while no torque is at its limit."""
-_FASTEST = 1.05  # [-] largest tolerated speed of a joint, relative to its limit
+"""Outcomes of faulty readings; the last two are parts of the one before."""
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _MAX_FAILURES = 200  # [-] largest number of rows in the table of failures
@@ -132,10 +130,6 @@ def summary_of(
         "failures": [row["case"] for row in rows if failed(row)],
     }
     return summary, fitted
-
-
-def _is_too_fast(row: Row) -> bool:
-    return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
 
 
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
