@@ -13,21 +13,19 @@ from typing import Any, TypeVar, cast
 
 import llvmlite.binding as llvm
 import numba
-from llvmlite import ir
 from numba import types
 from numba.core import config, sigutils
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.dispatcher import Dispatcher
-from numba.core.runtime.nrtdynmod import incref_decref_ty
 from numba.core.typed_passes import NativeLowering
 from numba.core.typing.templates import Signature
 
+from app.kernel_memory import manage_memory
 from app.kernel_store import KernelStore
 
 # LLVM needs far longer for one large function than for several small functions.
 _INLINED = 400  # [bytes] longest bytecode of an inlined function
-_WORD, _COUNTING = ir.IntType(64), {"NRT_incref": 1, "NRT_decref": -1}
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
@@ -117,7 +115,7 @@ class _Lowering(NativeLowering):
         library = state.library = codegen.create_library(state.func_id.func_qualname)
         library.enable_object_caching()
         optimise = library._optimize_final_module
-        library._optimize_final_module = lambda: _count_plainly(library, optimise)
+        library._optimize_final_module = lambda: manage_memory(library, optimise)
         config.LOOP_VECTORIZE = codegen._loopvect = 0
         codegen._pass_builder = partial(_pass_builder, codegen)
         try:
@@ -125,33 +123,6 @@ class _Lowering(NativeLowering):
         finally:
             config.LOOP_VECTORIZE = codegen._loopvect = before
             del codegen._pass_builder
-
-
-def _count_plainly(library: Any, optimise: Callable[[], None]) -> None:
-    """Optimise a module, count references without atomic operations, and inline the counting.
-
-    Atomic operations take a sixth of a control step. A kernel needs none, because it holds the
-    interpreter's lock: no other thread changes the counts of its arrays.
-    """
-    optimise()  # it removes superfluous calls, which it recognises by their names
-    module = ir.Module()
-    release = ir.Function(module, incref_decref_ty, "NRT_MemInfo_call_dtor")
-    for name, change in _COUNTING.items():
-        function = ir.Function(module, incref_decref_ty, name)
-        function.attributes.add("alwaysinline")
-        builder, (owner,) = ir.IRBuilder(function.append_basic_block()), function.args
-        with builder.if_then(builder.icmp_unsigned("!=", owner, owner.type(None))):
-            place = builder.bitcast(owner, _WORD.as_pointer())
-            count = builder.add(builder.load(place), _WORD(change))
-            builder.store(count, place)
-            if change < 0:
-                with builder.if_then(builder.icmp_unsigned("==", count, _WORD(0)), likely=False):
-                    builder.call(release, [owner])
-        builder.ret_void()
-    library._final_module.link_in(llvm.parse_assembly(str(module)))
-    for name in _COUNTING:  # other modules of the process keep their atomic functions
-        library._final_module.get_function(name).linkage = "internal"
-    optimise()
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:

@@ -16,6 +16,8 @@ from numba.core.dispatcher import Dispatcher
 
 from app.system import cache_folders
 
+_COMPILING = "compiled.py", "kernel_memory.py", "structs.py"
+
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     """Name and digest of a kernel's source file, of the files of the functions that it calls, and
@@ -27,7 +29,7 @@ def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     Raises:
         OSError: A file cannot be read.
     """
-    files = {Path(__file__).with_name(name) for name in ("compiled.py", "structs.py")}
+    files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
     while called:
         part = called.pop()

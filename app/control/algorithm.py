@@ -98,6 +98,7 @@ from app.robot.state import (
     distance_motions,
     point_bias,
     point_jacobian,
+    put_least,
     reduced_dynamics,
     seen_from,
     tip_motion,
@@ -333,6 +334,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
     put_rows(w.J_ee, J_ee)
     put(w.v_ee, v_ee)
     put(w.Jdqd_ee, Jdqd_ee)
+    put_least(w.signed, robot.shape_order, robot.shape_firsts, w.d)
     placed = np.empty((4 * len(robot.body_joints), 3))
     for k in range(len(robot.body_joints)):
         T = w.oMi[robot.body_joints[k]]

@@ -116,11 +116,12 @@ class Controller:
         self.state = RobotState(model)
         """The robot's estimated state in the last step with `valid` readings."""
         smooth = SmoothPoints(model, data.pairs.all)
-        self._robot = robot_struct(model, data, smooth)
-        views, sizes = pinocchio_views(self.state.data), _sizes(model, data, smooth)
+        self._robot = robot_struct(model, data, smooth, self._distances)
+        views = pinocchio_views(self.state.data) | {"signed": self._distances.signed}
+        sizes = _sizes(model, data, smooth)
         self.last = ControlStep(sizes, views, data.pairs.all, smooth.rows)
         """The table of quantities of the last step."""
-        self.last.pinocchio = self.state.data  # owns the memory of the views
+        self.last.pinocchio = self.state.data, self._distances  # own the memory of the views
         self.state.share(self.last)
         self.faulty = False
         """Whether the readings of the last step have a fault."""
@@ -269,7 +270,6 @@ class Controller:
             self.state.drive = measurement.drive
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
         self._distances.update_from(data)
-        self._distances.write_distances(w.d)
         tracking, slow, border = reference is not None, self._slow, self._border
         while left_open := _law(robot, gains, slow, border, w.struct, base_source, tracking):
             self._rescue(int(left_open) - 1)

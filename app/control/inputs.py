@@ -13,6 +13,7 @@ from app.border.cache import BorderData
 from app.border.score import ScoreField
 from app.config import AdmittanceConfig, Config
 from app.robot.bases.kind import BaseKind
+from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.strict import Array
 from app.structs import struct_type
@@ -47,6 +48,8 @@ _ROBOT: dict[str, Any] = {
     "nodes": _MATRIX,  # (K, 4) of `mean_nearest`
     "firsts": _TABLE,  # (bodies + 1, 2) of `mean_nearest`
     "sought": _TABLE,  # (n_r, 4) of `mean_nearest`
+    "shape_order": _INTS,  # (pairs of shapes in all groups,) of `put_least`
+    "shape_firsts": _INTS,  # (n_r + 1,) of `put_least`
     "body_joints": _INTS,  # (bodies,) pinocchio's joint of each body
     "pair_joints": _TABLE,  # (n_r, 2) joints that carry l_a and l_b
     "convex": _INTS,  # (n_c,) rows of the distances to a single convex part of l_a
@@ -123,8 +126,12 @@ MOVES_BASE = frozenset(name for name, terms in METHODS.items() if "moves_base" i
 """Names of the controllers that move the base by the avoidance force."""
 
 
-def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Any:
-    """`ROBOT` of a robot, its link pairs and their closest points; raises as `ScoreField.of`."""
+def robot_struct(
+    model: RobotModel, data: BorderData, smooth: SmoothPoints, distances: PairDistances
+) -> Any:
+    """`ROBOT` of a robot, its link pairs, and their closest points and distances; raises as
+    `ScoreField.of`.
+    """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile
     rows = [parts or [whole] for whole, *parts in smooth.rows]
@@ -144,6 +151,8 @@ def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> A
         "convex": np.array([k for each in rows for k in each], dtype=int),
         "n_convex_mob": sum(map(len, rows[: len(mobile)])),
         "score_coefficients": np.array(scores).reshape(-1, 9),
+        "shape_order": distances.order,
+        "shape_firsts": distances.firsts,
         **smooth.arrays(),
     }
     values = _Robot(**{name: own.get(name, getattr(model, name, None)) for name in _ROBOT})

@@ -117,7 +117,7 @@ class PairDistances(ShapeDistances):
 
     def distances(self) -> tuple[float, ...]:
         """[m] signed distances of all pairs."""
-        rows = np.empty(len(self._firsts) - 1)
+        rows = np.empty(len(self.firsts) - 1)
         self.write_distances(rows)
         return tuple(rows[: len(self.pairs)].tolist())
 

@@ -403,7 +403,7 @@ def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
 
 
 @compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
-def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
+def put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
     """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
 
     `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
@@ -415,11 +415,16 @@ def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
             into[k] = min(into[k], values[order[j]])
 
 
-_write_least = direct(_put_least)
+_write_least = direct(put_least)
 
 
 class ShapeDistances:
-    """Present signed distances of groups of pairs of shapes, by the collision library."""
+    """Present signed distances of groups of pairs of shapes, by the collision library.
+
+    Attributes:
+        signed: (k,) [m] `distance_view` of all pairs of shapes.
+        order, firsts: The groups, as in `put_least`.
+    """
 
     def __init__(
         self, model: RobotModel, shapes: Sequence[tuple[int, int]], groups: Sequence[range]
@@ -430,9 +435,9 @@ class ShapeDistances:
         for pair in shapes:
             self._geometry.addCollisionPair(pin.CollisionPair(*pair))
         self._placed = geometry_data(self._geometry)
-        self._order = np.concatenate([np.arange(0), *groups])
-        self._firsts = np.cumsum([0, *map(len, groups)])
-        self._signed = distance_view(self._placed.distanceResults)
+        self.order = np.concatenate([np.arange(0), *groups])
+        self.firsts = np.cumsum([0, *map(len, groups)])
+        self.signed = distance_view(self._placed.distanceResults)
 
     def update_from(self, data: pin.Data) -> None:
         """Compute all distances from pinocchio's data with existing kinematics."""
@@ -441,7 +446,7 @@ class ShapeDistances:
 
     def write_distances(self, into: Array) -> None:
         """Write the smallest signed distance [m] of each group into an array."""
-        _write_least(self._signed, self._order, self._firsts, into)
+        _write_least(self.signed, self.order, self.firsts, into)
 
 
 class RobotState:
