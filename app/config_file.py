@@ -112,7 +112,7 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """A file's name without leading and trailing blanks.
+    """A configuration's `name`, which its file contains, without leading and trailing blanks.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.

@@ -129,9 +129,8 @@ def extras_named() -> Iterator[None]:
     """Replace the error of a missing module in the `with` block, if an extra installs the module.
 
     Raises:
-        MissingExtraError: The message states how to install an extra. If the package of `app` that
-            imports the module has an extra with this module, it is this extra; if not, it is the
-            first extra with this module.
+        MissingExtraError: The message states how to install an extra that has the module: the extra
+            of the importing package of `app`, or else the first one that has the module.
     """
     try:
         yield

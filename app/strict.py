@@ -221,7 +221,10 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def _at(error: ValueError, text: str) -> str:
-    """The content of the line that a reader of TOML or JSON names in its message, or empty."""
+    """The line that a reader of TOML or JSON names in its message, or empty.
+
+    Advice follows if a comma before the error is the cause.
+    """
     found = re.search(r"line (\d+),? column", str(error))
     lines = text.split("\n")
     if found is None or int(found[1]) > len(lines):

@@ -55,7 +55,7 @@ _UNREADABLE = (
 
 
 class DamagedFileError(Exception):
-    """A file cannot be read, or its content does not match its name."""
+    """A file cannot be read, its content is invalid, or it has a different key than its name."""
 
 
 class _Header(Strict):

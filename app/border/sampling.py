@@ -293,7 +293,7 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Step from the first of the `found` postures next to an open voxel into this voxel.
+        """Step into each open voxel from the first of the `found` postures that is next to it.
 
         Steps that would probably leave the sampled range of distances are left out.
         """

@@ -141,7 +141,9 @@ class RadialProfile:
     """(K,) number of values in each shell."""
 
     def peak(self) -> int:
-        """Index of the shell with the largest mean, of those with `_FEWEST` or the most values.
+        """Index of the shell with the largest mean, of those with at least `_FEWEST` values.
+
+        If no shell has so many values, the shells with the most values are compared.
 
         Raises:
             ValueError: All shells are empty.

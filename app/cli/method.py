@@ -259,7 +259,7 @@ def bench(
         robot: Name of the robot; `dbb robots` lists all names.
         no_border: Leave out the measurement of the sampling of a new border, which takes minutes.
         seed: Seed of all random numbers: of the simulated paths, the synthetic borders, and the QP
-            of the direct calls.
+            that the libraries solve directly, for comparison.
     """
     options.check_seed(seed)
     try:

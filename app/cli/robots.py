@@ -120,9 +120,9 @@ def new_robot(
     with its source. It writes all files or none.
 
     Args:
-        quick: Sample a coarse border in seconds. The first `dbb serve` refines this border in the
-            background. Other commands first sample the full border, which takes minutes;
-            `dbb check-robot --quick` does not.
+        quick: Sample a coarse border in seconds. The first `dbb serve` uses it, and refines it in
+            the background for the next start. Other commands first sample the full border, which
+            takes minutes; `dbb check-robot --quick` does not.
     """
     asked = Request(**request)
     check_request(asked)

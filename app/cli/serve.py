@@ -48,8 +48,9 @@ class Serving:
     """[m] start of the end-effector, in the world; default: the start of guiding-front. If
     robot.toml has no line for that scenario, the arm starts in its ready posture."""
     case: Path | None = None
-    """File of a case, saved in the dashboard or in the folder `failures` of a study. The robot, its
-    start, the parameters and the seed are those of the case, and a button repeats the case."""
+    """File of a case, saved in the dashboard or in the folder `failures` of a study. The case sets
+    the robot, its start, the parameters and the seed, and, without these options, --controller and
+    --physics. A button repeats the case."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "allow_host", tuple(map(checked_host, self.allow_host)))

@@ -624,13 +624,13 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
 
 @compiled()
 def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
-    """Solve the prepared QP within the first m limits.
+    """Solve the QP that was set up, within its first m limits.
 
-    FREE_BASE has no fixed entries, ARM keeps its fixed entries, and ROOM can change them
-    (`solve_qp_step`). If the active-set method finds no solution, `w.qp_open` marks the QP as open:
-    `Controller` lets ProxQP solve it and calls `algorithm_2` again. In this second pass the result
-    is ProxQP's solution. This happens at most once for each QP of a step. Returns the solution (n,)
-    and whether it exists.
+    FREE_BASE solves for all entries of q̈. ARM keeps the base's entries at `w.qp_fixed`, and ROOM
+    can change them from there (`solve_qp_step`). If the active-set method finds no solution,
+    `w.qp_open` marks the QP as open: `Controller` lets ProxQP solve it and calls `algorithm_2`
+    again. In this second pass the result is ProxQP's solution. This happens at most once for each
+    QP of a step. Returns the solution (n,) and whether it exists.
     """
     C, l, u, softness = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]

@@ -129,8 +129,9 @@ MOVES_BASE = frozenset(name for name, terms in METHODS.items() if "moves_base" i
 def robot_struct(
     model: RobotModel, data: BorderData, smooth: SmoothPoints, distances: PairDistances
 ) -> Any:
-    """`ROBOT` of a robot, its link pairs, and their closest points and distances; raises as
-    `ScoreField.of`.
+    """`ROBOT`: constants of a robot, and of the closest points and distances of its link pairs.
+
+    Raises the errors of `ScoreField.of`.
     """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile

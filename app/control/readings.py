@@ -120,11 +120,12 @@ _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then
 
 @compiled()
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
-    """The positions (n_m,) without jumps by full turns, within 0.05 rad of their limits (2, n_m).
+    """The joint positions q (n_m,) without the jumps by full turns that some drivers make.
 
-    Some drivers wrap the position of a joint to one turn. The result is the position nearest to the
-    `last` position (n_m,), and for the `first` reading the position within the limits. A position
-    beyond one turn is not wrapped: then degrees remain implausible.
+    A position of at most one turn moves by full turns to the value nearest to `last` (n_m,), if
+    this value is at most 0.05 rad beyond the limits (2, n_m). A `first` reading that is farther
+    beyond a limit moves back by one turn, unless the result is beyond the other limit. Thus
+    positions in degrees remain implausible.
     """
     found = q.copy()
     for i in range(len(q)):
@@ -251,7 +252,7 @@ def _recall(w: Any, ago: int, count: int) -> Array:
 
 @compiled()
 def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool) -> None:
-    """Store the predicted acceleration of the control period that has just ended."""
+    """Store the arm's predicted acceleration in the control period that has just ended."""
     if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
         w.known[()] = 0.0  # a gap
         return

@@ -233,7 +233,10 @@ class Demonstration:
     _due: float | None = None
 
     def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
-        """Start or repeat the demonstration, or close its card; called by the drawing thread."""
+        """Start or repeat the demonstration after a time without input, or close its card.
+
+        The drawing thread calls this regularly.
+        """
         if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
             self._due = None
             for page in pages:

@@ -347,8 +347,8 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair with l_m has points at the heights that the arm reaches.
 
-    A gap between the lowest and the highest point causes a warning. Elsewhere the exact offset of
-    l_m replaces missing points; the row reports these heights and pairs.
+    A gap between the lowest and the highest point causes a warning. Below and above these points,
+    the exact offset of l_m replaces missing points; the row reports these heights and pairs.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"

@@ -103,7 +103,7 @@ class Request:
 
     @property
     def name(self) -> str:
-        """The robot's name; a `RobotFileError` if the folder's name is not a valid name."""
+        """The robot's name: the name of the folder `out`; a `RobotFileError` if it is invalid."""
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
             raise RobotFileError(

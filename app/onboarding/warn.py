@@ -166,7 +166,7 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
 
 
 def _scale(robot: NewRobot) -> Iterator[str]:
-    """Shapes whose scale differs from that of the joints, such as a mesh not in metres."""
+    """Warn if the arm's links are far too long for its joints, such as meshes in millimetres."""
     arm, shapes = robot.parsed.arm, robot.parsed.geometry
     sizes = [
         max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)

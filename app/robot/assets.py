@@ -292,7 +292,7 @@ def _shapes(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, Elemen
 
 
 def read_urdf(description: HasUrdf) -> ElementTree.Element:
-    """The robot's URDF with an inertia for each link.
+    """The robot's URDF; a link without an inertia has a zero one.
 
     Raises:
         AssetError: The file is missing.

@@ -48,7 +48,7 @@ def bench(
         model: The robot.
         data: Its pairs and clouds.
         seed: Seed of all random numbers: of the simulated paths, the synthetic borders, and the QP
-            of the direct calls.
+            that the libraries solve directly, for comparison.
         points: Numbers of points of the borders for `step_p50_us_by_points`.
         border: Whether to measure the sampling of a new border, which takes minutes.
         on_stage: Called with the name of each measurement before it starts.

@@ -106,7 +106,10 @@ class Borders:
         return ColouredCloud(points[keep], viridis(u), legend)
 
     def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:
-        """Return the probe at a point p (3,) [m] of a pair's border, in the base's frame."""
+        """Return score, acting point and acceleration of the base for a point of a pair's border.
+
+        The point p (3,) [m] is in the base's frame. The arm is assumed at `_INSIDE` d_b from l_m.
+        """
         field, base, config = self.fields[pair], self._model.description.base, snapshot.config
         ends = self.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
         n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])

@@ -378,10 +378,11 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
 
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
-    """Where the end-effector is in a step, and why it is not at its target.
+    """Where the end-effector is in a step, and all reasons why it is not at its target.
 
-    The rows that separate links of the arm within their buffer outweigh the end-effector's task;
-    the avoidance can also move the base so that the end-effector moves away from its target.
+    "links too near": the rows that separate links of the arm outweigh the end-effector's task.
+    "border against end-effector": the avoidance moves the base, and thus the end-effector, away
+    from the target.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)

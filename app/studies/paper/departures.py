@@ -33,8 +33,10 @@ Departure = tuple[Any, ...]
     "departures", "(26) to (29) as printed and here", *AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS
 )
 def figure_departures(sources: Sources) -> drawing.Drawing:
-    """The paper solves a hierarchy of strict levels (26), and inserts rows by (29), with the same
-    reference q̈_2* for all rows. According to the paper, the control input is continuous.
+    """A number for each departure from (26) to (29): for the printed form, and for the form here.
+
+    The printed form is a hierarchy of strict levels (26); it inserts all rows by (29) with the same
+    reference q̈_2*. According to the paper, its control input is continuous.
     """
     rows = [*_of_states(sources), *_of_runs(sources)]
     table = drawing.table_of(("departure", "number", "printed", "here"), rows)

@@ -53,7 +53,7 @@ class Quantity(NamedTuple):
     def radius(self, value: float) -> float:
         """[m] radius in plan at which the bar of a value ends.
 
-        If larger values are better, all values below the limit have its radius.
+        If larger values are better, all values below the limit have the limit's radius.
         """
         if self.more_is_better and self.limit is not None:
             value = max(value, self.limit)
@@ -270,7 +270,10 @@ def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """Draw a path along the wheel axis as a dot, in the order of x of the arm's nearest point."""
+    """Draw a path along the wheel axis as a dot outside of the scale.
+
+    The x coordinates of the arm's nearest points determine the order of these dots.
+    """
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
