@@ -198,10 +198,10 @@ def mirrored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RobotModel:
 def test_wheel_rotation_matches_the_drive_for_any_axis_direction(
     mirrored: RobotModel, robot: RobotModel, trace: Trace
 ) -> None:
-    turned = mirrored.wheel_positions([0.3, 0.3])
-    assert turned["front_right_wheel"] == 0.3 == -turned["front_left_wheel"]
-    assert set(robot.wheel_positions([0.3, 0.3]).values()) == {0.3}
     q_m = trace.snapshots[0].q_m
+    turned = mirrored.joint_positions(q_m, [0.3, 0.3])
+    assert turned["front_right_wheel"] == 0.3 == -turned["front_left_wheel"]
+    assert {*robot.joint_positions(q_m, [0.3, 0.3]).values()} == {*q_m, 0.3}
     drawn, wanted = (
         LinkPoses(each).update(q_m, np.array([0.3, 0.2])) for each in (mirrored, robot)
     )

@@ -8,7 +8,7 @@ without a term M Ṡ q̇.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, wraps
 from typing import TYPE_CHECKING, Concatenate, Literal, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
@@ -114,15 +114,17 @@ class RobotModel:
         q[4:] = q_m
         return q
 
-    def wheel_positions(self, angles: Sequence[float] | Array) -> dict[str, float]:
-        """Positions [rad] of the wheels' joints, by name, for angles (n_w,) of the base's `wheels`.
+    def joint_positions(self, q_m: Array, angles: Sequence[float] | Array) -> dict[str, float]:
+        """Positions [rad or m] of the joints, by name, from q_m (n_m,) and angles (n_w,) [rad] of
+        the base's `wheels`.
 
         An angle grows when the base rolls forward, or steers to the left, for both directions of a
         joint's axis.
         """
-        signs = self._wheel_signs
+        signs, arm = self._wheel_signs, self.description.arm
         pairs = zip(self.description.base.wheels, angles, strict=True)
-        return {name: signs[name] * float(a) for wheels, a in pairs for name in wheels.joints}
+        turned = {name: signs[name] * float(a) for wheels, a in pairs for name in wheels.joints}
+        return dict(zip(arm.joints, map(float, q_m), strict=True)) | turned
 
     def joint_inertia(self, q: Array) -> Array:
         """(n_m,) [kg m² or kg] inertia of each joint at pinocchio's configuration q, while the base
@@ -272,6 +274,17 @@ def whole_model(description: RobotDescription) -> pin.Model:
         return pin.buildModelFromXML(bare_urdf(description), pin.JointModelPlanar())
     except (ValueError, RuntimeError) as error:
         raise _error(description, f"urdf: pinocchio cannot read it: {error}") from None
+
+
+def configured(whole: pin.Model, positions: Mapping[str, float]) -> Array:
+    """The configuration of a model with some joints at positions [rad or m], the others at zero.
+
+    pinocchio represents a continuous joint, such as a wheel, as a point on the unit circle.
+    """
+    moved = np.zeros(whole.nv)
+    for name, position in positions.items():
+        moved[whole.joints[whole.getJointId(name)].idx_v] = position
+    return pin.integrate(whole, pin.neutral(whole), moved)
 
 
 def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, float]:

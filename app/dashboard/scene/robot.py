@@ -16,7 +16,7 @@ from app.jobs.bounded import BudgetError, within_budget
 from app.onboarding.read.links import read_mesh
 from app.robot.assets import bare_urdf, is_own, resolved_urdf
 from app.robot.description import RobotDescription
-from app.robot.model import RobotModel, kept_per_model
+from app.robot.model import RobotModel, configured, kept_per_model
 from app.robot.shapes import shape_mesh
 from app.robot.urdf import colour, mesh_bytes, origin, urdf_mesh
 from app.strict import Array
@@ -64,22 +64,13 @@ class LinkPoses:
 
     def __init__(self, robot: RobotModel) -> None:
         self.model = pin.buildModelFromXML(bare_urdf(robot.description))
-        self._data = self.model.createData()
-        self._robot, self._arm = robot, self._places(robot.description.arm.joints)
+        self._data, self._robot = self.model.createData(), robot
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """Return T_root_joint of each joint, from q_m (n_m,) and wheel angles (n_w,) [rad]."""
-        turned = np.zeros(self.model.nv)
-        turned[self._arm] = q_m
-        wheels = self._robot.wheel_positions(wheel_angles)
-        turned[self._places([*wheels])] = [*wheels.values()]
-        # pinocchio represents a continuous joint, such as a wheel, as a point on the unit circle.
-        q = pin.integrate(self.model, pin.neutral(self.model), turned)
+        q = configured(self.model, self._robot.joint_positions(q_m, wheel_angles))
         pin.forwardKinematics(self.model, self._data, q)
         return [T.copy() for T in self._data.oMi]
-
-    def _places(self, joints: Sequence[str]) -> list[int]:
-        return [self.model.joints[self.model.getJointId(name)].idx_v for name in joints]
 
 
 class RobotParts:

@@ -19,11 +19,12 @@ reads robots and named curves only from these. A file of `--ros` has only the fi
 import io
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from itertools import chain, groupby
 from math import nan
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -37,8 +38,9 @@ from foxglove.mcap import MCAPWriteOptions
 from google.protobuf import descriptor_pb2, message_factory
 from rosbags.typesys import Stores, get_typestore
 
+from app.config import Config
 from app.robot.assets import shown_urdf
-from app.robot.model import RobotModel, whole_model
+from app.robot.model import RobotModel, configured, whole_model
 from app.robot.shapes import shape_mesh
 from app.robot.urdf import colour, numbers, origin, primitive
 from app.simulation.trace.snapshot import Snapshot
@@ -57,6 +59,9 @@ _CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
 _GLB, _STL = "model/gltf-binary", "model/stl"
 _MEDIA = {".glb": _GLB, ".stl": _STL, ".obj": "model/obj", ".dae": "model/vnd.collada+xml"}
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
+_NONE = np.empty(0)  # no velocities or efforts in a message
+_STORE: Any = get_typestore(Stores.ROS2_JAZZY)
+_ROS = _STORE.types  # constructors of messages by their types
 
 
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
@@ -78,16 +83,6 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     write_whole(path, file.getvalue())
 
 
-class _Joints(NamedTuple):
-    """The states of joints; without values, velocities or efforts are omitted."""
-
-    names: Sequence[str]
-    position: Array
-    """[rad or m] positions about or along the joints' axes in the URDF."""
-    velocity: Array = np.empty(0)
-    effort: Array = np.empty(0)
-
-
 class _Log:
     """An MCAP log; the first message of a topic opens the topic's channel."""
 
@@ -96,145 +91,132 @@ class _Log:
         options = MCAPWriteOptions(profile=profile)
         self.writer = foxglove.open_mcap(file, context=self._context, writer_options=options)
         self._channels: dict[str, foxglove.Channel] = {}
-        self._kinds: dict[str, tuple[Any, foxglove.Schema]] = {}
 
-    def put(self, topic: str, t: float, message: Any) -> None:
-        """Append a Foxglove message at time t [s]."""
-        self._put(topic, t, message.encode(), message.get_schema)
+    def put(self, topic: str, t: float, content: bytes, schema: foxglove.Schema) -> None:
+        """Append a message at time t [s]."""
+        if topic not in self._channels:
+            encoding = "cdr" if schema.encoding == "ros2msg" else schema.encoding
+            self._channels[topic] = foxglove.Channel(
+                topic, schema=schema, message_encoding=encoding, context=self._context
+            )
+        self._channels[topic].log(content, log_time=round(1e9 * t))
+
+    def put_scene(self, topic: str, t: float, entities: list[fg.SceneEntity]) -> None:
+        """Append entities at time t [s]."""
+        scene = fg.SceneUpdate(entities=entities)
+        self.put(topic, t, scene.encode(), scene.get_schema())
 
     def put_ros(self, topic: str, t: float, kind: str, **fields: Any) -> None:
         """Append a ROS message of the type `kind` with these fields at time t [s]."""
+        content = _STORE.serialize_cdr(_ROS[kind](**fields), kind)
+        self.put(topic, t, bytes(content), _ros_schema(kind))
 
-        def schema() -> foxglove.Schema:
-            definition, _ = _store().generate_msgdef(kind, ros_version=2)
-            return foxglove.Schema(name=kind, encoding="ros2msg", data=definition.encode())
-
-        self._put(topic, t, bytes(_store().serialize_cdr(_ros(kind, **fields), kind)), schema)
-
-    def put_joints(self, topic: str, t: float, joints: _Joints) -> None:
-        """Append the states of joints at time t [s]."""
-        names, *values = joints
-        states = dict(zip(("position", "velocity", "effort"), values, strict=True))
-        kind, header = "sensor_msgs/msg/JointState", _header(t, "")
-        self.put_ros(topic, t, kind, header=header, name=list(names), **states)
-
-    def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
-        """Append numbers and texts at time t [s]; the first record determines their names."""
-        if topic not in self._kinds:
-            self._kinds[topic] = _record_kind(name, values)
-        kind, schema = self._kinds[topic]
-        self._put(topic, t, kind(**values).SerializeToString(), lambda: schema)
-
-    def _put(
-        self, topic: str, t: float, content: bytes, schema: Callable[[], foxglove.Schema]
-    ) -> None:
-        if topic not in self._channels:
-            made = schema()
-            encoding = "cdr" if made.encoding == "ros2msg" else made.encoding
-            self._channels[topic] = foxglove.Channel(
-                topic, schema=made, message_encoding=encoding, context=self._context
-            )
-        self._channels[topic].log(content, log_time=_nanoseconds(t))
+    def put_joints(self, topic: str, t: float, joints: Mapping[str, Any]) -> None:
+        """Append names, positions and perhaps velocities and efforts of joints at time t [s]."""
+        states = {"velocity": _NONE, "effort": _NONE, **joints}
+        self.put_ros(topic, t, "sensor_msgs/msg/JointState", header=_header(t, ""), **states)
 
 
-def _record_kind(name: str, example: Mapping[str, Any]) -> tuple[Any, foxglove.Schema]:
-    """The Protobuf type, and its schema, for records with the fields of an example."""
-    file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
-    kind = file.message_type.add(name=name)
-    for number, (field, value) in enumerate(example.items(), 1):
-        kind.field.add(name=field, number=number, label=1, type=9 if isinstance(value, str) else 1)
-    data, name = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), f"dbb.{name}"
-    schema = foxglove.Schema(name=name, encoding="protobuf", data=data)
-    return message_factory.GetMessages([file])[name], schema
+@cache
+def _ros_schema(kind: str) -> foxglove.Schema:
+    definition, _ = _STORE.generate_msgdef(kind, ros_version=2)
+    return foxglove.Schema(name=kind, encoding="ros2msg", data=definition.encode())
 
 
-class _Frames:
-    """Poses of the links relative to their parents, including turning wheels."""
+def _poses(trace: Trace, model: RobotModel) -> Iterator[list[tuple[str, str, pin.SE3]]]:
+    """Name of the parent, name of the link and T_parent_link of each link, at each snapshot.
 
-    def __init__(self, model: RobotModel) -> None:
-        self._model, self._whole = model, whole_model(model.description)
-        self._data = self._whole.createData()
-        frames = self._whole.frames
-        self._links = [i for i, f in enumerate(frames) if f.type == pin.FrameType.BODY]
-        frame = model.pin.frames[model.ee_frame]
-        link = model.pin.frames[frame.parentFrame]
-        self._ee = link.name, frame.name, link.placement.actInv(frame.placement)
-
-    def at(self, s: Snapshot) -> list[tuple[str, str, pin.SE3]]:
-        """Name of the parent, name of the link and T_parent_link, for each link at a snapshot.
-
-        The end-effector's frame is the last one.
-        """
-        whole, turned = self._whole, np.zeros(self._whole.nv)
-        names, positions, *_ = _joints_of(s, self._model)
-        turned[[whole.joints[whole.getJointId(name)].idx_v for name in names]] = positions
-        q = pin.integrate(whole, pin.neutral(whole), turned)
-        q[:4] = self._model.configuration(s.base_pose, s.q_m)[:4]
-        pin.framesForwardKinematics(whole, self._data, q)
-        return [*map(self._place, self._links), self._ee]
-
-    def _place(self, link: int) -> tuple[str, str, pin.SE3]:
-        frames, oMf = self._whole.frames, self._data.oMf
-        parent = frames[link].parentFrame
-        while parent and frames[parent].type != pin.FrameType.BODY:
-            parent = frames[parent].parentFrame
-        name = frames[parent].name if parent else WORLD  # frame 0 is the world
-        return name, frames[link].name, oMf[parent].actInv(oMf[link])
+    The links include turning wheels; the last entry is the end-effector's frame.
+    """
+    whole, parents = whole_model(model.description), {}
+    data, frames = whole.createData(), whole.frames
+    for i in (i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY):
+        parents[i] = frames[i].parentFrame
+        while parents[i] and frames[parents[i]].type != pin.FrameType.BODY:
+            parents[i] = frames[parents[i]].parentFrame
+    names = [WORLD, *(frame.name for frame in frames[1:])]
+    tip = model.pin.frames[model.ee_frame]
+    link = model.pin.frames[tip.parentFrame]
+    end = link.name, tip.name, link.placement.actInv(tip.placement)
+    for s in trace.snapshots:
+        q = configured(whole, model.joint_positions(s.q_m, s.wheel_angles))
+        q[:4] = model.configuration(s.base_pose, s.q_m)[:4]
+        pin.framesForwardKinematics(whole, data, q)
+        T = data.oMf
+        yield [*((names[k], names[i], T[k].actInv(T[i])) for i, k in parents.items()), end]
 
 
-def _joints_of(s: Snapshot, model: RobotModel) -> _Joints:
+def _joints_of(s: Snapshot, model: RobotModel) -> dict[str, Any]:
     """The states of the joints of arm and wheels at a snapshot; NaN is unknown."""
-    wheels = model.wheel_positions(s.wheel_angles)
-    names, unknown = [*model.description.arm.joints, *wheels], [nan] * len(wheels)
-    position, effort = np.array([*s.q_m, *wheels.values()]), np.array([*s.u_a, *unknown])
-    velocity = np.empty(0) if s.qd_m is None else np.array([*s.qd_m, *unknown])
-    return _Joints(names, position, velocity, effort)
+    positions = model.joint_positions(s.q_m, s.wheel_angles)
+    unknown = [nan] * (len(positions) - model.n_m)
+    velocity = _NONE if s.qd_m is None else np.array([*s.qd_m, *unknown])
+    effort = np.array([*s.u_a, *unknown])
+    found = {"name": [*positions], "position": np.array([*positions.values()])}
+    return {**found, "velocity": velocity, "effort": effort}
 
 
 def _put_motion(log: _Log, trace: Trace, model: RobotModel) -> None:
     """Write the robot's URDF and its motion."""
-    frames, urdf = _Frames(model), shown_urdf(model.description)
-    log.put_ros("/robot_description", trace.snapshots[0].t, "std_msgs/msg/String", data=urdf)
-    for s in trace.snapshots:
+    begin, urdf = trace.snapshots[0].t, shown_urdf(model.description)
+    log.put_ros("/robot_description", begin, "std_msgs/msg/String", data=urdf)
+    for s, poses in zip(trace.snapshots, _poses(trace, model), strict=True):
         log.put_joints("/joint_states", s.t, _joints_of(s, model))
-        transforms = [_frame(s.t, *each) for each in frames.at(s)]
+        transforms = [_frame(s.t, *each) for each in poses]
         log.put_ros("/tf", s.t, "tf2_msgs/msg/TFMessage", transforms=transforms)
 
 
 def _put_scene(log: _Log, trace: Trace, model: RobotModel) -> None:
     begin, urdf = trace.snapshots[0].t, ElementTree.fromstring(shown_urdf(model.description))
     materials = {each.get("name"): each for each in urdf.iterfind("material")}
-    links = {str(link.get("name")): link for link in urdf.iterfind("link")}
-    bodies = [
-        fg.SceneEntity(frame_id=body.frame, id=body.name, models=list(map(_body, body.shapes)))
-        for body in model.description.bodies
-    ]
-    robot = []
-    for name, link in links.items():
+    robot, bodies = [], []
+    for link in urdf.iterfind("link"):
+        name = str(link.get("name"))
         models = [_visual(each, materials, name) for each in link.iterfind("visual")]
-        entity = fg.SceneEntity(frame_id=name, id=name, models=list(filter(None, models)))
-        robot.append(entity)
-    log.put("/robot", begin, fg.SceneUpdate(entities=robot))
-    log.put("/bodies", begin, fg.SceneUpdate(entities=bodies))
+        robot.append(fg.SceneEntity(frame_id=name, id=name, models=[*filter(None, models)]))
+    for body in model.description.bodies:
+        shapes = [_model(each.placement(), _glb(shape_mesh(each)), _BODY) for each in body.shapes]
+        bodies.append(fg.SceneEntity(frame_id=body.frame, id=body.name, models=shapes))
+    log.put_scene("/robot", begin, robot)
+    log.put_scene("/bodies", begin, bodies)
     for s in trace.snapshots:
-        log.put("/markers", s.t, fg.SceneUpdate(entities=_markers(s)))
+        log.put_scene("/markers", s.t, _markers(s))
 
 
 def _put_numbers(log: _Log, trace: Trace) -> None:
-    config = None
     for s in trace.snapshots:
         row = trace.table[trace.row_at(s.t)]
         for quantity, columns in trace.groups.items():
             values = row[[trace.index[name] for name in columns]]
-            log.put_joints(f"/curves/{quantity}", s.t, _Joints(columns, values))
-        if s.config != config:
-            config = s.config
-            sections = config.model_dump(mode="json").items()
-            flat = {f"{name}_{key}": x for name, section in sections for key, x in section.items()}
-            log.put_record("/parameters", s.t, "Config", flat)
+            log.put_joints(f"/curves/{quantity}", s.t, {"name": columns, "position": values})
+    changes = groupby(trace.snapshots, key=lambda s: s.config)
+    parameters = ((next(of).t, _flat(config)) for config, of in changes)
+    _put_records(log, "/parameters", "Config", parameters)
     names = _fields(column.name for column in trace.columns)
-    for t, row in zip(trace.t.tolist(), trace.table.tolist(), strict=True):
-        log.put_record("/step", t, "Step", dict(zip(names, row, strict=True)))
+    rows = (dict(zip(names, row, strict=True)) for row in trace.table.tolist())
+    _put_records(log, "/step", "Step", zip(trace.t.tolist(), rows, strict=True))
+
+
+def _flat(config: Config) -> dict[str, Any]:
+    sections = config.model_dump(mode="json").items()
+    return {f"{name}_{key}": x for name, section in sections for key, x in section.items()}
+
+
+def _put_records(
+    log: _Log, topic: str, name: str, records: Iterable[tuple[float, Mapping[str, Any]]]
+) -> None:
+    """Write records of numbers and texts at times [s]; the first one determines their fields."""
+    records = iter(records)
+    begin, example = next(records)
+    file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
+    fields = file.message_type.add(name=name).field
+    for number, (field, value) in enumerate(example.items(), 1):
+        fields.add(name=field, number=number, label=1, type=9 if isinstance(value, str) else 1)
+    data, name = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), f"dbb.{name}"
+    schema = foxglove.Schema(name=name, encoding="protobuf", data=data)
+    kind = message_factory.GetMessages([file])[name]
+    for t, values in chain([(begin, example)], records):
+        log.put(topic, t, kind(**values).SerializeToString(), schema)
 
 
 def _fields(names: Iterable[str]) -> list[str]:
@@ -256,17 +238,13 @@ def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimiti
     T, rgba = origin(visual, where), colour(visual, materials)
     tint = fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
     if shape.tag != "mesh":
-        return _model(T, _GLB, _glb(primitive(shape, where)[0]), tint or _GREY)
+        return _model(T, _glb(primitive(shape, where)[0]), tint or _GREY)
     file = Path(unquote(urlsplit(shape.get("filename", "")).path))
     media = _MEDIA.get(file.suffix.lower())
     if media is None or file.stat().st_size > _LARGEST_MESH:
         return None
     tint = tint or (_GREY if media == _STL else None)  # other formats have their own colours
-    return _model(T, media, file.read_bytes(), tint, numbers(shape, "scale", (1.0,) * 3, where))
-
-
-def _body(shape: Any) -> fg.ModelPrimitive:
-    return _model(shape.placement(), _GLB, _glb(shape_mesh(shape)), _BODY)
+    return _model(T, file.read_bytes(), tint, media, numbers(shape, "scale", (1.0,) * 3, where))
 
 
 def _glb(mesh: trimesh.Trimesh) -> bytes:
@@ -275,14 +253,14 @@ def _glb(mesh: trimesh.Trimesh) -> bytes:
 
 def _model(
     T: pin.SE3,
-    media: str,
     data: bytes,
     colour: fg.Color | None,
+    media: str = _GLB,
     scale: Iterable[float] = (1.0, 1.0, 1.0),
 ) -> fg.ModelPrimitive:
     return fg.ModelPrimitive(
         pose=_pose(T),
-        scale=fg.Vector3(**dict(zip("xyz", scale, strict=True))),
+        scale=fg.Vector3(**_xyz(scale)),
         color=colour,
         override_color=colour is not None,
         media_type=media,
@@ -306,7 +284,7 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
     forces = [_arrow(each.p_act, each.f, _INSIDE) for each in s.acting]
     balls = [_ball(p) for each in s.acting for p in (each.p_n, each.p_t, each.p_act)]
     person = _arrow(s.p_ee, s.hand_force, _GREY)
-    about = {"timestamp": _time(s.t), "frame_id": WORLD}
+    about = {"timestamp": fg.Timestamp(*_stamp(s.t)), "frame_id": WORLD}
     return [
         fg.SceneEntity(id="closest points", lines=lines, **about),
         fg.SceneEntity(id="avoidance", arrows=forces, spheres=balls, **about),
@@ -342,40 +320,23 @@ def _pose(T: pin.SE3) -> fg.Pose:
     return fg.Pose(position=at, orientation=fg.Quaternion(**turn))
 
 
-def _xyz(at: Array) -> dict[str, float]:
+def _xyz(at: Iterable[float]) -> dict[str, float]:
     return dict(zip("xyz", map(float, at), strict=True))
 
 
-def _time(t: float) -> fg.Timestamp:
-    return fg.Timestamp(*divmod(_nanoseconds(t), 10**9))
-
-
-def _nanoseconds(t: float) -> int:
-    return round(1e9 * t)
+def _stamp(t: float) -> tuple[int, int]:
+    """Seconds and nanoseconds of a time t [s]."""
+    return divmod(round(1e9 * t), 10**9)
 
 
 def _frame(t: float, parent: str, child: str, T: pin.SE3) -> Any:
-    x, y, z, *turn = pin.SE3ToXYZQUAT(T).tolist()
-    place = _ros("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-    rotation = _ros("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turn, strict=True)))
-    motion = _ros("geometry_msgs/msg/Transform", translation=place, rotation=rotation)
-    header = _header(t, parent)
-    return _ros(
-        "geometry_msgs/msg/TransformStamped", header=header, child_frame_id=child, transform=motion
-    )
+    values = pin.SE3ToXYZQUAT(T).tolist()
+    place = _ROS["geometry_msgs/msg/Vector3"](*values[:3])
+    turn = _ROS["geometry_msgs/msg/Quaternion"](*values[3:])
+    motion = _ROS["geometry_msgs/msg/Transform"](place, turn)
+    return _ROS["geometry_msgs/msg/TransformStamped"](_header(t, parent), child, motion)
 
 
 def _header(t: float, frame: str) -> Any:
-    seconds, rest = divmod(_nanoseconds(t), 10**9)
-    stamp = _ros("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
-    return _ros("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-
-def _ros(kind: str, **fields: Any) -> Any:
-    """A ROS message, or a part of one, of the type with the name `kind`."""
-    return _store().types[kind](**fields)
-
-
-@cache
-def _store() -> Any:
-    return get_typestore(Stores.ROS2_JAZZY)
+    stamp = _ROS["builtin_interfaces/msg/Time"](*_stamp(t))
+    return _ROS["std_msgs/msg/Header"](stamp, frame)
