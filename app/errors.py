@@ -56,6 +56,15 @@ class ConfigError(DbbError):
     """A parameter or option is invalid, for example out of its range."""
 
 
+@contextmanager
+def named_part(where: str) -> Iterator[None]:
+    """Begin the message of a RobotFileError in the `with` block with the part of the robot."""
+    try:
+        yield
+    except RobotFileError as error:
+        raise RobotFileError(f"{where}: {error}") from None
+
+
 class UnreachableError(DbbError):
     """No posture of the arm brings the end-effector to the specified start."""
 

@@ -572,7 +572,7 @@ def test_decimated_meshes_keep_their_extent():
         item = items[visual.name]
         assert len(visual.mesh.faces) <= MAX_FACES + 2
         if item.meshPath.endswith((".stl", ".obj")):
-            original = read_mesh(Path(item.meshPath), item.name).apply_scale(item.meshScale)
+            original = read_mesh(Path(item.meshPath)).apply_scale(item.meshScale)
             np.testing.assert_allclose(visual.mesh.bounds, original.bounds, atol=0.003)
             assert visual.mesh.area == pytest.approx(original.area, rel=0.1)  # no corners cut
 
@@ -635,7 +635,7 @@ def test_decimation_keeps_the_corners_of_meshes_with_many_parts():
         pytest.skip("the optional robots are not installed")
     for part in ("upperarm", "forearm", "wrist2"):
         uri = f"package://example-robot-data/robots/ur_description/meshes/ur5/visual/{part}.dae"
-        whole = read_mesh(resolve_package_uri(uri), part)
+        whole = read_mesh(resolve_package_uri(uri))
         light = for_display(whole)
         assert len(light.faces) <= MOST_FACES
         assert light.area == pytest.approx(whole.area, rel=0.05)  # fast decimation: 0.74 to 0.9
@@ -692,7 +692,7 @@ def test_unreadable_mesh_is_named(tmp_path):
     path = tmp_path / "bad.xyzzy"
     path.write_text("no mesh")
     with pytest.raises(RobotFileError, match=r"bad\.xyzzy"):
-        read_mesh(path, "link 'a'")
+        read_mesh(path)
 
 
 # Border

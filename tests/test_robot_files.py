@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -95,7 +96,7 @@ def test_the_error_names_the_content_in_place_of_a_file(
 ) -> None:
     path = tmp_path / "m.stl"
     path.write_bytes(content.encode("latin-1"))
-    for read in (lambda: read_mesh(path, "link 'a'"), lambda: xml_text(path)):
+    for read in (lambda: read_mesh(path), lambda: xml_text(path)):
         with pytest.raises(RobotFileError) as caught:
             read()
         assert cause in str(caught.value)
@@ -401,7 +402,7 @@ def test_a_byte_order_mark_before_a_mesh_is_ignored(tmp_path: Path, kind: str) -
     text = text[text.index("v ") :] if kind == "obj" else text
     path = tmp_path / f"m.{kind.partition('_')[0]}"
     path.write_text(text, encoding="utf-8-sig")
-    assert read_mesh(path, "link 'a'").extents == pytest.approx(HAND, abs=1e-6)
+    assert read_mesh(path).extents == pytest.approx(HAND, abs=1e-6)
     assert is_foreign(path)
 
 
@@ -420,11 +421,12 @@ def test_a_mesh_of_several_links_is_read_once(
 ) -> None:
     (tmp_path / "m.stl").write_bytes(cube())
     (tmp_path / "n.stl").write_bytes(b"solid")
-    first = load_mesh(tmp_path / "m.stl", "link 'a'")
+    first = load_mesh(tmp_path / "m.stl")
     monkeypatch.setattr(links.trimesh, "load", None)
-    assert load_mesh(tmp_path / "m.stl", "link 'b'") is first
+    assert load_mesh(tmp_path / "m.stl") is first
+    element = f"<collision><geometry><mesh filename='{tmp_path}/n.stl'/></geometry></collision>"
     with pytest.raises(RobotFileError, match=r"^link 'c': mesh "):
-        load_mesh(tmp_path / "n.stl", "link 'c'")
+        links.link_geometry(ElementTree.fromstring(f"<link name='c'>{element}</link>"))
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
@@ -560,7 +562,7 @@ def test_the_error_of_a_damaged_mesh_names_the_damage(
 ) -> None:
     (tmp_path / file).write_bytes(content)
     with pytest.raises(RobotFileError, match=cause):
-        read_mesh(tmp_path / file, "link 'a'")
+        read_mesh(tmp_path / file)
 
 
 def test_a_flat_mesh_becomes_a_thin_body(tmp_path: Path) -> None:
@@ -695,7 +697,7 @@ def test_a_very_large_mesh_is_reduced_with_the_same_hull(
     rough = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
     rough.export(tmp_path / "m.stl")
     assert len(rough.faces) > 2 * MOST_FACES
-    light = read_mesh(tmp_path / "m.stl", "link 'a'")
+    light = read_mesh(tmp_path / "m.stl")
     assert len(light.faces) <= 1.1 * MOST_FACES
     D = np.asarray(trimesh.creation.icosphere(subdivisions=2).vertices)
     reach = [(np.asarray(m.vertices) @ D.T).max(axis=0) for m in (rough, light)]

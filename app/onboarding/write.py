@@ -17,7 +17,7 @@ import tomlkit
 from tomlkit.items import Item
 
 from app.config import Config
-from app.errors import DescriptionError
+from app.errors import DescriptionError, named_part
 from app.jobs.bounded import BudgetError, within_budget
 from app.onboarding import ROOT
 from app.onboarding.fit.bodies import FittedBody
@@ -213,13 +213,13 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
+def mesh_name(address: str, home: Path | None) -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
     For a mesh in `home`, the folder of the new URDF, it is a relative path, because the folder may
     be moved; for other meshes, and without `home`, it is `address`. With `home`, a mesh for which
-    `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the link in
-    an error.
+    `is_foreign` is true is converted to an STL file in metres in `home`; raises the errors of
+    `load_mesh`.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -230,7 +230,7 @@ def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
         target = home / MESH_FOLDER / f"{stem}_{zlib.crc32(str(path).encode()):08x}.stl"
         if not target.exists():
             target.parent.mkdir(exist_ok=True)
-            load_mesh(path, where).export(target)
+            load_mesh(path).export(target)
         path = target
     return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
 
@@ -238,7 +238,7 @@ def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
 def _link(
     name: str, old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None
 ) -> Element:
-    link, where = Element("link", name=name), f"link {name!r}"
+    link = Element("link", name=name)
     if inertia.assumed:
         link.append(ElementTree.Comment(f" inertia assumed: {inertia.assumed} "))
     _add_inertial(link, inertia.inertia)
@@ -250,7 +250,8 @@ def _link(
             found = (each.find(name) for name in names)
             part.extend(deepcopy(own) for own in found if own is not None)
             for mesh in part.iter("mesh"):
-                mesh.set("filename", mesh_name(str(mesh.get("filename")), home, where))
+                with named_part(f"link {name!r}"):
+                    mesh.set("filename", mesh_name(str(mesh.get("filename")), home))
     return link
 
 

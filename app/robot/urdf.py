@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from app.errors import RobotFileError
+from app.errors import RobotFileError, named_part
 from app.jobs.bounded import SMALL
 from app.robot.assets import floats, resolve_package_uri
 from app.strict import Array
@@ -117,14 +117,15 @@ def mesh_bytes(links: Iterable[Element]) -> int:
 
 
 def urdf_mesh(
-    shape: Element, where: str, load: Callable[[Path, str], trimesh.Trimesh]
+    shape: Element, where: str, load: Callable[[Path], trimesh.Trimesh]
 ) -> tuple[trimesh.Trimesh, float | None]:
     """A shape's triangles [m], and its radius [m]; the radius is None if the shape is not round.
 
     `load` reads the triangles of a mesh file; `where` begins the message of an error.
 
     Raises:
-        RobotFileError: It is not a shape of a URDF, or an attribute is missing or invalid.
+        RobotFileError: It is not a shape of a URDF, an attribute is missing or invalid, or an error
+            of `load`.
         AssetError: As for `resolve_package_uri`.
     """
     if shape.tag != "mesh":
@@ -132,7 +133,8 @@ def urdf_mesh(
     if not (address := shape.get("filename")):
         raise RobotFileError(f"{where}: a mesh has no filename")
     scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
-    return load(mesh_path(address), where).copy().apply_scale(scale), None
+    with named_part(where):
+        return load(mesh_path(address)).copy().apply_scale(scale), None
 
 
 def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:

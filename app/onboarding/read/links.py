@@ -2,8 +2,8 @@
 
 import codecs
 import re
-from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, iterparse
@@ -141,8 +141,12 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
     return shape._replace(mesh=trimesh.util.concatenate(meshes), hull=hull, radius=None)
 
 
-def _triangles(path: Path) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file; errors as for `read_mesh`."""
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """The triangles [m] of all parts of a mesh file.
+
+    Raises:
+        RobotFileError: The file cannot be read, or has no triangles.
+    """
     name = f"mesh {path}"
     end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
     try:
@@ -170,31 +174,13 @@ def _triangles(path: Path) -> trimesh.Trimesh:
         raise RobotFileError(f"{name}: it cannot be read as .{end}: {why}") from None
 
 
-_loaded = lru_cache(maxsize=64)(_triangles)
-
-
-def read_mesh(
-    path: Path, where: str, read: Callable[[Path], trimesh.Trimesh] = _triangles
-) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file; `where` names the link in an error.
-
-    Raises:
-        RobotFileError: The file cannot be read, or has no triangles.
-    """
-    try:
-        return read(path)
-    except RobotFileError as error:
-        raise RobotFileError(f"{where}: {error}") from None
-
-
-load_mesh = partial(read_mesh, read=_loaded)  # with a cache by the path
+load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 
 def _damage(begin: bytes, size: int, end: str, *, missing: bool) -> str:
-    """Advice for an unreadable mesh file, or empty.
+    """Advice for an unreadable mesh file, or empty, from its first part, size [bytes] and format.
 
-    `begin` is the first part of the file, `size` its size [bytes], `end` its format; `missing`
-    means that its reader has not found another file.
+    `missing` means that its reader has not found another file.
     """
     if end == "gltf":  # a text with commas between numbers
         if missing:
@@ -218,20 +204,17 @@ def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
         ValueError: The file has no triangle, or a coordinate that is not finite. Libraries read
             files with infinite coordinates differently.
     """
-    for mesh in scene.geometry.values():
+    scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
+    for name, mesh in scene.geometry.items():
         if not np.isfinite(mesh.vertices).all():
             raise ValueError("a coordinate is not a finite number; export it again")
-        if merge and isinstance(mesh, trimesh.Trimesh):
-            mesh.process()
-    metre = scene.units if scene.geometry else None
-    scale = trimesh.units.unit_conversion(metre, "meters") if metre else 1.0
-    names = [name for name, mesh in scene.geometry.items() if len(getattr(mesh, "faces", ()))]
-    light = {name: _lightened(scene.geometry.pop(name), _CELL / scale) for name in names}
-    placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
-    meshes = [light[name].copy().apply_transform(T) for T, name in placed if name in light]
-    if not meshes:
+        if isinstance(mesh, trimesh.Trimesh):
+            merged = mesh.process() if merge else mesh
+            scene.geometry[name] = _lightened(merged, _CELL / scale)
+    joined = scene.to_mesh()
+    if not len(joined.faces):
         raise ValueError("it has no triangles")
-    return trimesh.util.concatenate(meshes).apply_scale(scale)
+    return joined.apply_scale(scale)
 
 
 _BEGIN = 1 << 16  # [bytes] beginning of a file, searched for damage
