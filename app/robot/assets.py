@@ -259,7 +259,7 @@ def shown_urdf(description: HasUrdf) -> str:
         DescriptionError: As for `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
-    for link, shape in _shapes(tree):
+    for link, shape in shapes_of(tree):
         if (mesh := shape.find("geometry/mesh")) is not None:
             try:
                 path = _mesh(mesh.get("filename", ""), folder)
@@ -277,12 +277,12 @@ def bare_urdf(description: HasUrdf) -> str:
         DescriptionError: As for `read_urdf`.
     """
     tree = read_urdf(description)
-    for link, shape in _shapes(tree):
+    for link, shape in shapes_of(tree):
         link.remove(shape)
     return ElementTree.tostring(tree, encoding="unicode")
 
 
-def _shapes(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, ElementTree.Element]]:
+def shapes_of(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, ElementTree.Element]]:
     """Each visual and collision shape of a URDF, after its link."""
     return [
         (link, shape)

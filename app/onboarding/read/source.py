@@ -23,7 +23,7 @@ from app.robot.assets import (
     refuse_entities,
     refuse_placeholder,
     resolve_package_uri,
-    share_folders,
+    shapes_of,
     xml_text,
 )
 from app.strict import LARGEST_TEXT
@@ -66,12 +66,10 @@ def read_robot(
     """
     robot, known = read_source(path, packages, arguments)
     said = []
-    for link in robot.findall("link"):
-        for tag in ("visual", "collision"):
-            for element in link.findall(tag):
-                if why := _needless(element, link, path.parent, packages):
-                    link.remove(element)
-                    said.append(f"a {tag} of {link.get('name')} is left out: {why}")
+    for link, shape in shapes_of(robot):
+        if why := _needless(shape, link, path.parent, packages):
+            link.remove(shape)
+            said.append(f"a {shape.tag} of {link.get('name')} is left out: {why}")
     return robot, said, known
 
 
@@ -253,15 +251,10 @@ def _near(root: Path, path: str) -> str:
 def _installed_address(path: Path) -> str | None:
     """`package://…` of a file in an installed package, or None."""
     full = path.resolve()
-    shares = [share.resolve() for share in share_folders()]
-    packages = (
-        each.parent
-        for each in full.parents
-        if each.name and each in [root.resolve() for root in package_roots(each.name)]
-    )
-    inside = chain(filter(full.is_relative_to, shares), packages)
-    top = next(inside, None)
-    return top and f"package://{full.relative_to(top).as_posix()}"
+    for each in full.parents:
+        if each in [root.resolve() for root in package_roots(each.name)]:
+            return f"package://{full.relative_to(each.parent).as_posix()}"
+    return None
 
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:
@@ -315,7 +308,7 @@ def _expanded(
             f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
         )
     try:
-        return within_budget(_urdf_of, path, packages, arguments, size=LARGEST_TEXT)
+        return within_budget(_urdf_of, path, text, packages, arguments, size=LARGEST_TEXT)
     except Exception as error:  # xacro's errors have no common base class
         _refuse_unprefixed(path, _plain_xml(text), "include", "macro", "property")
         own, cause = str(next(iter(error.args), "")), getattr(error, "exc", None)
@@ -334,7 +327,7 @@ def _expanded(
 
 
 class _Arguments(dict[str, str]):
-    """Arguments of a xacro, with the names that the xacro declares or uses."""
+    """Arguments of a xacro; `known` has the names that the xacro declares or uses."""
 
     def __init__(self, values: Mapping[str, str]) -> None:
         super().__init__(values)
@@ -350,28 +343,25 @@ class _Arguments(dict[str, str]):
 
 
 def _urdf_of(
-    path: Path, packages: Folders, arguments: Mapping[str, str]
+    path: Path, text: str, packages: Folders, arguments: Mapping[str, str]
 ) -> tuple[str, frozenset[str]]:
-    """The URDF of a xacro, and the names of the arguments that the xacro declares or uses.
+    """The URDF of a xacro with this text, and the names of the arguments that it declares or uses.
 
-    The library finds packages as `mesh_address` does. Macros can produce unlimited text or never
-    end, so this runs within a budget.
+    Macros can produce unlimited text or never end, so this runs within a budget.
     """
     import xacro
     from xacro import substitution_args
-    from xacrodoc import XacroDoc
-    from xacrodoc import packages as library
+    from xacrodoc.packages import get_path
+
+    def find(package: str) -> str:
+        found = _package_folders(package, folder=path.parent, named=packages)
+        return str(next(found, None) or get_path(package))
 
     xacro.init_stacks(str(path))  # relative files of the xacro are in its folder
-    # $(dirname) is the folder of the present file, as in ROS; the library knows no file.
     xacro.substitution_args_context["filename"] = str(path)
+    # $(dirname) is the folder of the present file, as in ROS.
     substitution_args._eval_dirname = lambda _: str(Path(xacro.filestack[-1]).absolute().parent)
-    search = partial(_package_folders, folder=path.parent, named=packages)
-    otherwise = library.get_path
-    library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
-    subargs = _Arguments(arguments)
-    try:
-        document = XacroDoc.from_file(str(path), subargs=subargs, resolve_packages=False)
-        return document.to_urdf_string(), frozenset(subargs.known)
-    finally:
-        library.get_path = otherwise
+    substitution_args._eval_find = find
+    document, known = xacro.parse(text), _Arguments(arguments)
+    xacro.process_doc(document, mappings=known)
+    return document.toxml(), frozenset(known.known)
