@@ -100,6 +100,18 @@ class _Base(NamedTuple):
             r, how = _radius(seen, joint)
         return _Wheel(joint, self.pose(joint.child).translation.copy(), axis, r, how)
 
+    def rigid_wheel(self, joint: Joint) -> _Wheel:
+        """The wheel on a joint that is rigidly fixed to the base; errors as for `wheel`."""
+        if joint.parent in self.arm.rigid_links:
+            return self.wheel(joint)
+        above = self.tree.joint_of[joint.parent]
+        while above.kind == "fixed":
+            above = self.tree.joint_of[above.parent]
+        why = "turns as the fork of a caster does"
+        if above.kind == "prismatic":
+            why = f"moves by {_range(above):g} m: too far for a spring"
+        raise RobotFileError(f"{joint.name} hangs on {above.name}, which {why}")
+
     def stands(self, joint: Joint, floor: float) -> bool:
         """Whether a joint carries a wheel that touches the floor, at the height `floor` [m]."""
         with suppress(RobotFileError):
@@ -183,14 +195,13 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
-    tree, arm = base.tree, base.arm
-    turning = [joint for joint in tree.joints.values() if turns_round(joint)]
-    for joint in turning:
-        if joint.parent in arm.rigid_links and joint.name not in arm.names:
+    for joint in base.tree.joints.values():
+        if joint.child in base.arm.base_links and turns_round(joint):
             try:
-                found[joint.name] = base.wheel(joint)
+                found[joint.name] = base.rigid_wheel(joint)
             except RobotFileError as error:
                 reasons[joint.name] = str(error)
+    wheels = list(found.values())
     if named is not None:
         left, right = (_named(base, found, reasons, name) for name in named)
         if not _mirrored([left, right]):
@@ -198,24 +209,25 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
                 f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
                 f"{right.r:.4f} m are not two equal wheels on one axle: name one wheel on each side"
             )
+    elif pairs := _mirrored(wheels):
+        left, right = _driven(pairs)
     else:
-        hung = [_hung(tree, each) for each in turning if each.child in arm.base_links]
-        why = "; ".join(filter(None, hung)) or "no joint turns without limits"
-        why = f"{', '.join(found)}: no two are on one axle" if found else why
-        why = "; ".join([*reasons.values(), why] if found else [*reasons.values()] or [why])
-        helps = "set --wheels LEFT RIGHT, their joints; " if found or reasons else ""
-        left, right = _driven(_mirrored(list(found.values())), f"{arm.base!r} ({why}); {helps}")
-    return _drive(left, right, list(found.values()))
-
-
-def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wheel]:
-    """The lowest pair of wheels; pairs of the same height must have equal radii."""
-    if not pairs:
+        why = [
+            *reasons.values(),
+            *([f"{', '.join(found)}: no two are on one axle"] if found else []),
+        ]
+        helps = "set --wheels LEFT RIGHT, their joints; " if why else ""
         raise RobotFileError(
-            f"--wheels: no pair of wheels found under {where}"
-            "set --wheel-radius and --half-track if the URDF has no such wheels; or --kind "
-            "holonomic if the base drives sideways too"
+            f"--wheels: no pair of wheels found under {base.arm.base!r} "
+            f"({'; '.join(why) or 'no joint turns without limits'}); {helps}set --wheel-radius and "
+            "--half-track if the URDF has no such wheels; or --kind holonomic if the base drives "
+            "sideways too"
         )
+    return _drive(left, right, wheels)
+
+
+def _driven(pairs: list[tuple[_Wheel, _Wheel]]) -> tuple[_Wheel, _Wheel]:
+    """The lowest pair of wheels; pairs of the same height must have equal radii."""
     lowest = min(left.bottom for left, _ in pairs)
     pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
     radii = [left.r for left, _ in pairs]
@@ -261,22 +273,9 @@ def _named(
     elif not turns_round(joint):
         why = f"{joint.name} is not a wheel: it is {joint.kind}"
     else:
-        why = reasons.get(joint.name) or _hung(tree, joint) or f"{joint.name} does not roll"
+        why = reasons[joint.name]
     turning = ", ".join(j.name for j in tree.joints.values() if turns_round(j))
     raise RobotFileError(f"--wheels: {why}; joints without limits: {turning or '(none)'}")
-
-
-def _hung(tree: Tree, joint: Joint) -> str:
-    """The reason why a joint under a moving joint is no wheel; empty if no joint above it moves."""
-    above = tree.joint_of.get(joint.parent)
-    while above is not None and above.kind == "fixed":
-        above = tree.joint_of.get(above.parent)
-    if above is None:
-        return ""
-    if above.kind != "prismatic":
-        return f"{joint.name} hangs on {above.name}, which turns as the fork of a caster does"
-    way = _range(above)
-    return f"{joint.name} hangs on {above.name}, which moves by {way:g} m: too far for a spring"
 
 
 def turns_round(joint: Joint) -> bool:
@@ -365,10 +364,9 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
         "steering_limit_rad": (tightest, "from the URDF: the tightest joint"),
         "steering_rate_radps": (rate, slowest),
     }
-    stated = (request.wheelbase, request.steering_limit, request.steering_rate)
-    numbers = {
-        name: (own, f"from {option(name.rpartition('_')[0])}") if own else found[name]
-        for name, own in zip(found, stated, strict=True)
-    }
+    for name in found:
+        field = name.rpartition("_")[0]
+        if own := getattr(request, field):
+            found[name] = own, f"from {option(field)}"
     rolling = tuple(joint.name for _, on_it, _ in used for joint in on_it)
-    return Steering(numbers, rolling, tuple(joint.name for joint in joints))
+    return Steering(found, rolling, tuple(joint.name for joint in joints))
