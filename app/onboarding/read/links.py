@@ -99,12 +99,10 @@ def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")
 
 def _shape(element: Element, where: str) -> LinkShape:
     T = origin(element, where).homogeneous
-    holder = element.find("geometry")
-    if holder is None or not len(holder):
+    if (shape := element.find("geometry/*")) is None:
         raise RobotFileError(
             f"{where}: a {element.tag} has no geometry; add a geometry, or remove the {element.tag}"
         )
-    shape = holder[0]
     mesh, radius = urdf_mesh(shape, where, load_mesh)
     hull = hull_mesh(_outermost(np.asarray(mesh.vertices), 4))
     hull.apply_transform(T)
@@ -168,24 +166,21 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers' errors have no common base class
         why = " ".join(str(error).split())
-        # For a damaged .gltf, trimesh looks for another .gltf.
-        missing = isinstance(error, FileNotFoundError) and not why.endswith(f".{end}")
-        why += _damage(begin, size, end, missing=missing)
+        if end == "gltf":
+            # For a damaged file, trimesh looks for another .gltf.
+            missing = isinstance(error, FileNotFoundError) and not why.endswith(".gltf")
+            lacks = " is missing beside it: add this file, or export the mesh as .glb"
+            why += lacks if missing else "; it is damaged: export it again"
+        else:
+            why += _damage(begin, size, end)
         raise RobotFileError(f"{name}: it cannot be read as .{end}: {why}") from None
 
 
 load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 
-def _damage(begin: bytes, size: int, end: str, *, missing: bool) -> str:
-    """Advice for an unreadable mesh file, or empty, from its first part, size [bytes] and format.
-
-    `missing` means that its reader has not found another file.
-    """
-    if end == "gltf":  # a text with commas between numbers
-        if missing:
-            return " is missing beside it: add this file, or export the mesh as .glb"
-        return "; it is damaged: export it again"
+def _damage(begin: bytes, size: int, end: str) -> str:
+    """Advice for an unreadable mesh file, or empty; `begin` is its first part, `end` its format."""
     if b"\0" not in begin and _COMMA.search(begin):
         return "; its numbers have decimal commas: export it with points"
     facets, stated = stated_stl(begin)
@@ -200,9 +195,7 @@ def _damage(begin: bytes, size: int, end: str, *, missing: bool) -> str:
 def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
     """All triangles of a file as one simplified mesh [m]; with `merge`, equal vertices are merged.
 
-    Raises:
-        ValueError: The file has no triangle, or a coordinate that is not finite. Libraries read
-            files with infinite coordinates differently.
+    A file with infinite coordinates, which libraries read differently, is an error.
     """
     scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
     for name, mesh in scene.geometry.items():
@@ -224,9 +217,7 @@ _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
 def _states_unit(path: Path) -> bool:
     """Whether a COLLADA file has another unit than the metre or up axis than z, or no readable XML.
-
-    Raises:
-        RobotFileError: The unit is not a number above zero.
+    An invalid unit is an error.
     """
     try:
         with path.open("rb") as file:
@@ -329,16 +320,14 @@ def read_inertias(
                 "like tonnes; masses of a URDF are in kilograms; without an <inertial> of a link, "
                 "its mass is assumed from its volume"
             )
-    if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
+    if not assume and massive.keys().isdisjoint(moving):
         raise RobotFileError(
             "no link of the arm has a mass: torques cannot be computed; add <inertial>, or set "
             f"--assume-inertia to assume {ARM_DENSITY:g} kg/m³ in the hulls of its links"
         )
 
-    found = {}
-    for link, inertia in stated.items():
-        density = BASE_DENSITY if link in arm.base_links else ARM_DENSITY
-        found[link] = _chosen(inertia, geometry[link], density)
+    dense = {link: BASE_DENSITY if link in arm.base_links else ARM_DENSITY for link in stated}
+    found = {link: _chosen(each, geometry[link], dense[link]) for link, each in stated.items()}
     for links in arm.segments[1:]:  # each joint has to move a mass
         if sum(found[link].inertia.mass for link in links) <= _TINY:
             found |= {link: _chosen(None, geometry[link], ARM_DENSITY) for link in links}
@@ -392,11 +381,7 @@ def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
 
 
 def _stated(link: Element) -> pin.Inertia | None:
-    """The inertia that a URDF states for a link, or None.
-
-    Raises:
-        RobotFileError: The mass, or a principal moment of inertia, is negative.
-    """
+    """The inertia that a URDF states for a link, or None."""
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None
