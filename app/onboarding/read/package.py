@@ -151,7 +151,16 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """
     root = (folder / FOLDER).resolve()
     path = root / _chosen_urdf(unpack(archive, root), archive.name, file)
-    _tie_meshes(path, root)
+    robot = read_source(path)[0]
+    for mesh in robot.iter("mesh"):
+        reference = str(mesh.get("filename"))
+        if Path(reference).suffix.lower() not in FORMATS:
+            continue  # checked when the robot is read
+        found = _inside(reference, path.parent, root)
+        if found.suffix.lower() == ".dae":
+            refuse_entities(found.read_bytes(), found)
+        mesh.set("filename", Path(os.path.relpath(found, path.parent)).as_posix())
+    path.write_text(ElementTree.tostring(robot, encoding="unicode"), encoding="utf-8")
     return path
 
 
@@ -182,20 +191,6 @@ def _urdfs(names: list[str]) -> list[str]:
     """The URDFs among the files of a zip, without hidden files and macOS's additions."""
     hidden = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")
     return sorted(n for n in names if n.lower().endswith(".urdf") and not hidden.fullmatch(n))
-
-
-def _tie_meshes(path: Path, root: Path) -> None:
-    """Replace the addresses of meshes in a URDF by paths relative to the URDF."""
-    robot = read_source(path)[0]
-    for mesh in robot.iter("mesh"):
-        reference = str(mesh.get("filename"))
-        if Path(reference).suffix.lower() not in FORMATS:
-            continue  # checked when the robot is read
-        found = _inside(reference, path.parent, root)
-        if found.suffix.lower() == ".dae":
-            refuse_entities(found.read_bytes(), found)
-        mesh.set("filename", Path(os.path.relpath(found, path.parent)).as_posix())
-    path.write_text(ElementTree.tostring(robot, encoding="unicode"), encoding="utf-8")
 
 
 def _inside(reference: str, folder: Path, root: Path) -> Path:
