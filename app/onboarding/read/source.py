@@ -6,7 +6,6 @@ import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
-from importlib.util import find_spec
 from itertools import chain
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
@@ -14,7 +13,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from app.errors import RobotFileError, closest
+from app.errors import RobotFileError, closest, extras_named
 from app.jobs.bounded import within_budget
 from app.robot.assets import (
     floats,
@@ -303,10 +302,8 @@ def _expanded(
     path: Path, text: str, packages: Folders, arguments: Mapping[str, str]
 ) -> tuple[str, frozenset[str]]:
     """The result of `_urdf_of` for a xacro file, whose own text is `text`."""
-    if find_spec("xacrodoc") is None:
-        raise RobotFileError(
-            f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
-        )
+    with extras_named():
+        import xacrodoc  # noqa: F401 - it may be missing
     try:
         return within_budget(_urdf_of, path, text, packages, arguments, size=LARGEST_TEXT)
     except Exception as error:  # xacro's errors have no common base class

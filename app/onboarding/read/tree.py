@@ -5,6 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
+from itertools import takewhile
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
@@ -340,10 +341,10 @@ def _nothing_above(tree: Tree, base: str) -> None:
 
     Ancestors above a planar or floating joint do not count.
     """
-    link = base
-    while link in tree.joint_of and tree.joint_of[link].kind not in FREE:
-        parent = tree.joint_of[link].parent
-        beside = [j.child for j in tree.children[parent] if j.child != link]
+    above = reversed(tree.chain(tree.root, base))
+    for joint in takewhile(lambda each: each.kind not in FREE, above):
+        parent = joint.parent
+        beside = [each.child for each in tree.children[parent] if each is not joint]
         solid = any(tree.links[parent].findall(tag) for tag in ("collision", "visual"))
         if beside or solid:
             what = f"child links {', '.join(beside)}" if beside else "shapes"
@@ -351,4 +352,3 @@ def _nothing_above(tree: Tree, base: str) -> None:
                 f"--base: {parent!r}, an ancestor of {base!r}, has {what}, which the robot would "
                 f"lose; set --base {parent}"
             )
-        link = parent
