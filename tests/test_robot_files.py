@@ -194,11 +194,15 @@ def test_blanks_around_a_urdf_are_ignored(tmp_path: Path, before: str, after: st
     assert "hand" in parsed(tmp_path, before + TOY + after).tree.links
 
 
-def test_a_mesh_path_relative_to_the_package_is_found(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "end", ["", '<xacro:if value="0" xmlns:xacro="http://www.ros.org/wiki/xacro"/>']
+)
+def test_a_mesh_path_relative_to_the_package_is_found(tmp_path: Path, end: str) -> None:
     for name in ("urdf", "meshes"):
         (tmp_path / name).mkdir()
     (tmp_path / "meshes" / "m.stl").write_bytes(cube())
-    made = parsed(tmp_path / "urdf", with_mesh(TOY, "meshes/m.stl"))
+    text = with_mesh(TOY, "meshes/m.stl").replace("</robot>", f"{end}</robot>")
+    made = parsed(tmp_path / "urdf", text)
     assert extents(made) == pytest.approx(HAND)
 
 

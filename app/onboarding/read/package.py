@@ -167,24 +167,21 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
 def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
     """The URDF `file` among the files `names` of the zip `where`; with None, the only URDF."""
     found = _urdfs(names)
+    if file in found or (file is None and len(found) == 1):
+        return file or found[0]
+    xacro = next((name for name in names if name.endswith(".xacro")), "")
     if file is not None:
-        if file in found:
-            return file
-        there = ", ".join(found) or "(none)"
-        raise RobotFileError(f"{where}: no URDF {file!r} in it; there are: {there}")
-    if len(found) > 1:
-        raise RobotFileError(
-            f"{where}: it has {len(found)} URDFs; name one by --file: {', '.join(found[:20])}"
+        why = f"no URDF {file!r} in it; there are: {', '.join(found) or '(none)'}"
+    elif found:
+        why = f"it has {len(found)} URDFs; name one by --file: {', '.join(found[:20])}"
+    elif xacro:
+        why = (
+            f"no .urdf in it, only {xacro}: a xacro can contain Python, and nothing in a zip is "
+            "executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
         )
-    if found:
-        return found[0]
-    xacro = next((name for name in names if name.endswith(".xacro")), None)
-    if xacro is not None:
-        raise RobotFileError(
-            f"{where}: no .urdf in it, only {xacro}: a xacro can contain Python, and nothing in a "
-            "zip is executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
-        )
-    raise RobotFileError(f"{where}: no .urdf in it; zip the URDF together with its meshes")
+    else:
+        why = "no .urdf in it; zip the URDF together with its meshes"
+    raise RobotFileError(f"{where}: {why}")
 
 
 def _urdfs(names: list[str]) -> list[str]:

@@ -294,11 +294,10 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
 
 def _arrow(start: Array, force: Array, colour: fg.Color) -> fg.ArrowPrimitive:
     """An arrow for a force (3,) [N] at a point (3,) [m]."""
-    newtons = float(np.linalg.norm(force))
-    turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), np.asarray(force))
-    still = pin.Quaternion.Identity()
+    newtons, x = float(np.linalg.norm(force)), np.array([1.0, 0.0, 0.0])
+    turn = pin.Quaternion.FromTwoVectors(x, np.asarray(force) if newtons > 0 else x)
     return fg.ArrowPrimitive(
-        pose=_pose(pin.SE3(turn if newtons > 0 else still, np.asarray(start))),
+        pose=_pose(pin.SE3(turn, np.asarray(start))),
         shaft_length=_METRES_PER_NEWTON * newtons,
         shaft_diameter=0.016,
         head_length=0.035 if newtons > 0 else 0.0,
