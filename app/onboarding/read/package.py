@@ -20,10 +20,11 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from app.errors import RobotFileError, did_you_mean
+from app.errors import RobotFileError, did_you_mean, named_part
 from app.onboarding.read.source import FORMATS, mesh_places, read_source, spellings
 from app.onboarding.read.tree import make_tree
-from app.robot.assets import refuse_entities, refuse_placeholder
+from app.robot.assets import refuse_entities
+from app.strict import placeholder
 from app.system import temporary_folder
 
 FOLDER = "package"  # name of the folder in a robot's own folder into which a zip is unpacked
@@ -55,11 +56,10 @@ def unpack(archive: Path, folder: Path) -> list[str]:
         RobotFileError: The zip cannot be read, is too large, or contains a path out of the zip, a
             link, a password, a duplicate name or a compression other than deflate.
     """
-    where = archive.name
     _check_size(archive)
     try:
         with zipfile.ZipFile(archive) as opened:
-            files = _checked(opened.infolist(), where)
+            files = _checked(opened.infolist())
             for path, info in files.items():
                 if path.suffix.lower() in KEPT or _NOTES.fullmatch(path.name):
                     target = folder / path
@@ -67,7 +67,7 @@ def unpack(archive: Path, folder: Path) -> list[str]:
                     with opened.open(info) as source, target.open("xb") as sink:
                         shutil.copyfileobj(source, sink)  # at most the size that was checked
     except _UNREADABLE as error:
-        raise RobotFileError(f"{where}: not a zip that can be read: {error}") from None
+        raise RobotFileError(f"not a zip that can be read: {error}") from None
     return [*map(str, files)]
 
 
@@ -75,48 +75,44 @@ def _check_size(archive: Path) -> None:
     """Check the size of a zip and of its list of files, before the list is read."""
     size = archive.stat().st_size
     if size > LARGEST_ARCHIVE:
-        raise RobotFileError(
-            f"{archive.name}: {size / 1e6:.0f} MB; the limit is {LARGEST_ARCHIVE / 1e6:.0f} MB"
-        )
+        raise RobotFileError(f"{size / 1e6:.0f} MB; the limit is {LARGEST_ARCHIVE / 1e6:.0f} MB")
     with archive.open("rb") as file:
         file.seek(max(0, size - (1 << 16) - 22 - 20))
         tail = file.read()
     at = tail.rfind(b"PK\x05\x06")
     if at < 0 or len(tail) < at + 22:
-        if not tail.startswith(b"PK"):
-            refuse_placeholder(tail[:1024], archive.name)
-        raise RobotFileError(f"{archive.name}: not a zip; zip the URDF together with its meshes")
+        if (name := placeholder(tail[:1024])) and not tail.startswith(b"PK"):
+            raise RobotFileError(f"in the place of the file is {name}")
+        raise RobotFileError("not a zip; zip the URDF together with its meshes")
     if tail[:at][-20:].startswith(b"PK\x06\x07"):  # it would replace the record that is read
-        raise RobotFileError(
-            f"{archive.name}: a ZIP64, the form for archives of over 4 GB; zip it as a plain zip"
-        )
+        raise RobotFileError("a ZIP64, the form for archives of over 4 GB; zip it as a plain zip")
     count, directory = struct.unpack_from("<HI", tail, at + 10)
     if count > MOST_FILES or directory > _LARGEST_DIRECTORY:
         raise RobotFileError(
-            f"{archive.name}: a list of {count} files; the limit is {MOST_FILES:,}: "
-            "leave out all files except the URDF and its meshes"
+            f"a list of {count} files; the limit is {MOST_FILES:,}: leave out all files except the "
+            "URDF and its meshes"
         )
 
 
-def _checked(infos: list[zipfile.ZipInfo], where: str) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    """The files of a zip by their paths, without folders; `where` is its name for a message."""
+def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInfo]:
+    """The files of a zip by their paths, without folders."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         raise RobotFileError(
-            f"{where}: it expands to {total / 1e6:,.0f} MB; "
-            f"the limit is {LARGEST_CONTENT / 1e6:.0f} MB"
+            f"it expands to {total / 1e6:,.0f} MB; the limit is {LARGEST_CONTENT / 1e6:.0f} MB"
         )
     if len(infos) > MOST_FILES:
-        raise RobotFileError(f"{where}: {len(infos):,} files; the limit is {MOST_FILES:,}")
+        raise RobotFileError(f"{len(infos):,} files; the limit is {MOST_FILES:,}")
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
-    for path, info in ((_path(info, where), info) for info in infos):
+    for info in infos:
+        path = _path(info)
         is_folder = info.orig_filename.endswith(("/", "\\"))
         if not is_folder and found.setdefault(path, info) is not info:
-            raise RobotFileError(f"{where}: it contains the file {str(path)!r} twice")
+            raise RobotFileError(f"it contains the file {str(path)!r} twice")
     return found
 
 
-def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
+def _path(info: zipfile.ZipInfo) -> PurePosixPath:
     """The path of an entry, which must be a plain file or folder inside of the zip."""
     name = info.orig_filename
     if not info.flag_bits & _UTF8 and not name.isascii():
@@ -135,8 +131,8 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
     }
     if problem := next(compress(problems, problems.values()), None):
         raise RobotFileError(
-            f"{where}: {name[:_LONGEST_NAME]!r} {problem}; "
-            "zip the package's folder itself, with plain files below it"
+            f"{name[:_LONGEST_NAME]!r} {problem}; zip the package's folder itself, with plain "
+            "files below it"
         )
     return PurePosixPath(name)
 
@@ -150,7 +146,8 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
         RobotFileError: As for `unpack`, or the URDF or one of its meshes is not in the zip.
     """
     root = (folder / FOLDER).resolve()
-    path = root / _chosen_urdf(unpack(archive, root), archive.name, file)
+    with named_part(archive.name):
+        path = root / _chosen_urdf(unpack(archive, root), file)
     robot = read_source(path)[0]
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
@@ -164,24 +161,23 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     return path
 
 
-def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
-    """The URDF `file` among the files `names` of the zip `where`; with None, the only URDF."""
+def _chosen_urdf(names: list[str], file: str | None) -> str:
+    """The URDF `file` among the files `names` of a zip; with None, the only URDF."""
     found = _urdfs(names)
     if file in found or (file is None and len(found) == 1):
         return file or found[0]
-    xacro = next((name for name in names if name.endswith(".xacro")), "")
     if file is not None:
-        why = f"no URDF {file!r} in it; there are: {', '.join(found) or '(none)'}"
-    elif found:
-        why = f"it has {len(found)} URDFs; name one by --file: {', '.join(found[:20])}"
-    elif xacro:
-        why = (
+        there = ", ".join(found) or "(none)"
+        raise RobotFileError(f"no URDF {file!r} in it; there are: {there}")
+    if found:
+        some = ", ".join(found[:20])
+        raise RobotFileError(f"it has {len(found)} URDFs; name one by --file: {some}")
+    if xacro := next((name for name in names if name.endswith(".xacro")), ""):
+        raise RobotFileError(
             f"no .urdf in it, only {xacro}: a xacro can contain Python, and nothing in a zip is "
             "executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
         )
-    else:
-        why = "no .urdf in it; zip the URDF together with its meshes"
-    raise RobotFileError(f"{where}: {why}")
+    raise RobotFileError("no .urdf in it; zip the URDF together with its meshes")
 
 
 def _urdfs(names: list[str]) -> list[str]:
@@ -258,8 +254,9 @@ def look_into(archive: Path) -> dict[str, Contents]:
         RobotFileError: As for `unpack`, or no URDF of the zip can be read.
     """
     with temporary_folder() as folder:
-        names = unpack(archive, folder)
-        found = _urdfs(names) or [_chosen_urdf(names, archive.name, None)]  # this raises an error
+        with named_part(archive.name):
+            names = unpack(archive, folder)
+            found = _urdfs(names) or [_chosen_urdf(names, None)]  # this raises an error
         contents, problem = {}, ""
         for name in found[:_MAX_URDFS]:
             try:
