@@ -202,8 +202,10 @@ def test_the_option_for_wheels_requires_wheels_of_the_base(tmp_path: Path) -> No
         (("lift", "right_axle"), "not on the base"),
         (("nothing", "right_axle"), "no joint or link 'nothing'"),
         (("left_axle", "left_axle"), "not two equal wheels on one axle"),
+        (("turn_table", "right_axle"), "'turn_table' is not on the base"),
     ):
-        assert why in refused(tmp_path, TOY, wheels=given)
+        above = [link("map"), joint("turn_table", "continuous", "map", "base")]
+        assert why in refused(tmp_path, robot([*above, *cart(), *arm()]), wheels=given)
 
 
 def test_a_wheel_that_is_not_round_is_refused(tmp_path: Path) -> None:

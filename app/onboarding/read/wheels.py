@@ -196,7 +196,7 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
     for joint in base.tree.joints.values():
-        if joint.child in base.arm.base_links and turns_round(joint):
+        if joint.child in base.arm.base_links[1:] and turns_round(joint):
             try:
                 found[joint.name] = base.rigid_wheel(joint)
             except RobotFileError as error:
@@ -212,11 +212,11 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
     elif pairs := _mirrored(wheels):
         left, right = _driven(pairs)
     else:
-        why = [
-            *reasons.values(),
-            *([f"{', '.join(found)}: no two are on one axle"] if found else []),
-        ]
-        helps = "set --wheels LEFT RIGHT, their joints; " if why else ""
+        tree, rigid, why = base.tree, base.arm.rigid_links, [*reasons.values()]
+        if found:
+            why.append(f"{', '.join(found)}: no two are on one axle")
+        fixed = [name for name in (*found, *reasons) if tree.joints[name].parent in rigid]
+        helps = "set --wheels LEFT RIGHT, their joints; " if fixed else ""
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {base.arm.base!r} "
             f"({'; '.join(why) or 'no joint turns without limits'}); {helps}set --wheel-radius and "
@@ -268,7 +268,7 @@ def _named(
         return found[joint.name]
     if joint is None:
         why = f"there is no joint or link {name!r}"
-    elif joint.child not in base.arm.base_links:
+    elif joint.child not in base.arm.base_links[1:]:
         why = f"{name!r} is not on the base"
     elif not turns_round(joint):
         why = f"{joint.name} is not a wheel: it is {joint.kind}"
