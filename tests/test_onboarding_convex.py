@@ -193,6 +193,28 @@ def test_convex_pieces_have_little_more_volume_than_the_mesh() -> None:
     assert len(convex_pieces(boxes[0])) == 1
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.8])
+def test_no_piece_of_a_small_fork_fills_its_slot(turn: float) -> None:
+    """The link inside a fork would otherwise touch the fork in all postures."""
+    gap, length = 0.03, 0.04  # [m]
+    boxes = [trimesh.creation.box((0.05, gap + 0.03, 0.03))]
+    for side in (-1.0, 1.0):
+        prong = trimesh.creation.box((0.05, 0.015, length))
+        boxes.append(prong.apply_translation((0.0, side * (gap + 0.015) / 2, 0.015 + length / 2)))
+    fork = trimesh.util.concatenate(boxes)
+    assert isinstance(fork, trimesh.Trimesh)
+    R = pin.utils.rotate("x", turn)
+    fork.apply_transform(pin.SE3(R, np.zeros(3)).homogeneous)
+    axes = np.meshgrid([0.0], np.linspace(-0.35, 0.35, 7) * gap, np.linspace(0.02, 0.055, 7))
+    slot = np.reshape(axes, (3, -1)).T @ R.T
+    filled = np.zeros(len(slot), dtype=bool)
+    for piece in convex_pieces(fork):
+        mesh = hull_mesh(np.asarray(piece.vertices))
+        offsets = np.einsum("ij,ij->i", mesh.face_normals, mesh.triangles[:, 0])
+        filled |= (slot @ mesh.face_normals.T < offsets).all(axis=1)
+    assert filled.mean() < 0.1
+
+
 def test_hull_mesh_has_the_hulls_volume_and_supports_plates(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
