@@ -13,6 +13,7 @@ from itertools import combinations
 from pathlib import Path
 from queue import Queue
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,11 +40,12 @@ from app.onboarding.check import (
     ready_row,
     run_row,
 )
-from app.onboarding.fit import grouping, stops
+from app.onboarding.fit import grouping, postures, stops
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, Postures, _close_pairs, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
+from app.onboarding.fit.postures import Place, Point
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import compiled, description, finish, parse
@@ -62,6 +64,7 @@ from app.robot.model import RobotModel
 from app.robot.shapes import Sphere
 from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.scenarios import scenario_by_name, scenario_of
+from app.simulation.scenarios.start import StartSolver
 from tests.onboarding import (
     ARM_JOINTS,
     arm,
@@ -635,6 +638,38 @@ def test_each_line_starts_outside_the_buffer_and_ends_at_the_base(made: NewRobot
     paper = husky_panda().description
     for name in ("guiding-lateral", "guiding-front", "tracking"):
         assert scenario_of(paper, name) == scenario_by_name(name)
+
+
+def test_line_whose_start_a_quick_search_misses_is_found_by_the_complete_search(
+    finished: tuple[NewRobot, BorderData], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, data = finished
+    solve, tries = StartSolver.solve, list[int]()
+
+    def hurried(self: StartSolver, p_ee: Point, **options: Any) -> np.ndarray:
+        tries.append(options.get("tries", 0))
+        if tries[-1] == postures._FEW:
+            raise UnreachableError("missed", {"out of the arm's reach": 1})
+        return solve(self, p_ee, **options)
+
+    monkeypatch.setattr(StartSolver, "solve", hurried)
+    monkeypatch.setattr(postures, "_SAMPLES", 800)
+    model = made.model
+    found = postures.find_place(model, data.pairs, "guiding-front")
+    assert isinstance(found, Place)
+    assert found.nearest < postures.INNER * model.description.config.border.d_b
+    assert 0 < tries.index(0) == tries.count(postures._FEW)  # complete searches are the last ones
+
+
+def test_best_line_far_from_the_base_is_reported_with_the_starts_that_fail(made: NewRobot) -> None:
+    model = made.model
+    guide = postures._Guide(model, find_link_pairs(model, samples=500), 0.15)
+    guide._obstacles["the elbow touches the floor"] += 3
+    reasons = "the elbow touches the floor (3 of 3 starts)"
+    assert guide.obstacles.endswith(f"the possible lines: {reasons}")
+    guide._nearest = Place((0.5, 0.0, 0.4), (-0.1, 0.0, 0.0), 0.08, "")
+    assert "leads to 0.080 m" in guide.obstacles
+    assert guide.obstacles.endswith(reasons)
 
 
 @pytest.fixture(scope="module")

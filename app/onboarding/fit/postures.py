@@ -109,7 +109,8 @@ GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, r
 CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
-_MAX_STARTS = 40  # [-] largest number of searched start postures; a failure takes 0.1 to 0.2 s
+_MAX_STARTS = 40  # [-] largest number of quick searches of a start; a failure takes 0.1 to 0.2 s
+_MAX_COMPLETE = 8  # [-] largest number of complete searches of a start; a failure takes 0.3 to 2 s
 _OTHER = 0.1  # [m] smallest distance between the ends of two lines
 _FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start from the base, and its step
 _OUTSIDE = 0.05  # [m] smallest distance of a start from the buffer
@@ -319,23 +320,23 @@ class _Guide:
 
     @property
     def obstacles(self) -> str:
-        """Why no line leads near the base: the best line, or the main reasons of failed starts."""
-        if (near := self._nearest) is not None:
-            line = f"the line from {point_text(near.start)} leads to {near.nearest:.3f} m"
-            least = INNER * self._d_b
-            return f"no line brings the arm nearer to the base than {least:.3f} m; {line}"
+        """Why no line leads near the base: the best line, and the main reasons of failed starts."""
         by = {OUT_OF_REACH: f" by about {self._short:.2f} m"} if self._short > _NEAR else {}
         rows, of = self._obstacles.most_common(_MAX_NAMED), sum(self._obstacles.values())
         starts = ", ".join(f"{why}{by.get(why, '')} ({n} of {of} starts)" for why, n in rows)
-        return f"the arm can use none of the possible lines: {starts}"
+        if (near := self._nearest) is None:
+            return f"the arm can use none of the possible lines: {starts}"
+        line = f"the line from {point_text(near.start)} leads to {near.nearest:.3f} m"
+        text = f"no line brings the arm nearer to the base than {INNER * self._d_b:.3f} m; {line}"
+        return f"{text}; the arm cannot use these starts: {starts}" if starts else text
 
     def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
         """Lines of a scenario; the most promising lines are first.
 
         A quick first step moves the arm to each start from a known posture. Each time the caller
-        requests a line, a slow step searches for a posture with which a run starts. No two lines
-        have nearly the same end. If no line brings the arm nearer than `INNER` d_b, only the best
-        line is yielded.
+        requests a line, a slow step searches for a posture with which a run starts: with few tries,
+        and if no line near the base is left, with all tries. No two lines have nearly the same end.
+        If no line brings the arm nearer than `INNER` d_b, only the best line is yielded.
         """
         mount, body = self._model.p_base(), self.body
         tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
@@ -345,28 +346,31 @@ class _Guide:
         starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
         tried = [*product(starts, heights), *product(starts, last)]
         found: list[_Candidate] = []
-        most = len(tried) + _MAX_STARTS
         for k, (start, z) in enumerate(tried):
-            on_progress(k / most)
+            on_progress(k / len(tried) / 2)
             if (line := self._look(start, z)) is not None:
                 found.append(line)
-        asked: list[_Candidate] = []
-        searched = 0
-        for line in sorted(found, key=attrgetter("rank")):  # stable order
-            if searched == _MAX_STARTS or (asked and line.nearest >= INNER * self._d_b):
+        found.sort(key=attrgetter("rank"))  # stable order
+        near = [line for line in found if line.nearest < INNER * self._d_b]
+        first, rest = (each[:_MAX_STARTS] for each in (near, found[len(near) :]))
+        steps = *product(first, [True]), *product(near, [False]), *product(rest, [True])
+        done, complete = list[_Candidate](), 0
+        for k, (line, quick) in enumerate(steps):
+            if self._nearest and line.nearest >= INNER * self._d_b:
                 return
-            if any(map(line.is_as, asked)):
+            if any(map(line.is_as, done)) or (not quick and complete == _MAX_COMPLETE):
                 continue
-            on_progress((len(tried) + searched) / most)
-            searched += 1
+            on_progress((1 + k / len(steps)) / 2)
+            complete += not quick
             p, move = line.start, line.move
             try:
-                self._solver.solve(p, tries=_FEW)
+                if quick:
+                    self._solver.solve(p, tries=_FEW)
+                done.append(line)
                 q_m = find_start(self._model, self._pairs, self._d_b, p, seed=0, move=None)
             except UnreachableError as error:
                 self._obstacles.update(why for why, _ in Counter(error.flaws).most_common(1))
                 continue
-            asked.append(line)
             _, nearest, _, low = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)
             if low < _LOWEST:
                 self._obstacles[_FLOOR_ON_LINE] += 1
