@@ -372,14 +372,17 @@ def test_arm_without_collisions_has_nothing_to_show(
 def test_bodies_that_do_not_enclose_their_links_are_rejected(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    blind, found = made.detection._replace(blind=("l1-lEE",)), Grouping(made.bodies, made.verdict)
-    monkeypatch.setattr(new_robot, "find_grouping", lambda *_, **__: found)
+    blind = made.detection._replace(blind=("l1-lEE",), undetected=1)
+    fits = [made.bodies, made.bodies[:-1], made.bodies[:-1]]
+    monkeypatch.setattr(
+        new_robot, "find_grouping", lambda *_, **__: Grouping(fits.pop(0), made.verdict)
+    )
     monkeypatch.setattr(new_robot, "detection_of", lambda *_: blind)
     urdf = str(write(tmp_path, robot([*cart(), *arm()])))
     request = Request(urdf=urdf, base="base", tip="hand", out=tmp_path / "toy")
     with (
         few_samples(tmp_path),
-        pytest.raises(RobotFileError, match=r"l1-lEE do not enclose .*--bodies other than"),
+        pytest.raises(RobotFileError, match=r"l1-lEE do not enclose .*--bodies other than 3 and 4"),
     ):
         finish(request)
 

@@ -232,10 +232,11 @@ def _embodied(
         found.append(_Embodied(request, limited, model, meetings, grouping, detection))
     best = min(found, key=lambda each: (len(each.detection.blind), each.detection.undetected))
     if best.detection.blind:
+        tried = sorted({len(each.grouping.bodies) - 1 for each in found})
         raise RobotFileError(
             f"the bodies of {', '.join(best.detection.blind)} do not enclose their links; "
-            f"choose a number of --bodies other than {len(best.grouping.bodies) - 1}, or "
-            "a different --seed"
+            f"choose a number of --bodies other than {' and '.join(map(str, tried))}, or a "
+            "different --seed"
         )
     return best
 
