@@ -372,7 +372,7 @@ def test_arm_without_collisions_has_nothing_to_show(
 def test_bodies_that_do_not_enclose_their_links_are_rejected(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    blind = made.detection._replace(blind=("l1-lEE",), undetected=1)
+    blind = made.detection._replace(blind=("l1-lEE",), undetected=0)
     fits = [made.bodies, made.bodies[:-1], made.bodies[:-1]]
     monkeypatch.setattr(
         new_robot, "find_grouping", lambda *_, **__: Grouping(fits.pop(0), made.verdict)

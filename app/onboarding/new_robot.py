@@ -190,7 +190,7 @@ class _Embodied(NamedTuple):
 def _embodied(
     request: Request, parsed: Parsed, bare: RobotModel, path: Path, work: _Work
 ) -> _Embodied:
-    """Fit bodies around groups of links, up to three times if a collision remains undetected.
+    """Fit bodies around groups of links, up to three times while `Detection.fails`.
 
     The result is the fit with the fewest pairs in `Detection.blind`, then `Detection.undetected`.
 
@@ -202,7 +202,7 @@ def _embodied(
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     found: list[_Embodied] = []
-    while not found or (found[-1].detection.undetected and len(found) < _MAX_FITS):
+    while not found or (found[-1].detection.fails and len(found) < _MAX_FITS):
         if found:
             work.tell("sampling other random postures")
         meetings = sample_meetings(

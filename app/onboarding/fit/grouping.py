@@ -248,6 +248,11 @@ class Detection(NamedTuple):
         """[-] share of the colliding postures that no pair detects."""
         return self.undetected / max(1, self.postures)
 
+    @property
+    def fails(self) -> bool:
+        """Whether a collision is undetected, or a pair does not enclose its links."""
+        return bool(self.undetected or self.blind)
+
 
 def detection_of(
     model: RobotModel, geometry: Geometry, d_b: float, workers: Workers = ALONE
