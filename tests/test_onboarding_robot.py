@@ -610,6 +610,21 @@ def test_report_shows_bodies_pairs_and_warnings(
         assert pair.name in page
     for warning in made.warnings:
         assert warning.split("'")[0][:40] in page
+    false = made.verdict.overlap
+    assert false.keys() >= made.verdict.near.keys()
+    monitored = [false[name] for name in made.verdict.near]
+    assert max(monitored) <= made.verdict.false <= sum(monitored)
+    for name in made.verdict.near:
+        assert re.search(rf"<td>{name}</td>.*<td>{false[name]:.1%}</td>", page)
+
+
+def test_pair_that_often_overlaps_without_a_collision_is_reported(made: NewRobot) -> None:
+    for share, reported in ((0.05, 0), (0.25, 1)):
+        overlap = dict.fromkeys(made.verdict.overlap, 0.0) | {"lm-lEE": share}
+        often = replace(made, verdict=made.verdict._replace(overlap=overlap))
+        found = [each for each in warnings_of(often) if "overlap in" in each]
+        assert len(found) == reported
+        assert all("lm-lEE overlap in 25%" in each for each in found)
 
 
 def test_flat_link_is_drawn_from_its_side(finished: tuple[NewRobot, BorderData]) -> None:
@@ -822,7 +837,7 @@ def grouped(radii: tuple[float, ...], unwatched: tuple[str, ...]) -> grouping.Gr
             strict=True,
         )
     ]
-    verdict = grouping.Verdict(0.0, 0.0, (), (), dict.fromkeys(unwatched, False), {}, 0.0)
+    verdict = grouping.Verdict(0.0, 0.0, {}, (), (), dict.fromkeys(unwatched, False), {}, 0.0)
     return grouping.Grouping(bodies, verdict)
 
 

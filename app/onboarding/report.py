@@ -104,14 +104,15 @@ def _bodies(robot: NewRobot) -> Grid:
 
 
 def _pairs(robot: NewRobot, data: BorderData) -> Grid:
-    pairs, near, rows = data.pairs, robot.verdict.near, []
+    pairs, verdict, rows = data.pairs, robot.verdict, []
     sets = {"L_m": pairs.mobile, "L_m^c": pairs.manipulator, "never": pairs.never}
     for group, each in sets.items():
         for name in (pair.name for pair in each):
             overlap, least = f"{pairs.rates[name]:.3%}", f"{pairs.least_distance_m[name]:+.3f}"
-            rows.append((name, group, overlap, least, f"{near.get(name, 0.0):.0%}"))
-    inside = f"within {robot.request.buffer:g} m"
-    return Grid(("pair", "set", "overlap", "smallest distance [m]", inside), rows)
+            shares = (f"{each.get(name, 0.0):.1%}" for each in (verdict.overlap, verdict.near))
+            rows.append((name, group, overlap, least, *shares))
+    false, inside = "overlap of free", f"within {robot.request.buffer:g} m of free"
+    return Grid(("pair", "set", "overlap", "smallest distance [m]", false, inside), rows)
 
 
 def _verdict(robot: NewRobot) -> list[str]:

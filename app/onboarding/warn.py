@@ -33,6 +33,7 @@ from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
 _IN_FLOOR = 0.005  # [m] largest depth below the floor
+_FALSE = 0.1  # [-] largest share of free postures in which the bodies of a pair overlap
 _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
 _TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
 _FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
@@ -142,6 +143,11 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
         )
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
+    for name in (name for name in verdict.near if verdict.overlap[name] > _FALSE):
+        yield (
+            f"the bodies of the pair {name} overlap in {verdict.overlap[name]:.0%} of the free "
+            "random postures, in which no links collide: the controller avoids these postures too"
+        )
     for body in robot.bodies:
         worst = max(fit.over_cover for fit in body.fits)
         if worst > _OVER:

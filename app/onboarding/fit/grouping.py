@@ -62,6 +62,7 @@ class Verdict(NamedTuple):
 
     missed: float  # [-] share of colliding postures in which no pair of bodies overlaps
     false: float  # [-] share of free postures in which a pair of bodies overlaps
+    overlap: dict[str, float]  # [-] share of free postures in which it overlaps, by pair
     spurious: tuple[str, ...]  # pairs of bodies that overlap although their links never do
     always: tuple[str, ...]  # monitored, overlap somewhere, inside the buffer in most free postures
     unwatched: dict[str, str]
@@ -197,6 +198,7 @@ def judge(
     truly = {*compress(owners, np.any(hits, axis=0))}
     met = [*compress(names, kept & np.any(meet, axis=0))]
     near = dict(compress(zip(names, near.tolist(), strict=True), kept))
+    overlap = {name: _share(flags) for name, flags in zip(names, meet[~real].T, strict=True)}
     spurious = tuple(name for name in met if name not in truly)
     always = tuple(name for name in met if near[name] > ALWAYS)
     seen = np.any(meet[:, kept], axis=1)
@@ -209,7 +211,7 @@ def judge(
         + _ALWAYS_COST * len(always)
         + _UNWATCHED_COST * len(unwatched)
     )
-    return Verdict(missed, false, spurious, always, unwatched, near, cost)
+    return Verdict(missed, false, overlap, spurious, always, unwatched, near, cost)
 
 
 def _share(flags: Array) -> float:
