@@ -16,6 +16,7 @@ from app.errors import DbbError, RobotFileError
 from app.onboarding import new_robot
 from app.onboarding.fit.travel import filled
 from app.onboarding.new_robot import finish, parse
+from app.onboarding.numbers import assumed_mass
 from app.onboarding.read.links import read_geometry
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
@@ -27,6 +28,7 @@ from app.simulation.plants.engines import SAME_PICTURE, compare_engines
 from tests.onboarding import (
     ARM_JOINTS,
     BOX,
+    INERTIAL,
     WHEEL,
     arm,
     cart,
@@ -463,6 +465,21 @@ def test_missing_inertia_is_refused_unless_it_may_be_assumed(tmp_path: Path) -> 
     assert hand.assumed
     assert hand.inertia.mass == pytest.approx(1200.0 * 0.08 * 0.12 * 0.08, rel=1e-6)
     np.testing.assert_allclose(hand.inertia.lever, [0.0, 0.0, 0.08], atol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "mass"), [("0.6 0.4 0.2", 21.6), ("2.5 2.0 2.2", 1767.0)])
+def test_assumed_mass_of_a_large_base_grows_with_its_surface(
+    tmp_path: Path, size: str, mass: float
+) -> None:
+    """With the density of a small base, the large one would have 5 t."""
+    base = INERTIAL.format(m=30, i=0.3)
+    text = TOY.replace(base, "", 1).replace('size="0.6 0.4 0.2"', f'size="{size}"')
+    inertias = parse(request(tmp_path, text)).inertias
+    assert inertias["base"].inertia.mass == pytest.approx(mass, rel=0.02)
+    assert inertias["base"].inertia.inertia[2, 2] < mass * 3.0**2
+    density = mass / np.prod([float(x) for x in size.split()])
+    assert inertias["base"].assumed.startswith(f"{density:.0f} kg/m³")
+    assert assumed_mass(inertias, inertias) == pytest.approx(mass, rel=0.02)
 
 
 def test_lengths_in_millimetres_are_refused(tmp_path: Path) -> None:

@@ -22,7 +22,16 @@ from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, li
 from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import Unit, make_units
-from app.onboarding.numbers import Limits, base_numbers, completed, damping, find_reach, read_limits
+from app.onboarding.numbers import (
+    Limits,
+    assumed_mass,
+    base_numbers,
+    completed,
+    damping,
+    find_reach,
+    read_limits,
+    with_plausible_base,
+)
 from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate
@@ -132,7 +141,8 @@ def _make_robot(
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
         ready, rule = judge_ready(model, data.pairs, np.array(request.ready, float)), "from --ready"
-    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track)
+    assumed = assumed_mass(parsed.inertias, parsed.inertias)
+    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, assumed)
     arm = {
         "ready_position": (tuple(ready.q_m.tolist()), rule),
         "joint_damping": (damping(parsed.limits, parsed.arm, model), _DAMPING),
@@ -275,6 +285,7 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
+    inertias = with_plausible_base(inertias, arm.base_links)
     return Parsed(tree, arm, geometry, wheels, inertias, limits, changes)
 
 

@@ -1,7 +1,7 @@
 """The numbers of a description with their sources: limits, damping, base and reachability."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from app.border.reach import PEAK, ReachMap, fit_reachability, reach_bodies, sam
 from app.border.score import ReachFit
 from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
+from app.onboarding.read.links import BASE_DENSITY, LinkInertia
 from app.onboarding.read.tree import Arm, Joint
 from app.onboarding.read.wheels import Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
@@ -197,6 +198,31 @@ def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
     return "; ".join(["from the URDF", *parts])
 
 
+def with_plausible_base(
+    inertias: Mapping[str, LinkInertia], base_links: Sequence[str]
+) -> dict[str, LinkInertia]:
+    """The inertias of all links; a large total mass that is assumed for the base is reduced.
+
+    `BASE_DENSITY` is that of small bases, and large bases are hollow: above `_COMPACT`, the total
+    assumed mass grows only with the power 2/3 of the volume, like the surface.
+    """
+    factor = float(np.cbrt(min(1.0, _COMPACT / max(assumed_mass(inertias, base_links), 1e-9))))
+    found = dict(inertias)
+    for link in base_links:
+        if factor < 1.0 and _DENSITY in (each := inertias[link]).assumed:
+            why = f"{factor * BASE_DENSITY:.0f} {_DENSITY} in its hull"
+            m, c, I = each.inertia.mass, each.inertia.lever, each.inertia.inertia
+            found[link] = LinkInertia(pin.Inertia(factor * m, c, factor * I), why)
+    return found
+
+
+def assumed_mass(inertias: Mapping[str, LinkInertia], links: Iterable[str]) -> float:
+    """[kg] total mass of those links whose mass is assumed from their volume."""
+    return sum(inertias[k].inertia.mass for k in links if _DENSITY in inertias[k].assumed)
+
+
+_DENSITY = "kg/m³"  # in the reason of an assumed inertia: the mass is assumed, not stated
+_COMPACT = 225.0  # [kg] mass of a base of 0.5 m³ with `BASE_DENSITY`
 _BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as for the paper's robot
 _ACCELERATION = 3.0, 6.0  # [m/s²], [rad/s²] as for the paper's robot
 _FRICTION = 0.5  # [-] coefficient of friction between wheels and floor
@@ -217,11 +243,12 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 
 
 def base_numbers(
-    model: RobotModel, wheels: Wheels, q_m: Array, half_track: float | None
+    model: RobotModel, wheels: Wheels, q_m: Array, half_track: float | None, assumed: float
 ) -> Sourced:
     """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
 
-    `half_track` [m] is the stated half track; None means the measured one.
+    `half_track` [m] is the stated half track; None means the measured one. `assumed` [kg] is the
+    part of the robot's mass that is assumed from volumes.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
@@ -229,12 +256,15 @@ def base_numbers(
     fastest = wheels.joint_velocity * wheels.r if wheels.joint_velocity else np.inf
     v = min(_BASE_SPEED[0], fastest)
     limit = "from the URDF: the wheels' speed limit" if v == fastest else _AS_PAPERS
+    weighed = "measured: sum of the URDF's masses"
+    if assumed:
+        weighed = f"assumed: {assumed:.3g} kg from volumes; the rest is from the URDF"
     factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready posture"
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
     if wheels.steering:
         factor, inertia = 1.0, f"measured: {about}, about the rear axle"
     found = _geometry(kind, wheels, half_track) | {
-        "mass_kg": (round(mass, 2), "measured: sum of the URDF's masses"),
+        "mass_kg": (round(mass, 2), weighed),
         "inertia_kgm2": (round(factor * yaw, 3), inertia),
         "max_linear_velocity_mps": (round(v, 3), limit),
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),

@@ -211,7 +211,8 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
     arm, inertias = robot.parsed.arm, robot.parsed.inertias
     for why, links in _grouped({link: each.assumed for link, each in inertias.items()}):
         if why:
-            yield f"inertia assumed of {links}: {why}"
+            mass = sum(k.inertia.mass for k in inertias.values() if k.assumed == why)
+            yield f"inertia assumed of {links}: {why}, {mass:.3g} kg in total"
     for joint, links in zip(arm.joints, arm.segments[1:], strict=True):
         if sum(inertias[link].inertia.mass for link in links) <= 0:
             yield f"no link that {joint.name} alone moves has a mass: the inertia is zero"
