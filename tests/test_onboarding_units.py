@@ -130,6 +130,24 @@ def test_body_with_too_few_reached_points_encloses_whole_links(met: int) -> None
     assert np.isfinite(body.fits[0].over_cover)
 
 
+@pytest.mark.parametrize(("apart", "shapes"), [(0.3, 2), (0.02, 1)])
+def test_distant_parts_of_one_link_have_separate_shapes(apart: float, shapes: int) -> None:
+    """One shape around both would fill the space between them, where the link is bare."""
+    cube = np.array(np.meshgrid([0.0, 0.04], [0.0, 0.04], [0.0, 0.04])).reshape(3, -1).T
+    points = np.vstack([cube, cube + np.array([0.0, 0.0, 0.04 + apart])])
+    units = tuple(
+        Unit(k, f"link{k}", (f"link{k}",), k, (), points, np.zeros(len(points), dtype=int))
+        for k in range(3)
+    )
+    empty = np.zeros((0, 3))
+    postures = Postures(empty, empty, np.zeros(0, dtype=bool))
+    reached = {(2, 0): np.ones(len(points), dtype=bool)}
+    meetings = Meetings(units, (), frozenset(), frozenset(), postures, postures, reached)
+    body = ArmFitter(chain([TURN(), TURN()]), meetings).bodies([[1], [2]])[1]
+    assert len(body.fits) == shapes
+    assert sum(fit.volume for fit in body.fits) < 3.0 * 2 * 0.04**3
+
+
 def test_surface_points_of_a_gripper_include_its_fingertip() -> None:
     """Without them the body that encloses the surface points could leave out the fingertip."""
     palm, finger = trimesh.creation.icosphere(3, 0.05), trimesh.creation.box((0.01, 0.01, 0.1))

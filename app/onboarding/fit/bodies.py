@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.cluster.hierarchy import fclusterdata
+from scipy.spatial import cKDTree
 
 from app.errors import RobotFileError
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings
@@ -25,6 +27,7 @@ ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 _MOST = 4  # [-] largest number of shapes of a body
 _SAVES = 0.03  # [-] contacts per free posture that one more shape of l_m has to save
 _LEFT = 0.85  # [-] largest share of the volume of an arm's body that one more shape leaves
+_APART = 0.1  # [m] smallest distance between the parts of a link that can have separate shapes
 _SPOT = 1e-6  # [m³] smallest swept volume of points around which a body is fitted
 
 
@@ -152,9 +155,10 @@ class ArmFitter:
         It is None if `masks` select no points of the units, or their swept volume is below `_SPOT`.
         """
         pieces = [
-            (unit.joint, unit.surface[mask & (unit.owners == k)])
+            (unit.joint, part)
             for unit, mask in zip(units, masks, strict=True)
             for k in np.unique(unit.owners[mask])
+            for part in _distant_parts(unit, mask, k)
         ]
         if not pieces:
             return None
@@ -183,6 +187,19 @@ class ArmFitter:
         if len(several) == 1:
             return (one,), frame
         return tuple(fit_best(corners, ARM_WEIGHTS) for corners in several), frame
+
+
+def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
+    """The selected points of one link in groups (N, 3) [m] that are distant from one another.
+
+    Distant is more than `_APART`, or twice the largest distance of a neighbour on the surface.
+    """
+    surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
+    if len(points) < 2:
+        return [points]
+    spacing = float(cKDTree(surface).query(surface, k=2)[0].max())
+    groups = fclusterdata(points, max(_APART, 2 * spacing), criterion="distance")
+    return [points[groups == k] for k in np.unique(groups)]
 
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles
