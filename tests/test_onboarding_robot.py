@@ -618,6 +618,15 @@ def test_report_shows_bodies_pairs_and_warnings(
         assert re.search(rf"<td>{name}</td>.*<td>{false[name]:.1%}</td>", page)
 
 
+def test_volume_of_a_body_is_compared_with_that_of_all_its_links(made: NewRobot) -> None:
+    """A tiny part has a large ratio of its own, but adds little volume."""
+    hand, tiny = made.bodies[-1], Fit(Sphere(type="sphere", radius_m=0.01), 4e-6, 100.0, 0.0)
+    for fits, reported in (((*hand.fits, tiny), 0), ((tiny,), 1)):
+        bodies = [*made.bodies[:-1], hand._replace(fits=fits)]
+        found = [each for each in warnings_of(replace(made, bodies=bodies)) if "times the" in each]
+        assert len([each for each in found if each.startswith("lEE")]) == reported
+
+
 def test_pair_that_often_overlaps_without_a_collision_is_reported(made: NewRobot) -> None:
     for share, reported in ((0.05, 0), (0.25, 1)):
         overlap = dict.fromkeys(made.verdict.overlap, 0.0) | {"lm-lEE": share}

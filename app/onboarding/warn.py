@@ -149,9 +149,10 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
             "random postures, in which no links collide: the controller avoids these postures too"
         )
     for body in robot.bodies:
-        worst = max(fit.over_cover for fit in body.fits)
-        if worst > _OVER:
-            yield f"{body.name} has {worst:.1f} times the volume of its links"
+        links = sum(fit.volume / fit.over_cover for fit in body.fits)  # 0 for flat parts
+        if (volume := sum(fit.volume for fit in body.fits)) > _OVER * links:
+            ratio = volume / links if links else np.inf
+            yield f"{body.name} has {ratio:.1f} times the volume of its links"
 
 
 def _reaches(robot: NewRobot) -> Iterator[str]:
