@@ -264,7 +264,7 @@ def arm_row(model: RobotModel) -> Row:
     if found.blind:
         text += f"; the bodies of {', '.join(found.blind)} do not enclose their colliding links"
     outcome: Outcome = "passed" if found.postures else "nothing to show"
-    if found.blind or found.undetected or found.missed > MAX_UNDETECTED * found.watched:
+    if found.fails or found.missed > MAX_UNDETECTED * found.watched:
         outcome = "failed"
     elif found.missed or found.left_out > MAX_UNDETECTED * found.looked_at:
         outcome = "warned"

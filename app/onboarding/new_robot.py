@@ -24,7 +24,6 @@ from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.numbers import (
     Limits,
-    assumed_mass,
     base_numbers,
     completed,
     damping,
@@ -141,8 +140,7 @@ def _make_robot(
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
         ready, rule = judge_ready(model, data.pairs, np.array(request.ready, float)), "from --ready"
-    assumed = assumed_mass(parsed.inertias, parsed.inertias)
-    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, assumed)
+    base = base_numbers(model, parsed.wheels, parsed.inertias, ready.q_m, request.half_track)
     arm = {
         "ready_position": (tuple(ready.q_m.tolist()), rule),
         "joint_damping": (damping(parsed.limits, parsed.arm, model), _DAMPING),

@@ -20,6 +20,7 @@ from app.robot.model import STABLE_STEPS, RobotModel
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
+Inertias = dict[str, LinkInertia]  # by the names of the links
 Sourced = Mapping[str, tuple[Any, str]]  # values with sources, by the field of the description
 
 _TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from the other limit
@@ -198,25 +199,22 @@ def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
     return "; ".join(["from the URDF", *parts])
 
 
-def with_plausible_base(
-    inertias: Mapping[str, LinkInertia], base_links: Sequence[str]
-) -> dict[str, LinkInertia]:
+def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
     """The inertias of all links; a large total mass that is assumed for the base is reduced.
 
     `BASE_DENSITY` is that of small bases, and large bases are hollow: above `_COMPACT`, the total
     assumed mass grows only with the power 2/3 of the volume, like the surface.
     """
-    factor = float(np.cbrt(min(1.0, _COMPACT / max(assumed_mass(inertias, base_links), 1e-9))))
-    found = dict(inertias)
-    for link in base_links:
-        if factor < 1.0 and _DENSITY in (each := inertias[link]).assumed:
-            why = f"{factor * BASE_DENSITY:.0f} {_DENSITY} in its hull"
-            m, c, I = each.inertia.mass, each.inertia.lever, each.inertia.inertia
-            found[link] = LinkInertia(pin.Inertia(factor * m, c, factor * I), why)
-    return found
+    if (total := assumed_mass(inertias, base_links)) <= _COMPACT:
+        return inertias
+    factor = float(np.cbrt(_COMPACT / total))
+    why = f"{factor * BASE_DENSITY:.0f} {_DENSITY} in its hull"
+    heavy = ((k, inertias[k].inertia) for k in base_links if _DENSITY in inertias[k].assumed)
+    lighter = {k: pin.Inertia(factor * I.mass, I.lever, factor * I.inertia) for k, I in heavy}
+    return {**inertias, **{k: LinkInertia(inertia, why) for k, inertia in lighter.items()}}
 
 
-def assumed_mass(inertias: Mapping[str, LinkInertia], links: Iterable[str]) -> float:
+def assumed_mass(inertias: Inertias, links: Iterable[str]) -> float:
     """[kg] total mass of those links whose mass is assumed from their volume."""
     return sum(inertias[k].inertia.mass for k in links if _DENSITY in inertias[k].assumed)
 
@@ -243,12 +241,11 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 
 
 def base_numbers(
-    model: RobotModel, wheels: Wheels, q_m: Array, half_track: float | None, assumed: float
+    model: RobotModel, wheels: Wheels, inertias: Inertias, q_m: Array, half_track: float | None
 ) -> Sourced:
     """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
 
-    `half_track` [m] is the stated half track; None means the measured one. `assumed` [kg] is the
-    part of the robot's mass that is assumed from volumes.
+    `half_track` [m] is the stated half track; None means the measured one.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
@@ -257,7 +254,7 @@ def base_numbers(
     v = min(_BASE_SPEED[0], fastest)
     limit = "from the URDF: the wheels' speed limit" if v == fastest else _AS_PAPERS
     weighed = "measured: sum of the URDF's masses"
-    if assumed:
+    if assumed := assumed_mass(inertias, inertias):
         weighed = f"assumed: {assumed:.3g} kg from volumes; the rest is from the URDF"
     factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready posture"
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
