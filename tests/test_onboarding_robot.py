@@ -418,6 +418,14 @@ def test_bodies_are_fitted_again_if_new_postures_show_a_gap(
     assert len({*seeds}) == fits
 
 
+@pytest.mark.parametrize(("found", "count"), [([4], None), ([4, 5], 5), ([5, 4], 5), ([7, 7], 6)])
+def test_third_fit_has_one_body_more_than_the_others(
+    made: NewRobot, found: list[int], count: int | None
+) -> None:
+    """The fits of a youBot had 4, 3 and 4 bodies; only five detect all collisions."""
+    assert new_robot._count(made.request, made.meetings.units, found) == count
+
+
 def test_arm_that_cannot_reach_the_base_gets_no_lines_and_no_warning(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -252,14 +252,14 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    The second fit differs by its random postures. Without --bodies, the third has one more body, if
-    the arm has more moving units with shapes. `found` has the numbers of bodies, with the base, of
-    the earlier fits.
+    The second fit differs by its random postures. Without --bodies, the third has one body more
+    than the others, if the arm has more moving units with shapes. `found` has the numbers of
+    bodies, with the base, of the earlier fits.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies
     movable = sum(bool(unit.parts) for unit in units[2:])
-    return max(found[-1] - 1, min(found[-1], movable))
+    return max(max(found) - 1, min(max(found), movable))
 
 
 def parse(request: Request, whole: Whole | None = None) -> Parsed:
