@@ -10,7 +10,13 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config, EstimateConfig
 from app.control.controller import Controller
-from app.control.estimate import estimate_arm, predicted_joint_acceleration
+from app.control.estimate import (
+    _FRICTION,
+    _torque_change,
+    estimate_arm,
+    predicted_joint_acceleration,
+    process_noise,
+)
 from app.control.qp import cholesky
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
@@ -204,6 +210,24 @@ def test_large_jump_of_the_positions_restarts_the_estimate(ready: PushedArm) -> 
     noisy = there._replace(q_m=there.q_m + 0.003)
     found = estimate.update(noisy, ready.state, ready.state.h[2:], config, DT)
     assert (found.q_m != noisy.q_m).all()
+
+
+@pytest.mark.parametrize("noise", [1e-5, 3e-4, 1e-3])
+def test_noise_of_mean_external_accelerations_is_known(noise: float) -> None:
+    """Changes from one interval to the next but one, with a mass matrix of 1 and without motion."""
+    rng, c, qd_max = np.random.default_rng(0), Config().estimate, np.full(7, 2.0)
+    x, P, last = np.zeros((3, 7)), np.zeros((7, 3, 3)), np.zeros((3, 7))
+    variances, samples, pushed = np.zeros((2, 7)), np.zeros(()), []
+    gains = Gains(DT, c.external_drift, c.least_noise, c.velocity_noise, c.noise_window)
+    for _ in range(4000):
+        read = np.stack((noise * rng.standard_normal(7), np.full(7, np.nan)))
+        drift = process_noise(np.zeros(7), variances[0], qd_max, 1, DT, gains)
+        memory = x, P, variances, last, samples
+        estimate_arm(*memory, np.zeros((1, 7)), read, qd_max, drift, gains)
+        pushed.append(x[2].copy())
+    means = np.array(pushed[1000:]).reshape(-1, 20, 7).mean(axis=1)
+    expected = np.diag(_torque_change(np.eye(7), np.eye(3, 7), P, 0.0, 20 * DT)) - _FRICTION**2
+    np.testing.assert_allclose((means[2:] - means[:-2]).std(axis=0), np.sqrt(expected), rtol=0.4)
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.01, 0.1])

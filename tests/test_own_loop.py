@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 from app.border.cache import BorderData
-from app.config import Config
+from app.config import Config, DisturbanceConfig
 from app.control import CONTROLLERS, estimate
 from app.control.contract import JointOrder
 from app.control.controller import ControlLoop
@@ -30,7 +30,7 @@ from app.simulation.plants.kinematic import Kinematic
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
-from app.simulation.session import Session, VelocityTracking
+from app.simulation.session import Disturbances, Session, VelocityTracking
 
 Array = np.ndarray
 Degradation = Callable[[int, Measurement], Measurement]
@@ -1174,6 +1174,7 @@ FORCES: dict[str, tuple[Callable[[float], tuple[float, float, float]], float]] =
     "a load that accelerates": (lambda t: tuple(2 * (GRAVITY - SINKS) * (t > 0.05)), 2.0),
     "a spring up to 40 N": (lambda t: (0, 0, -min(200 * t, 40)), 0.0),
     "a pull that turns down": (lambda t: (max(20 - 60 * t, 2), 0, -20), 0.0),
+    "a pull that grows within 0.1 s": (lambda t: (0, 0, -20 * min(max(10 * t - 1, 0), 1)), 0.0),
     "a pull that grows, then stays": (lambda t: (0, 0, -min(3 + 60 * t, 20)), 0.0),
     "a pull that was there before": (lambda t: (20 * (t < 0.1), 0, -20), 0.0),
     "a sudden sideways pull": (lambda t: (20 * (t > 0.05), 0, 0), 0.0),
@@ -1329,20 +1330,29 @@ def test_stated_age_of_the_readings_can_change(robot: RobotModel, border_data: B
 
 
 def reports_of_a_load(
-    robot: RobotModel, data: BorderData, begins: int, ends: int, stated_at: int | None = None
+    robot: RobotModel,
+    data: BorderData,
+    begins: int,
+    ends: int,
+    stated_at: int | None = None,
+    noise: float = 0.0,
 ) -> list[float]:
-    """The reported mass [kg] in each of 500 steps; 2 kg act from step `begins` to `ends`."""
+    """The reported mass [kg] in each of 500 steps; 2 kg act from step `begins` to `ends`.
+
+    `noise` [rad] is the standard deviation of the noise of the positions.
+    """
     ready, state = np.array(robot.description.arm.ready_position), RobotState(robot)
     state.update_kinematics(at_rest(robot, ready))
     still = Reference(state.T_world_ee.copy(), np.zeros(6), np.zeros(6))
     loop, plant = ControlLoop(robot, data), Kinematic(robot)
     plant.reset(np.zeros(3), ready)
     carried, reported = PointLoad(robot, 2.0, np.zeros(3), plant.dt), []
+    sensors = Disturbances(DisturbanceConfig(encoder_noise=noise), plant.dt, 0)
     for k in range(500):
         if k == stated_at:
             loop.configure(Config().changed({"payload.mass": 2.0}))
         state.update_kinematics(plant.measure())
-        command = loop.step(plant.measure(), still)
+        command = loop.step(sensors.sensed(plant.measure()), still)
         reported.append(command.load if "load" in command.faults else 0.0)
         force = carried.push(state).force if begins <= k < ends else np.zeros(3)
         plant.step(command.u_a, command.base_velocity, force)
@@ -1358,6 +1368,15 @@ def test_a_load_counts_once_whenever_it_begins(
     assert not np.any(reported[:begins])
     assert reported[begins + 100 : 400] == pytest.approx([2.0] * (300 - begins), rel=0.04)
     assert min(reported) == 0.0 == max(reported[490:]), "its end is no lost payload"
+
+
+@pytest.mark.parametrize("noise", [1e-4, 2e-4])
+def test_noise_does_not_hide_a_load(
+    robot: RobotModel, border_data: BorderData, noise: float
+) -> None:
+    reported = reports_of_a_load(robot, border_data, 250, 500, noise=noise)
+    assert not np.any(reported[:250])
+    assert reported[350:] == pytest.approx([2.0] * 150, rel=0.25)
 
 
 @pytest.mark.parametrize("stated_at", [150, 200, 230, 300])

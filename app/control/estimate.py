@@ -45,11 +45,11 @@ _SOON = 0.005  # [s] largest age of readings at which these samples take little 
 # that is present after them counts as sudden
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
 _SAMPLED = 0.02  # [s] shortest interval of a mean of the external torques
-_SIGNIFICANT = 3.0  # [-] smallest reported load in standard deviations of the estimate
-_FRICTION = 0.3  # [N m or N] standard deviation of changes of a joint's friction
+_SIGNIFICANT = 5.0  # [-] smallest reported load in standard deviations of the estimate
+_NOISE = 1.0 / 18.0  # [-] part of the variance of an estimated velocity that is due to noise
+_FRICTION = 0.2  # [N m or N] standard deviation of changes of a joint's friction
 _EXPLAINED = 0.95  # [-] smallest share of a squared change that a load explains
-_QUIET = 0.25  # [-] largest change in an interval before a load, and largest growth after it,
-# relative to the change by the load
+_GROWTH = 0.15  # [-] largest growth after a sudden load, relative to the change by the load
 _GRAVITY = 9.81  # [m/s²]
 
 
@@ -311,19 +311,24 @@ def _follow(
 
 
 @compiled()
-def _torque_change(M: Array, P: Array, blind_time: float, interval: float) -> Array:
+def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float) -> Array:
     """(n_m, n_m) covariance of the change of mean external torques between two intervals [s].
 
-    The error of an estimated acceleration, with the covariance P of the estimate, lasts as long as
-    the filter's response, `blind_time` [s] or longer; its mean over an interval is smaller. M is
-    the arm's mass matrix. `_FRICTION` is the part that no filter knows.
+    The mean of an estimated acceleration is the difference of two velocities, divided by the
+    interval. P (n_m, 3, 3) is mainly due to possible changes of the acceleration, not to noise:
+    for a filter that knows only positions, the noise of the mean is due to `_NOISE` P, and that of
+    the velocities themselves, which imply the inertia of a known load [kg], is due to P / 2. M is
+    the arm's mass matrix, J (3, n_m) the arm's Jacobian. No filter knows `_FRICTION`.
     """
-    share = 2.0 * min(1.0, max(RESPONSE, blind_time) / interval)
-    C = np.zeros_like(M)
+    inertia, C = np.empty_like(M), np.zeros_like(M)
+    for i in range(len(M)):
+        for j in range(len(M)):
+            inertia[i, j] = loaded * dot(J[:, i], J[:, j])
     for i in range(len(M)):
         for j in range(len(M)):
             for k in range(len(M)):
-                C[i, j] += share * M[i, k] * P[k, 2, 2] * M[j, k]
+                square = _NOISE * M[i, k] * M[j, k] + 0.5 * inertia[i, k] * inertia[j, k]
+                C[i, j] += 4.0 * square * P[k, 1, 1] / interval**2
         C[i, i] += _FRICTION**2
     return C
 
@@ -332,34 +337,39 @@ def _torque_change(M: Array, P: Array, blind_time: float, interval: float) -> Ar
 def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
 
-    A load changes the external torques at once, and only by its weight and its inertia. Before and
-    after this, they change little. A person's force changes its direction, or grows for a longer
-    time. The changes are compared in units of their standard deviation: noisy joints count less.
+    A load changes the external torques at once, and only by its weight and its inertia. A person's
+    force usually changes its direction, or has changed before, or grows for a longer time. The
+    changes are in units of the noise: noisy joints count less. The change by a load is compared
+    with the noise and with the mean square of the earlier changes.
 
     Args:
         torques: (8, n_m) [N m or N] mean external torques in intervals; the newest is first.
         lifts: (8, n_m) mean torques that move a load of 1 kg in these intervals.
-        C: (n_m, n_m) covariance of the change from one row of `torques` to another.
+        C: (n_m, n_m) covariance of the change from one row of `torques` to another by noise.
     """
-    L, n_m = cholesky(C), len(C)
+    first, last, L, usual = 3, len(torques) - 1, cholesky(C), np.eye(len(C))
     lift, change = forward(L, lifts[1]), forward(L, torques[3] - torques[1])
     along, size = dot(change, lift), dot(lift, lift)
-    total = dot(change, change) - n_m  # the expected square of the noise is n_m
+    total = dot(change, change) - 2.0 * len(C)  # the square of noise is rarely above twice its mean
+    if abs(along) <= _LEAST_LOAD * size or along**2 < _EXPLAINED * total * size:
+        return 0.0
+    for k in range(first, last):
+        before = forward(L, torques[k] - torques[k + 1])
+        for i in range(len(C)):
+            for j in range(len(C)):
+                usual[i, j] += before[i] * before[j] / (last - first)
+    U = cholesky(usual)
+    weight = backward(U, forward(U, lift))
+    along, size = dot(change, weight), dot(lift, weight)
     if abs(along) <= max(_LEAST_LOAD * size, _SIGNIFICANT * math.sqrt(size)):
         return 0.0
-    if along**2 < _EXPLAINED * total * size:
-        return 0.0
-    for k in range(3, len(torques) - 1):
-        before = forward(L, torques[k] - torques[k + 1])
-        if dot(before, before) - n_m > _QUIET**2 * total:
-            return 0.0
     mass = along / size
     after = forward(L, torques[1] - torques[0] + mass * (lifts[1] - lifts[0]))
-    growth = dot(after, lift) / along
-    if growth > _QUIET or dot(after, after) - n_m > total:
+    growth = dot(after, weight) / along
+    if growth > _GROWTH:
         return 0.0
-    begun = dot(forward(L, torques[3] - torques[2]), lift) / along  # share before interval 1
-    return mass if begun > 0.5 * _QUIET else mass * (1.0 + max(growth, 0.0))
+    begun = dot(forward(L, torques[3] - torques[2]), weight) / along  # share before interval 1
+    return mass if begun > 0.5 * _GROWTH else mass * (1.0 + max(growth, 0.0))
 
 
 @compiled()
@@ -396,18 +406,16 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
             lift[i] += w.J_ee[k, n_b + i] * a
     put(w.v_tip, w.v_ee[:3])
     if restarted:
-        w.torques_age[()] = 0.0
-        for k in range(len(w.torques)):
-            put(w.torques[k], torque)
-            put(w.lifts[k], lift)
+        w.torques_age[()], w.torques[1, 0] = 0.0, math.nan  # no earlier interval
     w.torques_age[()] += dt
     share = dt / w.torques_age[()]
     for i in range(len(torque)):
         w.torques[0, i] += share * (torque[i] - w.torques[0, i])
         w.lifts[0, i] += share * (lift[i] - w.lifts[0, i])
-    interval = max(_SAMPLED, 2.0 * w.blind_time[()])
+    interval = max(_SAMPLED, w.blind_time[()])
     if w.torques_age[()] > interval - 0.5 * dt:
-        _judge_load(gains, w, _torque_change(M, w.P_est, w.blind_time[()], interval))
+        J = w.J_ee[:3, n_b:]
+        _judge_load(gains, w, _torque_change(M, J, w.P_est, w.loaded[()], interval))
         w.torques_age[()] = 0.0
         for k in range(len(w.torques) - 1, 0, -1):
             put(w.torques[k], w.torques[k - 1])
@@ -422,6 +430,10 @@ def _judge_load(gains: Any, w: Any, C: Array) -> None:
     no load counts twice. C as in `_sudden_mass`.
     """
     torques, lifts = w.torques, w.lifts
+    if math.isnan(torques[1, 0]):  # the first interval after a gap
+        for k in range(1, len(torques)):
+            put(torques[k], torques[0])
+            put(lifts[k], lifts[0])
     w.load[()] = _mass(torques[0], lifts[0])
     sudden = _sudden_mass(torques + w.loaded[()] * lifts, lifts, C)
     newest, older = w.load[()], _mass(torques[3], lifts[3])
