@@ -10,7 +10,7 @@ import argparse
 import ast
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import FrameType, FunctionType
@@ -155,8 +155,19 @@ def step_files() -> list[str]:
             kernel = compiled.get((code.co_filename, code.co_name))
             entered.update(dict.fromkeys(_files_of(kernel) if kernel else [code.co_filename]))
 
-    # A profiler sees calls of compiled functions only if numba checks their arguments.
-    seen = {"_estimate": controller.update_estimate, "_law": controller.run_algorithm_2}
+    def noting(kernel: Any, code: Callable[..., Any]) -> Callable[..., Any]:
+        """Call machine code, which a profiler does not see, and note the files of its kernel."""
+
+        def call(*values: Any) -> Any:
+            entered.update(dict.fromkeys(_files_of(kernel.py_func)))
+            return code(*values)
+
+        return call
+
+    seen = {
+        "_estimate": noting(controller.update_estimate, controller._estimate),
+        "_law": noting(controller.run_algorithm_2, controller._law),
+    }
     with patch.multiple(controller, **seen):
         sys.setprofile(note)
         try:
