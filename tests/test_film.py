@@ -182,7 +182,7 @@ def test_story_names_method_cause_distance_and_base_motion(run: list[Snapshot]) 
     without = replace(run[0], controller="none", mode="tracking", ee_error=0.086, pairs=inside)
     texts = [line if isinstance(line, str) else line[0] for line in story(without, run[0])]
     assert texts[0] == "Without avoidance"
-    assert texts[1] == "task: the end-effector follows a line, error 86 mm"
+    assert texts[1] == "task: the end-effector follows its path, error 86 mm"
     assert texts[2] == "arm overlaps its base by 10 mm"
 
 

@@ -96,4 +96,4 @@ def test_a_replay_of_ten_seconds_is_smaller_than_ten_megabytes(tmp_path, replay,
     assert "<title>husky_panda: guiding-front, " in text
     assert "darkMode:false" in text
     assert "the arm reaches the point well" in text
-    assert "the base gives way well" in replay.read_text(encoding="utf-8")
+    assert "yellow: high score" in replay.read_text(encoding="utf-8")

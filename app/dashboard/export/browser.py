@@ -17,7 +17,7 @@ from app.system import temporary_folder
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Playwright, ViewportSize
 
-VARIABLE = "DBB_BROWSER"  # environment variable that names the browser to use
+VARIABLE = "DBB_BROWSER"  # environment variable with the path of the browser to use
 
 _NAMES = (
     "chromium",
@@ -60,10 +60,10 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 def browser_path(bundled: str) -> str | None:
     """Return the path of a browser, or None for playwright's own browser at `bundled`.
 
-    `DBB_BROWSER` names the browser; otherwise an installed one precedes playwright's own.
+    The path in `DBB_BROWSER` comes first, then an installed browser, then playwright's own.
 
     Raises:
-        BrowserError: There is no browser, or the environment variable names a missing file.
+        BrowserError: There is no browser, or the file of the environment variable is missing.
     """
     if chosen := os.environ.get(VARIABLE):
         if not Path(chosen).exists():

@@ -50,7 +50,7 @@ ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: vis
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
 RATE = 25.0  # [Hz] frame rate of a replay
 _MEANINGS: dict[Layer, str] = {
-    "score": "yellow: the base gives way well, purple: it cannot",
+    "score": "yellow: high score, purple: low score; avoidance turns yellow parts to the arm",
     "determinant": "yellow: the base moves the point well, purple: it cannot",
     "reachability": "yellow: the arm reaches the point well, purple: less well",
     "none": "",
@@ -118,7 +118,7 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send all constant objects to a server that has only this scene; `labels` are its texts.
+        """Send all constant objects to a server that has only this scene, with or without labels.
 
         Raises:
             AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -142,7 +142,7 @@ class OffscreenScene:
         return eye, target
 
     def outline(self, base_pose: np.ndarray) -> None:
-        """Draw the base's outline at a pose (3,) [m, m, rad] on the floor."""
+        """Draw a rectangle around the base at a pose (3,) [m, m, rad] on the floor."""
         around = np.vstack([body.corners() for body in self._data.parts.bodies if not body.joint])
         (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
         corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
@@ -251,7 +251,7 @@ def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServ
 
 
 def send_barrier(server: viser.ViserServer, number: int) -> None:
-    """Send a number as the x coordinate of `BARRIER`, which reaches the page after all else."""
+    """Send a number as the x coordinate of `BARRIER`; it follows all earlier messages."""
     server.scene.add_frame(BARRIER, show_axes=False, position=(float(number), 0.0, 0.0))
     server.flush()
 
@@ -287,9 +287,9 @@ def film_pictures(
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
     Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
-    turns about the robot by the angle `orbit` [rad]. For a part of a side-by-side film, `framed`
-    has the snapshots of all robots: the camera shows all of them, and the picture has the base's
-    initial outline and the lines of `story`.
+    turns about the vertical axis through its target by `orbit` [rad]. For a part of a side-by-side
+    film, `framed` has the snapshots of all robots: the camera shows all of them, and each picture
+    has the initial outline of the base and the lines of `story`.
 
     Raises:
         AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -331,7 +331,7 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     task = "a person pulls the end-effector"
     if shown.mode == "tracking":
-        task = f"task: the end-effector follows a line, error {millimetres(shown.ee_error)}"
+        task = f"task: the end-effector follows its path, error {millimetres(shown.ee_error)}"
     return [
         method.capitalize(),
         (task, colours.PERSON),
@@ -343,7 +343,10 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
 def captioned(
     picture: Image.Image, shown: Snapshot, look: Look, *, named: bool = False, posed: bool = False
 ) -> Image.Image:
-    """Draw a title, with the time if not `posed`, and distances unless ghosts are `named`."""
+    """Draw scenario and time, or a note if `posed`, then the clearance of each robot.
+
+    Clearances are omitted if there are ghosts and the picture has their labels (`named`).
+    """
     scenario = f"{shown.scenario}, " if shown.scenario else ""
     lines: list[str | tuple[str, Rgb]] = [f"{scenario}t = {shown.t:.2f} s"]
     if posed:

@@ -23,10 +23,10 @@ numbers such as (7) are that paper's equations.
 pulls it to the mouse. The arm follows, and the base gives way before the arm touches it.
 
 **How it works.** The *distance buffer border* (DBB) surrounds the base: all points at the buffer
-distance d_b that the arm can reach. Each point has a *score* S: how well a force there moves the
-base, by the determinant of (7), and how easily the arm reaches it, by R of (9). A differential
-base cannot move sideways, so the determinant is zero on its wheel axis. When the arm is closer
-than d_b:
+distance d_b that the arm can reach. Each point has a *score* S, the product of two values: how
+well the base moves the point, by the determinant of (7), and how easily the arm reaches it, by R
+of (9). A differential base cannot move sideways, so S is zero on its wheel axis; behind this axis
+S is negative. When the arm is closer than d_b:
 
 1. p_n is the point of the border nearest to the arm. p_t is p_n moved along the border's tangent
    towards a higher score. The acting point p_act is the point of the border nearest to p_t.
@@ -101,8 +101,8 @@ CARDS = {
     ),
     "tour 2": Card(
         "2 of 5: Watch the base",
-        "The coloured border surrounds the base. Once the arm is inside, the base moves away. "
-        "Yellow: the base can give way well here; purple: it cannot.",
+        "The coloured border surrounds the base. Once the arm is inside, the base moves away, and "
+        "turns parts with a higher score towards it (yellow: high, purple: low).",
         _STEP,
     ),
     "tour 3": Card(

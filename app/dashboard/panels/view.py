@@ -19,7 +19,7 @@ class ViewPanel(Panel):
         """Widgets by the field of the view."""
         with gui.add_folder(BORDER):
             for pair, quantity in self._view.borders.items():
-                hint = f"Reachable points at the buffer distance from the base: P_i of {pair}, (3)"
+                hint = f"Reachable points at the buffer distance from the base: DBB of {pair}, (3)"
                 spoken = viewer.shared.spoken[pair]
                 choice = gui.add_dropdown(spoken, CHOICES, initial_value=quantity, hint=hint)
                 self.on_update(choice, partial(self._colour, pair))
