@@ -1321,7 +1321,7 @@ def test_pull_row_shows_the_force_and_the_force_that_the_arm_resists(loop, link,
     held = replace(loop.latest(), pulls=(pull,), hand_force=at_ee * pull.force)
     assert "30.0 N</td>" in status_html(held)
     held = replace(held, force_bound=61.7)
-    assert "30.0 N (limits hold up to 62 N)</td>" in status_html(held)
+    assert "30.0 N (the arm can resist 62 N)</td>" in status_html(held)
 
 
 def test_buffer_row_names_the_required_d_b_and_is_coloured_only_if_near(loop):

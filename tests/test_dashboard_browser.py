@@ -84,7 +84,7 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     for title in (
         "distance [m]",
         "activation of the avoidance β_m",
-        "avoidance acceleration of the base, β ẍ",
+        "avoidance acceleration of the base, β_m ẍ_m",
     ):
         wait_for(lambda title=title: tab.plot(title).shape[1] > 5, what=title)
     for pair, line in zip(served.loop.latest().pairs, tab.plot("distance [m]")[1:], strict=False):

@@ -36,7 +36,7 @@ LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half 
 LARGEST_PICTURE = 32 * 2**20  # [bytes] of a screenshot, which a page sends on request
 _MOST_PIXELS = 2**24  # [-] pixels of a screenshot
 _MOST_WAITING = 2  # [-] unread messages of a connection
-_SLOWEST = 10.0  # [s] time from the first part of a message to the last
+_SLOWEST = 10.0  # [s] longest time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
 _QUERY = re.compile(r"(fixedDpr=([1-4]|[0-3]\.\d{1,3}))?")
 """The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
@@ -202,7 +202,7 @@ class Gate:
         async def handle(connection: _Connection) -> None:
             if connection.subprotocol != _VERSION:  # viser would print each wrong version
                 return await connection.close(1002, "this page is of another version; reload it")
-            connection.transport.max_size = 2**13  # [bytes] read at once, before other connections
+            connection.transport.max_size = 2**13  # [bytes] read at once, then other connections
             uploads = Uploads(self._largest_upload, self._uploads)
             connection.gate, connection.uploads = self, uploads
             self._uploads.add(uploads)
@@ -350,7 +350,7 @@ class Uploads:
                 uploads are unfinished.
         """
         if size > self._largest:
-            raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
+            raise RefusedError(f"{size / 1e6:.0f} MB; the limit is {self._largest / 1e6:.0f} MB")
         if not min(size, 1) <= parts <= size:
             raise RefusedError("this is not an upload")
         if sum(len(each.unfinished) for each in {self, *self._everyone}) >= _MOST_UPLOADS:

@@ -14,10 +14,10 @@ from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.strict import field_docs
 
-_MOVES = "β_m ẍ_m: base acceleration commanded by avoidance along this axis, (16) to (18)"
+_MOVES = "β_m ẍ_m: base acceleration by the avoidance force along this axis, (16) to (18)"
 _ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
 _ERROR = "distance [mm] of the end-effector from its target"
-_STEP = "time [µs] of Algorithm 2 in a control step; the period is 1000 µs"
+_STEP = "real time [µs] of the controller in a control step; the period is 1000 µs"
 _THRESHOLD = "#98a0ab"
 _EFFORTS = {
     "rad": "torque u_a divided by its limit of {:g} N m",
@@ -58,7 +58,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
         _distances("distance [m]", model, names, 160),
         _distances("distance to the door [m]", model, [door], 100, len(names)),
         PlotPlan("activation of the avoidance β_m", (beta,), (-0.02, 1.05), fill=True),
-        PlotPlan("avoidance acceleration of the base, β ẍ", avoidance, _soft(-1.0, 1.0), 125),
+        PlotPlan("avoidance acceleration of the base, β_m ẍ_m", avoidance, _soft(-1.0, 1.0), 125),
         PlotPlan("joint torque / limit", torques, (-1.05, 1.05), 140),
         PlotPlan("end-effector error [mm]", (error,), _soft(0.0, 5.0)),
         PlotPlan("control step time [µs]", (step,), _soft(0.0, 1000.0)),
@@ -68,7 +68,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
     """Return a curve for each numeric column of a log except the time, by the column's name.
 
-    It has no colour; its explanation is the first sentence of the docstring in `Snapshot`.
+    A curve has no colour yet; its explanation is the first sentence of the docstring in `Snapshot`.
     """
     docs = {name: text.split(". ")[0] for name, text in field_docs(Snapshot)}
     pairs = {pair.name: pair.mobile for pair in snapshot.pairs}

@@ -64,7 +64,7 @@ class RobotPanel(Panel):
         self._list = gui.add_dropdown("Robot", ("",), hint=hint)
         self.about = gui.add_html("")
         """Description of the chosen robot, and the reason why the last switch failed."""
-        hint = "The robot is prepared in the background; until then, the present one is shown."
+        hint = "The robot is prepared in the background; meanwhile, the present one is shown."
         self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=hint)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()

@@ -207,7 +207,7 @@ def _distance(d: float) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """A line per robot, such as "With avoidance (dbb): no contact, smallest distance 72 mm"."""
+    """Return lines such as "With avoidance (dbb): no contact, smallest distance 72 mm"."""
     lines = (
         f"<b>{METHOD_WORDS[each.controller].capitalize()}</b> ({each.controller}): {each.text}"
         for each in scores
@@ -255,7 +255,7 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
     state = "paused" if snapshot.paused else "running"
     pull, bound = f"{pulled(snapshot):.1f} N", snapshot.force_bound
-    pull += "" if math.isnan(bound) else f" (limits hold up to {bound:.0f} N)"
+    pull += "" if math.isnan(bound) else f" (the arm can resist {bound:.0f} N)"
     *linear, w = snapshot.base_velocity
     speed = ", ".join(map(words.signed, linear))
     contact: State = "contact" if verdict.touching else "clear"

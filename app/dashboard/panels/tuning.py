@@ -35,8 +35,8 @@ class TuningPanel(Panel):
         self.buttons(
             "Changes",
             {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": self._reset},
-            hint="A step is the change of a parameter, or of several by a file or a reset. The "
-            "steps of all viewers count.",
+            hint="A step is the change of a parameter, or of several by a file or a reset. All "
+            "viewers share the steps.",
         )
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
         self.on_update(self._all, lambda _: self._show_advanced())
@@ -184,5 +184,5 @@ def unbroken(title: str) -> str:
 
 
 def slider_step(low: float, high: float) -> float:
-    """Return the step, a power of ten, with which a slider has 100 to 1000 steps."""
+    """Return a slider's step: the power of ten that divides the range into 100 to 1000 steps."""
     return 10.0 ** math.floor(math.log10((high - low) / 100.0))

@@ -125,7 +125,7 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
 
 
 def distance_bar(d: float, d_b: float, state: State) -> str:
-    """Return a bar as long as the distance [m], full for an overlap, with a mark at d_b [m]."""
+    """Return a bar for d [m], full at `BAR_RANGE` and for an overlap, with a mark at d_b [m]."""
     share = 1.0 if d < 0.0 else min(d / BAR_RANGE, 1.0)
     return bar(share, css(COLOURS[state]), min(d_b / BAR_RANGE, 1.0))
 
@@ -267,7 +267,7 @@ def _off_target(snapshot: Snapshot) -> str:
 
 
 def _also(why: Explanation) -> str:
-    """Return a sentence about the most active pair of arm links; empty if the arm yields freely."""
+    """Return a sentence about the most active pair of arm links, if they are pushed apart."""
     pair = next(filter(pushes_links_apart, why.near), None)
     if pair is None:
         return ""
@@ -318,7 +318,7 @@ def _force_rows(why: Explanation) -> list[str]:
         rows.append(_row(label, f"{hint}; accelerations: (16), (17), (18) times β_m", *texts))
     for label, hint, acceleration in (
         ("commanded", "input of the admittance law", why.commanded_acceleration),
-        ("used for the arm", "base, in the arm's QP", why.assumed_acceleration),
+        ("used for the arm", "base acceleration in the arm's QP", why.assumed_acceleration),
     ):
         rows.append(_row(label, hint, "", *map(words.signed, acceleration)))
     return rows
@@ -373,5 +373,5 @@ def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
 
 
 def _total(why: Explanation, part: str, n: int) -> list[float]:
-    """Return the sum of vectors (n,), a part of all forces; zeros without forces."""
+    """Return the sum (n,) of the field `part` of all forces; zeros without forces."""
     return [sum(getattr(force, part)[i] for force in why.forces) for i in range(n)]
