@@ -31,7 +31,7 @@ class Grip:
     def __init__(
         self, sink: LoopHandle, notifier: Notifier, client: viser.ClientHandle, timeline: Timeline
     ) -> None:
-        """Start without a pull of this client, whose number commands to `sink` have."""
+        """Start without a pull; commands to `sink` have the number of `client`."""
         self._sink, self._notifier, self._client, self._timeline = sink, notifier, client, timeline
         self._held: tuple[str | None, Point | None] | None = None
         """Link and point as in `take`; None without a pull."""
@@ -55,8 +55,8 @@ class Grip:
     def take(self, link: str | None = None, point: Point | None = None) -> None:
         """Start to hold a point of the robot, by default the end-effector; release the last one.
 
-        `link` is the joint that moves the held link; `point` (3,) [m] is in this joint's frame. A
-        viewer who sees the past sees the present afterwards, and holds nothing.
+        `link` is the joint that moves the held link; `point` (3,) [m] is in this joint's frame. If
+        the page shows the past, it returns to the present, and nothing is held.
         """
         with self._lock:
             self.release()
@@ -70,7 +70,8 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
 
-        During a pull by keys, the remaining events of an earlier drag have no effect.
+        Without a held point, there is no effect. The same holds for the remaining events of a drag
+        during a pull by keys. If `reach` is set, it gets the unchanged target instead.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -88,7 +89,10 @@ class Grip:
             self._pulls = True
 
     def nudge(self, ahead: Sequence[float], snapshot: Snapshot) -> None:
-        """Pull by keys: move the target by `NUDGE` times `ahead` (3,), −1 to 1, in base's axes."""
+        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead`; not in a drag.
+
+        `ahead` (3,) is clipped to −1 to 1, along the axes forward, left and up of the base.
+        """
         with self._lock:
             if self.holds_anything and not self._by_keys:
                 return  # a drag determines the target
@@ -109,7 +113,7 @@ class Grip:
                 self.release()
 
     def release(self) -> None:
-        """Release the held point; a refused pull needs no command."""
+        """Release the held point; the simulation gets a command only if it has a pull."""
         with self._lock:
             self._held = None
             if self._pulls:
@@ -162,7 +166,7 @@ class DragHandles:
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
         """Handle an event of the gizmo, whose phase is "start", "update" or "end"."""
-        # A restart can release the pull earlier, but the browser ignores positions until the end.
+        # A restart can release the pull earlier, but until "end" the browser ignores new positions.
         if event.phase == "end":
             self._dragged = False
             self.grip.release()

@@ -44,7 +44,7 @@ class Explorer:
         self._response = snapshot
 
     def respond(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
-        """Return a snapshot of the robot in `posture`, with joint positions within their limits.
+        """Return a snapshot of the robot in `posture`, with joint positions clipped to limits.
 
         Parameters, controller, times, scenario and scores are those of `snapshot`.
         """

@@ -77,8 +77,8 @@ class Job:
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
         """Run `work` in a new thread, with a title and the text of its first step.
 
-        `problem` is then the message of a `Cancelled`, a `DbbError` or an `OSError`; after another
-        exception, it refers to the log.
+        After a `Cancelled`, a `DbbError` or an `OSError`, `problem` has its message; after another
+        exception, `problem` refers to the log.
 
         Raises:
             ConfigError: Another job is running.
@@ -96,11 +96,11 @@ class Job:
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Return `work(report, *args)` of a separate process; raises `Cancelled` if the job was."""
+        """Return `work(report, *args)` of a separate process, or raise `Cancelled`."""
         return run_in_process(work, *args, report=self.report, cancelled=self._cancelled)
 
     def report(self, text: str, share: float = -1.0) -> None:
-        """Set text and share of `progress`; for a running job."""
+        """Set text and share of `progress`; no effect without a running job."""
         if self.progress is not None:
             self.progress = self.progress._replace(text=text, share=share)
 
@@ -141,7 +141,7 @@ class Job:
 
 
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
-    """Return a robot's model and border; `sampling` has arguments of `load_border_data`."""
+    """Return a robot's model and border data; `sampling` has arguments of `load_border_data`."""
     from app.border.cache import load_border_data
     from app.robot.description import load_robot
     from app.robot.model import RobotModel

@@ -30,7 +30,7 @@ DEFECT = "A defect of the program; the log in the terminal has the details."
 
 
 def plain(error: BaseException) -> str:
-    """Return the text of an error for viewers: its message, or `DEFECT`."""
+    """Return the text of an error for viewers: the message of a `DbbError`, or `DEFECT`."""
     return str(error) if isinstance(error, DbbError) else DEFECT
 
 

@@ -138,7 +138,7 @@ class Page:
         _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
-        """Return a page of another robot for the same viewer; a closed page remains."""
+        """Return a page of another robot for the same viewer, or this page if it is closed."""
         if self.closed:
             return self
         self.close()
@@ -148,7 +148,7 @@ class Page:
             return Page(self._client, shared, self._notifier, self)
 
     def close(self) -> None:
-        """Release all pulls of the viewer, end a demonstration, and stop drawing."""
+        """Release the pull of the viewer, end a demonstration, and stop drawing."""
         self.closed = True
         self.grip.release()
         self.guide.leave_demonstration()
@@ -227,7 +227,7 @@ class Demonstration:
     """Starts a repeated demonstration for a single viewer who has not touched the page.
 
     With the controller dbb, it starts after `UNTOUCHED` seconds without a scenario, a pause or a
-    comparison. The first input, or a second viewer, closes its card, which ends it.
+    comparison. The first input, a second viewer, or another controller closes its card and ends it.
     """
 
     _due: float | None = None

@@ -35,7 +35,7 @@ _BOUNDS: dict[BoundKind, str] = {
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital first letter; a symbol or name at its start does not change."""
+    """Return a text with a capital first letter if its first word has only letters, unlike d_b."""
     return f"{text[:1].upper()}{text[1:]}" if text.split(" ")[0].isalpha() else text
 
 
@@ -73,8 +73,8 @@ def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
     Args:
         v: [m/s, m/s, rad/s] velocity of the base; if `intended`, its commanded acceleration, which
             is described as the next motion, such as "back away and turn left".
-        ahead: Whether the avoided body is not behind the base.
-        intended: Whether the base is at rest.
+        ahead: Whether the avoided body is in front of the base or beside it.
+        intended: Whether the base is at rest and `v` is an acceleration.
     """
     forward, left, turn = v
     (slow, slow_turn), s = (SLIGHT, "") if intended else (AT_REST, "s")

@@ -67,7 +67,7 @@ class Course:
         self.begin()
 
     def begin(self) -> None:
-        """Reset all results, except the case of the last scenario."""
+        """Reset all results except `case` and `last`."""
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
         self.least = np.inf

@@ -68,7 +68,7 @@ class DashboardServer:
         """Serve until another thread calls `stop`, or until Ctrl-C; the caller then calls `stop`.
 
         Raises:
-            LoopError: The simulation or the drawing has ended with an error.
+            LoopError: Meanwhile, the simulation or the drawing has ended with an error.
         """
         with contextlib.suppress(KeyboardInterrupt):
             give_back()
@@ -261,7 +261,7 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return the end [s] of a thread's rest after work that began at `thread_time` `begin` [s]."""
+    """Return the end [s, `monotonic`] of the rest after work from `begin` [s, `thread_time`] on."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 

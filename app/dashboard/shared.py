@@ -108,8 +108,8 @@ class Tuning:
     def move_to(self, sink: LoopHandle, config: Config, usual: Config) -> None:
         """Continue with the simulation `sink` of another robot, which runs with `config`.
 
-        Each configuration of the history keeps its changes from the defaults, now `usual`. If
-        `config` differs from the present one, it becomes a further step.
+        In the history, all changed parameters keep their values, and the others get the defaults
+        `usual`. If `config` differs from the present configuration, it becomes a further step.
         """
         with self._lock:
             self._steps = [usual.changed(each.changes(self.usual)) for each in self._steps]

@@ -119,7 +119,7 @@ class Timeline:
     def mark_end(self) -> None:
         """Mark the shown instant as the end of the interval.
 
-        Without an earlier start, the interval has the last `MOST_MARKED` seconds.
+        Without an earlier start in this run, the interval begins `MOST_MARKED` seconds before.
 
         Raises:
             LogError: The shown instant is the marked start.
@@ -159,7 +159,7 @@ class Timeline:
         return [found[i].snapshot for i in np.flatnonzero(np.diff(bins, prepend=-1.0))]
 
     def _stored(self, begin: float = 0.0) -> list[Stored]:
-        """Return the stored snapshots from a time [s] on; before the last 60 s, few are stored."""
+        """Return the stored snapshots from a time [s] on; if older than 60 s, one per 0.2 s."""
         kept = self._loop.stored()
         old = [stored for stored in tuple(self._strip.past) if stored.t < kept[0].t]
         return [stored for stored in (*old, *kept) if stored.t >= begin]

@@ -20,7 +20,7 @@ COLOURS: dict[State, Rgb] = {
     "contact": CONTACT,
 }
 """Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
-is at rest or cannot help, the controller does not react, or two links of the arm hardly do."""
+is at rest or cannot help, the controller does not react, or two links hardly repel each other."""
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
 _PUSHED = 0.1  # [-] smallest β of two links of the arm at which the arm counts as resisting
 _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
@@ -76,7 +76,7 @@ def pushes_links_apart(pair: NearPair | PairReading) -> bool:
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Return a pair's state; `near` is its part of the explanation, `moves` that the base moves."""
+    """Return a pair's state; `near` explains the pair, `moves`: whether the base gives way."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.limited:

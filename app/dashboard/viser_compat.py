@@ -179,7 +179,7 @@ def has_no_gpu(client: viser.ClientHandle) -> bool:
 
 
 def finite(value: Any) -> float:
-    """Return a finite number from a page; raises `ValueError` for another value."""
+    """Return a finite number from a page; raises `ValueError` or `TypeError` otherwise."""
     if not math.isfinite(number := float(value)):
         raise ValueError("not a finite number")
     return number
@@ -188,8 +188,8 @@ def finite(value: Any) -> float:
 class Channel:
     """Calls of functions, by their names, between the page's own scripts and this program.
 
-    The scripts do what viser cannot: widgets that span the page, complete numbers instead of single
-    digits, and reports of visible widgets.
+    The scripts add functions that viser does not have: widgets that span the page, complete
+    numbers instead of single digits, and reports of visible widgets.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:

@@ -187,7 +187,8 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape with the `half_extents` `half` (3,) [m].
 
-    A sphere's radius follows the axis that changes most, other radii the cross axis.
+    A sphere's radius follows the axis that changes most; other radii follow the cross axis that
+    changes most.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]

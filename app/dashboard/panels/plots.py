@@ -132,7 +132,7 @@ class Plots(Panel):
 def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHandle:
     """Create an empty plot, with constant ranges, because a change would rebuild it in the browser.
 
-    The shown instant is a curve with its own scale, within which only its value at this instant is.
+    The shown instant is a curve with its own scale, 0 to 1; all its other values are outside.
     """
     lines, hidden = [], uplot.Series_Points(show=False)
     for curve in (*plan.curves, _INSTANT):

@@ -123,8 +123,8 @@ class SavePanel(Panel):
     def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> NamedFile:
         """Return the file that `write(report, trace, path, *more)` creates in its own process.
 
-        A process returns the memory of the libraries. The report of a scenario ends with the
-        scenario, because later rows would change its final values.
+        At its end, the process frees the memory of the libraries. If the interval begins in a
+        scenario, a report ends with it, because later rows would change its final values.
         """
         snapshots = self._viewer.timeline.interval()
         if write is write_report:

@@ -92,7 +92,7 @@ class Camera:
     """Moves the camera of one client.
 
     The browser reports each new position after a delay, together with the viewer's own changes. So
-    a new step waits for its confirmation: a step from an older position would be lost.
+    a new step waits until the last position is confirmed: otherwise one of the changes is lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -123,7 +123,7 @@ class Camera:
         return Window.of(*image_size(self._client), above / whole, below / whole)
 
     def cover(self, height: float, above: float, below: float) -> None:
-        """Store the page's report: height of the scene, and heights covered at its edges [px]."""
+        """Store the page's report: heights [px] of scene, covered upper and lower part."""
         self._page = height, above, below
 
     @property
@@ -194,13 +194,13 @@ class Camera:
         self._client.camera.position = self._set
 
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
-        """Use the preset again if the robot is out of sight; call it with each shown snapshot.
+        """Use the preset again if the robot is out of sight; call it regularly.
 
         This happens in three cases. (a) A run has started. (b) The camera follows (`on`), and the
         base has moved by more than `_MOVED` out of sight. (c) The camera follows and still has a
         preset of the whole robot or of the pair, and the end-effector of the robot or of a ghost is
-        out of sight. A scenario with a door starts with the door's view, and the next one without a
-        door with "iso". While the viewer is `busy` with a drag, only the view of a door can change.
+        out of sight. A run with a door starts with the door's view, and the next run without a
+        door with "iso". While the viewer is `busy` with a pull, only these two changes happen.
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
@@ -249,7 +249,7 @@ def _near(a: Array, b: Array) -> bool:
 
 
 def first_view(snapshot: Snapshot) -> Literal["iso", "door"]:
-    """Return the key of the first view in `PRESETS`: "door" in a scenario with a door."""
+    """Return the key of the preset at the start of a run: "door" with a door, else "iso"."""
     return "iso" if snapshot.door is None else "door"
 
 

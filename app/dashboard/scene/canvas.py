@@ -107,7 +107,7 @@ class Canvas:
     """Shows the objects that were drawn in the last picture, and hides all others.
 
     A scene node is sent when it is drawn for the first time; later, viser sends only changes. An
-    object such as `parent/object` is in the frame of its parent node; only labels are in the world.
+    object such as `parent/object` is in the frame of its parent node, but labels are in the world.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:

@@ -92,7 +92,7 @@ def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
-    """Draw p_n, p_t, p_act and noticeable forces on the base, whose `top` is a height [m]."""
+    """Draw p_n, p_t, p_act and f of each noticeable force on the base with the height `top` [m]."""
     for reading in snapshot.acting:
         size = np.linalg.norm(reading.f)
         if size < _LEAST_FORCE:

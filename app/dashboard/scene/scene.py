@@ -182,8 +182,8 @@ class Scene:
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
         """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
 
-        Returns the verdict, in whose colours the lines are drawn. The lens determines the positions
-        of labels and the point under the pointer. `border.update` draws borders: it takes
+        Returns the verdict, which determines the colours of the lines. The lens determines the
+        positions of labels and the point under the pointer. `border.update` draws borders: it takes
         milliseconds, and `atomic` would delay all messages.
         """
         view = self._view
