@@ -35,7 +35,7 @@ _STEMS = {
     "effort_max_u_": "Largest torque or force, ",
     "min_distance_": "Smallest distance, ",
 }
-"""Words for the start of a key that is no figure of a run."""
+"""Words for the start of a key that is neither in `FIGURES` nor in `DOOR`."""
 
 
 class Cell(NamedTuple):
@@ -78,7 +78,7 @@ def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
 
 
 def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
-    """Up to two tables: the single numbers of `measured`, and a column for each mapping in it."""
+    """Up to two tables of `measured`: its single numbers; its mappings, one in each column."""
     single = {k: v for k, v in measured.items() if not isinstance(v, Mapping)}
     cases = {k: flattened(v) for k, v in measured.items() if isinstance(v, Mapping)}
     keys = dict.fromkeys(key for case in cases.values() for key in case)

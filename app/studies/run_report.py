@@ -32,7 +32,10 @@ _LISTED = 5  # [-] largest number of listed columns
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters."""
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
+
+    `on_progress` gets the share [-] of the pictures that are drawn.
+    """
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)

@@ -189,7 +189,7 @@ def figure_15(sources: Sources) -> drawing.Drawing:
 
 
 def _smoothness(run: RunResult, method: str) -> dict[str, object]:
-    """Largest changes in a control step, and sign changes, of base accelerations and torques."""
+    """The results of a run on the smoothness of base accelerations and torques, by their keys."""
     # The repulsive method has no base acceleration of avoidance.
     kinds = ("base",) if method == "repulsive" else ("avoidance", "base")
     changes = ("acceleration_jump_max", "acceleration_sign_changes")

@@ -70,7 +70,7 @@ def compare(
     low: Threshold | None = None,
     high: Threshold | None = None,
 ) -> Finding:
-    """Compare a number with one or two bounds; a missing or infinite number agrees with no bound.
+    """Compare a number with one or two bounds; a missing or infinite number violates them.
 
     The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
     """
@@ -144,7 +144,7 @@ def forward_motion(run: RunResult) -> float:
 
 
 def beta_step(run: RunResult) -> float:
-    """[-] largest change of the activation of a pair with the base between two rows of the log."""
+    """[-] largest change of a base pair's activation between successive rows, 10 ms apart."""
     betas = [run.trace[f"beta_{pair}"] for pair in ("lm-lEE", "lm-l3")]
     return max(float(np.abs(np.diff(beta)).max()) for beta in betas)
 

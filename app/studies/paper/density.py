@@ -1,6 +1,6 @@
 """§4.3: jumps of the acting point, and time of its search, on borders of points and on a surface.
 
-A denser border of points has smaller jumps and a longer search; on the surface there is no jump.
+A denser border has smaller jumps and a longer search; on the surface p_act moves continuously.
 """
 
 from dataclasses import replace
@@ -69,7 +69,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
 
 @cache
 def trade_off(sources: Sources) -> drawing.Table:
-    """Jumps of p_act and time of a search, for each number of points and, last, the surface."""
+    """Results of `jump_and_cost` for each number of points and, last, for the surface."""
     path, whole = path_in_buffer(sources), len(sources.border)
     counts = [n for n in COUNTS if n < whole] + [whole]
     finders = [("points", n, sources.finder(thinned(sources.border, n))) for n in counts]
@@ -121,7 +121,7 @@ def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
 def jump_and_cost(
     sources: Sources, finder: ActingPointFinder, path: list[ClosestPoints]
 ) -> tuple[float, float, float]:
-    """Largest jump [m], 99th percentile of the jumps [m], and median time [µs] of a search."""
+    """Largest and 99th percentile step [m] of p_act along a path; median time [µs] of a search."""
     points, times = [], []
     for closest in path:
         begin = perf_counter()

@@ -148,8 +148,8 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
     The base's rows and the row of a pair within the arm are fully active, so that with T_2 there
-    are as many rows as axes. The step with the largest change of q̈ is halved repeatedly, so that
-    only a jump remains. If there is no solution, q̈ counts as 0.
+    are as many rows as degrees of freedom. The step with the largest change of q̈ is halved
+    repeatedly, so that only a jump remains. If there is no solution, q̈ counts as 0.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)

@@ -119,7 +119,7 @@ def framed(
     points: Iterable[Array] = (),
     tallest: float = np.inf,
 ) -> Camera:
-    """A camera with the same direction that shows meshes and points (N, 3) up to `tallest` [m]."""
+    """The camera, moved to show meshes and points, (N, 3) each, up to the height `tallest` [m]."""
     shown = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
     shown[:, 2] = np.minimum(shown[:, 2], tallest)
     return camera._replace(target=shown.mean(axis=0)).framing(shown, 0.05)

@@ -103,7 +103,7 @@ class Sources:
 
     @cached_property
     def field(self) -> ScoreField:
-        """The score of the end-effector."""
+        """The score (10) of points on the border of the end-effector."""
         return ScoreField.of(self.model, self.pair.b)
 
     @cached_property
@@ -178,7 +178,8 @@ def run_experiments(
 ) -> Runs:
     """Run each experiment once with the same seed, in up to `processes` parallel processes.
 
-    After each result, longest run first, `on_progress` gets the simulated time [s] so far.
+    The results have thinned traces. After each result, longest run first, `on_progress` gets the
+    simulated time [s] so far.
     """
     # Longest first, so that all processes end at about the same time.
     todo = sorted(set(experiments), key=lambda e: (-e.scenario.duration, e.name))

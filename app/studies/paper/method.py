@@ -250,7 +250,7 @@ def deepest(sources: Sources) -> int:
 
 
 def turning(sources: Sources) -> Force:
-    """The force in the row of the run along the wheel axis whose smaller component is largest.
+    """The force whose smaller component is largest, among the rows of the run along the wheel axis.
 
     Every 20th row in the buffer is evaluated.
     """

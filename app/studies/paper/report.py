@@ -53,7 +53,7 @@ def reproduce(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Make figures with their data, judge their claims, and write all files into a folder.
+    """Make figures with their data, judge their claims, write all files into an existing folder.
 
     `on_progress` gets the part of `work` [s] that is done.
 

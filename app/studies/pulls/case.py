@@ -40,7 +40,8 @@ COLUMNS = {
     "fault_at": "fault_at_s",
 }
 """The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in
-`LineScenario`; None if the event does not happen. `fault_at_s` is a time, not a share."""
+`LineScenario`. The value of a release or new grasp that does not happen is None. `fault_at_s` is a
+time, not a share."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
 _NOT_STORED = {
     *("scenario", "controller", "robot", "seed", "duration_s", "physics"),  # equal to the inputs
@@ -176,7 +177,8 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
     """The fields `shoulder`, `near` and `far` of `StudySources`.
 
     The distances come from random postures in which the end-effector points outwards and not far
-    upwards, as at the starts that the start solver finds; 0 and infinity without such a posture.
+    upwards, as at the starts that the start solver finds. If there is no such posture, `near` is 0
+    and `far` is infinite.
     """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
@@ -233,8 +235,8 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
     """Draw the displacement (3,) [m] of a pull, and whether it is along the base.
 
-    Other pulls end at the target or after 0.6 m. A pull along the base is perpendicular to the line
-    to the target, or up to 45° towards the target.
+    A pull along the base is perpendicular to the line to the target, or up to 45° towards the
+    target, and ends above the floor. Other pulls end at the target or after 0.6 m.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
     across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
@@ -338,7 +340,7 @@ def met_itself(row: Row) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded its speed limit by 5 % while no torque was at its limit."""
+    """Whether a joint exceeded its speed limit by 5 %, at least 0.1 s after a limited torque."""
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
 
 

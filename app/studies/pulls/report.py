@@ -56,7 +56,7 @@ _FAULTY: Events = {
         too_fast(row) and not row["floor_contacts"] and row.get("fault_stale_s") is None
     ),
 }
-"""Outcomes of faulty readings; the last two are parts of the one before."""
+"""Outcomes of faulty readings; each of the last two includes only cases of the one before it."""
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _MAX_FAILURES = 200  # [-] largest number of rows in the table of failures
@@ -135,7 +135,7 @@ def summary_of(
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
     """Count the cases with a fault, those with a report of it, and those with a timely report.
 
-    A fault begins at a control step. A report before the fault acts is no report of the fault.
+    A fault begins at the control step nearest to `fault_at_s`. Earlier reports do not count.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]

@@ -78,9 +78,10 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance and time; the last two have scales from 0 to their maximum.
+    """Final error, smallest distance and time; the last two have scales that start at 0.
 
-    An overlap counts as a distance of 0.
+    The scale of the distance ends at the largest distance at a start, and that of the time at the
+    longest time, both rounded up. An overlap counts as a distance of 0.
     """
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
