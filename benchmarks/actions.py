@@ -75,7 +75,7 @@ class Actions:
     actions: int = 20_000
     """[-] number of actions of both viewers together."""
     robots: tuple[str, ...] = ("husky_ur5", "frankie", "husky_panda")
-    """Robots that are shown one after the other, each for the same number of actions."""
+    """Robots that replace husky_panda one after the other, each for the same number of actions."""
     checks: int = 40
     """[-] number of pauses in which the end-effector and the gizmo are compared."""
     seed: int = 0
@@ -203,7 +203,7 @@ class _Run:
         self._drag(tab, self._place(tab), self._place(tab))
 
     def _pull(self, tab: DashboardTab) -> None:
-        """Drag an arrow of the gizmo at its present place."""
+        """Drag a random arrow of the gizmo from its present place to a random place near it."""
         arrow = np.zeros(3)
         arrow[self._random.randrange(3)] = 0.8 * SCALE
         [at] = tab.pixels(GIZMO, arrow[None])
@@ -295,7 +295,7 @@ class _Run:
             self._press("Continue")
 
     def _press(self, name: str) -> bool:
-        """Press a button until it disappears; return whether it did not exist at first."""
+        """Press the pause button while its text is `name`; return whether it was another text."""
         page, deadline = self._tabs[0].page, time.monotonic() + PATIENCE
         page.wait_for_timeout(1000)  # the effect of the last action has arrived
         absent = page.evaluate(_PAUSES) != name

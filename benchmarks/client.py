@@ -48,7 +48,7 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 
 
 def _sweep(tab: DashboardTab, end: float) -> int:
-    """Drag the end-effector in `SWEEPS` sweeps, release it, press Restart; return the sweeps."""
+    """Drag the end-effector in `SWEEPS` sweeps, release it, press Restart; return their number."""
     try:
         arrow, start = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
     except LookupError:  # on a busy machine the robot is not visible yet

@@ -1,8 +1,8 @@
 """Speed of the plants: `python -m benchmarks.engines`.
 
 It measures the time of a step, a reading and the contacts of each plant with an engine, alternately
-in one process, and the time of a study with each engine. `make results ARGS=engines` measures the
-scenarios.
+in one process; with `--study`, also the time of a study with each engine. `make results
+ARGS=engines` measures the scenarios.
 """
 
 from __future__ import annotations

@@ -3,11 +3,11 @@
 Each try starts a command in a separate folder. Then one of its processes is killed, terminated,
 interrupted, suspended for a second, or suspended while the command is terminated; or all its
 processes get the signal of a terminal. Other faults are a full disk and a folder without write
-access. When all processes have ended, or after twelve
-seconds, the program counts the remains: processes, open ports, incomplete results, unfinished or
-temporary files (except after the fault "kill"), and wrong statuses. An interrupted study is
-continued, and its results must be identical to those of a study without a fault. One of the
-commands hangs in a library that does not release Python's lock.
+access. When all processes have ended, or after twelve seconds, the program counts the remains
+(processes, open ports, incomplete results, and, except after the fault "kill", unfinished or
+temporary files) and the wrong statuses. An interrupted study is continued, and its results must be
+identical to those of a study without a fault. One of the commands hangs in a library that does not
+release Python's lock.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _FAULTS = {
 "stop" suspends a process for a second; then the command is terminated. "hold" suspends a process
 and terminates the command; only the command itself is resumed. "ctrl-c", "hang up" and "impatient"
 (Ctrl-C three times) send the signal to the whole group, as a terminal does. With "full" and
-"read-only" the command cannot write, and a worker is killed in addition."""
+"read-only" the command cannot write, and a child process, or else the command, is killed."""
 _FROM_TERMINAL = ("ctrl-c", "hang up", "impatient")
 _OF_DISK = ("full", "read-only")
 _COMMAND = "the command"
@@ -240,7 +240,7 @@ def _started(
 def _strike(
     command: subprocess.Popen[bytes], fault: str, in_child: bool, rng: np.random.Generator
 ) -> str:
-    """Signal the command or one of its processes; return the name of that process."""
+    """Signal the command, a child process or the whole group; return the name of the process."""
     with suppress(psutil.NoSuchProcess, ProcessLookupError):
         struck = psutil.Process(command.pid)
         children = struck.children(recursive=True)

@@ -37,7 +37,7 @@ from benchmarks.timed_session import TimedSession, read_times
 
 LOOPS = {"process": ProcessLoop, "thread": SimulationLoop}
 SETTLE = 2.0  # [s] between the client's connection and the measurement
-PULL_EVERY = 0.05  # [s] time between two messages of a browser
+PULL_EVERY = 0.05  # [s] time between two pulls without a browser, equal to that of a browser
 LOOKS = 200  # [-] number of memory measurements
 
 

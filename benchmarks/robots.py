@@ -1,10 +1,10 @@
 """Delivered robots on the same paths: `python -m benchmarks.robots [--json]`.
 
 A person pulls the end-effector of each robot towards the base from the side and from the front. In
-two further cases the end-effector tracks a path of 0.2 m towards the side, and one along the wheel
-axis; there p_b, the arm's point nearest to the base, is at x = 0. Each case runs without and with
-avoidance. The program searches for a start 0.02 m outside of the buffer from which the path leads
-into its inner half without avoidance. If there is no such start, the row states the reason.
+two further cases the end-effector tracks a path of 0.2 m: towards a side of the base, or along the
+wheel axis, where p_b, the arm's point nearest to the base, starts at x = 0. Each case runs without
+and with avoidance. The program searches for a start 0.02 m outside of the buffer from which the
+path leads into its inner half without avoidance. Without such a start, the row states the reason.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Starts inside a buffer or in penetration: ends of full activation, durations, jumps of torques.
+"""Starts inside a buffer or in penetration: times until no pair is fully active, torque jumps.
 
 python -m benchmarks.way_out --starts 100 --begin penetration --json
 """

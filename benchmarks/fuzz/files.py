@@ -1,9 +1,10 @@
 """Mutated files of every kind that the project reads.
 
 Each file must give one error line or a correct result.
-A separate process reads the files, because a file may crash it. Files that the project reads in a
-child process are read in a fork of that process, with the same limits: a fork starts in
-milliseconds instead of a second. One of a hundred files is read in the project's own child process.
+A separate reading process reads the files, because a file may crash it. Files that the project
+reads in a child process are read in a fork of the reading process, with the same limits: a fork
+starts in milliseconds instead of a second. About 1 % of these files are read in the project's own
+child process.
 """
 
 from __future__ import annotations
@@ -379,7 +380,7 @@ def _kept(path: Path, keep: Path, k: int) -> str:
 
 
 def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> None:
-    """Main function of the reading process, which reads file k of a kind on request."""
+    """Main function of the reading process, which makes and reads file k of a kind on request."""
     folder = Path(at)
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     signal.signal(signal.SIGPROF, _too_long)
@@ -403,7 +404,7 @@ def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> 
 
 
 def _forked(work: Callable[..., Any], *args: Any, **_: object) -> Any:
-    """The result or the error of `run_in_process`, from a fork."""
+    """Do the work in a fork, in place of `run_in_process`; return its result or raise its error."""
     receiver, sender = Pipe(duplex=False)
     child = os.fork()
     if not child:
@@ -436,7 +437,7 @@ def _within_budget(kind: Kind, path: Path) -> Outcome:
 
 
 def _times() -> np.ndarray:
-    """[s] processor time of this process and its child processes so far."""
+    """(2,) [s] processor times: of this process, and of its child processes that have ended."""
     of = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     return np.array([sum(resource.getrusage(each)[:2]) for each in of])
 

@@ -115,7 +115,7 @@ class _Fuzz:
         self._page: Any = None
 
     def run(self, length: Length, on_progress: Callable[[float], None]) -> dict[str, Any]:
-        """Send messages until the end of the test."""
+        """Send messages until the end of the test or a finding; return counts and findings."""
         first = last = None
         with RawClient(self._server.address) as witness, _errors_in(self._findings):
             self._wait(lambda: self._server.pages, "no page for the watching client")
@@ -265,7 +265,7 @@ class _Fuzz:
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:
-        """[MiB] memory of this process and of the simulation, after all work has ended."""
+        """[MiB] memory of this process and of its child processes, after all work has ended."""
         for job in self._jobs():
             job.close()
         here = psutil.Process()

@@ -33,7 +33,7 @@ _FIXED = 1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618
 _FIXED_SPEED = 0.2  # [rad/s] speed of the moving joint in this state
 _STEP = 0.001  # [s] time between two evaluations
 _FINER = 0.5, 0.25, 0.125  # [-] refined steps, as shares of `_STEP`
-_WINDOW = 2  # [-] refined steps before and after the worst step
+_WINDOW = 2  # [-] number of steps of `_STEP` before and after the worst one that are refined
 _OFF = np.array([0.003, -0.002, 0.001])  # [m] offset of the reference from the end-effector
 _ASKED = 0.02, 0.05  # [m/s²] and [rad/s²] largest accepted change in one step
 Kind = Literal["guided", "tracking", "tracking-limited"]
@@ -42,7 +42,7 @@ KINDS: dict[Kind, tuple[str, str]] = {
     "tracking": ("tracking", "wide"),
     "tracking-limited": ("tracking", "robot"),
 }
-"""Modes of the law: with or without a reference, and the limits of the arm.
+"""Modes of the law: with or without a reference, and the limits of the robot.
 
 The arm's limits do not act on the base of a guided robot. The last kind includes changes of active
 limits, so it has no bound.
@@ -92,7 +92,8 @@ def continuity(
         count: Number of random motions.
         duration: [s] duration of each motion.
         speed: [m/s] largest speed of the end-effector.
-        refined: Number of places of each kind at which the step is refined.
+        refined: Number of refined places for each mode and axis of the base: of those with the
+            largest changes, and of those with the largest kinks.
         first: Number of the first motion; with 0, motions from a fixed state of the paper's robot
             are included.
         kinds: Modes of the law: see `KINDS`.

@@ -95,7 +95,7 @@ def _row(pair: str, errors: Array) -> dict[str, Any]:
 
 
 def _samples(posture: Posture) -> list[Sample]:
-    """Errors of all pairs inside the buffer: the value of the row minus the true value."""
+    """Errors of all pairs inside the buffer: d̈ of each of `_MODELS` minus the true d̈."""
     robot = load(posture.options.robot)
     rng = np.random.default_rng([posture.options.seed, posture.number])
     motion = random_motion(robot.model, posture_in_buffer(robot, rng), posture.speed, rng, 1.0)

@@ -23,7 +23,7 @@ class Curve(NamedTuple):
         end: (3,) [m] end in that frame.
         centre: (2,) [m] centre of an arc, whose angle and radius change from start to end; None for
             a line.
-        duration: [s]
+        duration: [s] duration of the motion, without the hold.
     """
 
     kind: str

@@ -117,7 +117,7 @@ def _gap(robot: str, p: Array) -> float:
 
 
 def _reached(model: RobotModel, curve: Curve, q: Array, rng: np.random.Generator) -> bool:
-    """Whether the arm can track the whole curve with constant orientation while the base rests."""
+    """Whether the arm reaches the places `_ALONG` with constant orientation if the base rests."""
     state = RobotState(model)
     state.update_kinematics(at_rest(model, q))
     orientation = state.T_world_ee.rotation.copy()

@@ -101,7 +101,7 @@ def random_waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
 
 
 def _fastest(model: RobotModel, motion: Motion, duration: float) -> float:
-    """[m/s] largest speed of the end-effector, with joint positions at the middle of the motion."""
+    """[m/s] largest speed of the end-effector, with the constant joint positions `arm.middle`."""
     state, fastest = RobotState(model), 1e-9
     for t in np.linspace(0.0, duration, _SAMPLES):
         measured = motion.at(float(t))[0]._replace(q_m=motion.arm.middle)

@@ -1,7 +1,7 @@
 """Contacts while two people pull the arm to random places.
 
-One person pulls the end-effector and another person any link, to random places above and around the
-base, with releases from time to time.
+One person pulls the end-effector and another person a link that is random in each run, to random
+places above and around the base, with releases from time to time.
 """
 
 from __future__ import annotations

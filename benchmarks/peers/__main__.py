@@ -95,7 +95,7 @@ def _quick(args: Peers) -> int:
 
 
 def machine() -> dict[str, Any]:
-    """The machine and versions on which the times depend."""
+    """The conditions of the times: the machine, its load and the version of Python."""
     name = platform.processor() or platform.machine()
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:

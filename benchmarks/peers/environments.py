@@ -82,7 +82,7 @@ def _run(command: Sequence[str]) -> None:
 
 
 def last_line(text: str) -> str:
-    """The last line of pip that begins with `ERROR:`; without such a line, the last line."""
+    """The last line that begins with `ERROR:`, as errors of pip do; else the last line."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("ERROR:")]
     return (errors or lines or ["it gave no reason"])[-1]

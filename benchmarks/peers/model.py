@@ -60,7 +60,7 @@ def common_model(
         base_velocity: Largest v [m/s] and ω [rad/s].
 
     Raises:
-        DescriptionError: A body has several shapes, or a shape that some library does not support.
+        DescriptionError: A link has several shapes, or a shape that some library does not support.
     """
     description = model.description
     v, w = base_velocity

@@ -54,7 +54,7 @@ def draw(rows: Sequence[Row]) -> bytes:
 
 
 def _times(axes: Axes, names: Sequence[str], rows: Sequence[Row]) -> None:
-    """Draw the median of a step as a bar and the 99th percentile as a mark."""
+    """Draw medians over runs: a step's median as a bar, and its 99th percentile as a mark."""
     for y, name in enumerate(names):
         good = [row for row in rows if row["peer"] == name and row["status"] == "ok"]
         if not good:

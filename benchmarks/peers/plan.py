@@ -23,9 +23,9 @@ BASE_WEIGHTS = (300.0, 1.0)
 DT = 0.005
 """[s] time between two steps of a library, and between two samples of all motions."""
 D_MIN = 0.05
-"""[m] minimum distance of all pairs, also for our own controllers."""
+"""[m] minimum distance of all pairs, also for the barriers of our own controllers."""
 RATE = 20.0
-"""[1/s] largest approach speed divided by the remaining distance, also for our own controllers."""
+"""[1/s] largest approach speed divided by the remaining distance, also for our own barriers."""
 _EE_COST = 10.0  # [1/m and 1/rad] cost of the end-effector's error; the objective has its square
 _ARM_COST = 0.1  # [1/rad] cost of a step of each joint of the arm; the objective has its square
 _DETECTION = 0.3  # [m] distance above which a library can ignore a pair

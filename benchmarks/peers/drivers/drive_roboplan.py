@@ -54,7 +54,7 @@ class Roboplan:
         self._step = np.zeros(len(joints))
 
     def _keep_pairs(self, plan: Plan) -> None:
-        """Only the pairs of the plan are monitored."""
+        """Monitor only the pairs of the plan."""
         robot = ElementTree.parse(plan["unicycle_urdf"])
         bodies = [link.get("name") for link in robot.iterfind("link[collision]")]
         for a, b in combinations(bodies, 2):

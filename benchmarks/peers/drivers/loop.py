@@ -1,4 +1,4 @@
-"""The loop that all drivers share: read the plan, follow each path, write the motion and times.
+"""The loop of the libraries' drivers: read the plan, follow each path, write the motion and times.
 
 `python drive_NAME.py PLAN OUT` reads `PLAN/plan.json` and writes into the folder OUT, for each run,
 `RUN.npz` with q (N + 1, 3 + n_m) [m and rad], step_s (N,) and d_start (pairs,) [m], or
