@@ -129,12 +129,14 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
 
 
 def run(scenario: str, *options: str) -> tuple[str, ...]:
-    """A scenario by `dbb run`."""
+    """Arguments after `python -m` that run a scenario by `dbb run`."""
     return ("app", "run", scenario, *options, "--json")
 
 
 def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
-    """The displayed numbers of a run; the smallest distance is that of the scenario's pairs."""
+    """The displayed numbers of a run. The smallest distance is that of arm and base, but within the
+    arm for `guiding-fold`, and of door and base for `refrigerator`.
+    """
     least = {"guiding-fold": "arm_min_clearance_m", "refrigerator": "door_min_distance_m"}
     return {
         "least_distance_m": printed[least.get(printed["scenario"], "min_clearance_m")],
@@ -236,7 +238,7 @@ def keep_robots(printed: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def law(name: str, *options: str) -> tuple[str, ...]:
-    """A measurement of the control law."""
+    """Arguments after `python -m` that run a measurement of the control law."""
     return ("benchmarks.law", name, *options, "--json")
 
 

@@ -156,7 +156,7 @@ def figures() -> str:
 
 
 def packages() -> str:
-    """A row for each module in `app`, and for each package."""
+    """A row for each module directly in `app`, and for each package below it."""
     rows = []
     app = PROJECT / "app"
     for path in sorted(app.iterdir()):

@@ -25,8 +25,7 @@ from tools.measured import SETS
 PROJECT = Path(__file__).resolve().parent.parent
 RESULTS = PROJECT / "docs" / "results"
 CODE = ("app", "robot_assets")
-"""Files on which results depend; a row is up to date if none of them has changed since its
-commit."""
+"""Folders of the code: a row is up to date if nothing in them has changed since its commit."""
 
 Rows = dict[str, dict[str, Any]]
 
@@ -72,7 +71,7 @@ def table(name: str) -> str:
 
 
 def commit() -> str:
-    """The commit that last changed the code, with a `+` if files have uncommitted changes.
+    """The commit that last changed `CODE`, with a `+` if files in it have uncommitted changes.
 
     Raises:
         SystemExit: This is not a git checkout.
@@ -93,7 +92,7 @@ def machine() -> str:
 
 
 def measure(name: str, again: bool, only: Collection[str] = ()) -> bool:
-    """Measure the rows of a set that are missing or of another commit; False if a command failed.
+    """Measure the rows of a set that are not up to date (see `CODE`); False if a command failed.
 
     Args:
         name: Name of the set.

@@ -59,7 +59,7 @@ def draw_border(axes: Axes, model: RobotModel) -> None:
 
 
 def main(out: Path, names: list[str]) -> None:
-    """Draw each robot from the side and from above; more than `IN_A_ROW` robots from the side."""
+    """Draw each robot from the side and, if there are at most `IN_A_ROW` robots, from above."""
     models = [RobotModel(load_robot(name)) for name in names]
     with styled():
         if len(models) <= IN_A_ROW:

@@ -90,8 +90,8 @@ def compiled(arguments: Sequence[str]) -> Outcome:
 def resolve_all() -> dict[tuple[str, str], Outcome]:
     """The outcome for each platform and Python.
 
-    A first resolution for all platforms renews uv's cache, because each resolution with the index
-    would ask it again for every package.
+    A first resolution for all platforms renews uv's cache, because otherwise each resolution would
+    query the index again for every package.
 
     Raises:
         IndexUnreachableError: No package index answers.
@@ -129,7 +129,7 @@ def write(new: str) -> None:
 
 
 def main() -> int:
-    """Print the table, or write it; returns 1 if a supported platform lacks a wheel."""
+    """Print the table; `--write` also writes it. Returns 1 if one of `PROMISED` lacks a wheel."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--write", action="store_true", help=f"write the table into {DOCUMENT.name}"
