@@ -15,7 +15,7 @@ Point = tuple[float, float, float]
 
 
 class Curve(NamedTuple):
-    """A line, or an arc about a vertical axis; a cubic in time with a hold at the end.
+    """A line, or an arc about a vertical axis; a cubic in time from rest to rest, then a hold.
 
     Attributes:
         kind: `towards`, `diagonal` or `arc`.

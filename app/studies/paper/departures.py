@@ -107,7 +107,7 @@ def nearest_pair(w: ControlStep) -> int:
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0, for the reference on the left side, as printed.
+    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0, with q̈_2* on the left side of (29), as printed.
 
     T_sca has only the base's rows.
     """

@@ -340,7 +340,7 @@ def met_itself(row: Row) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded its speed limit by 5 %, at least 0.1 s after a limited torque."""
+    """Whether a joint exceeded 1.05 of its speed limit, and no torque was at a limit for 0.1 s."""
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
 
 
