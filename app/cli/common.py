@@ -106,9 +106,10 @@ def spec_of_scenario(
 
 
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
-    """The run of a case, whose differences are printed; `setup` can replace controller and plant.
+    """The run of a case; its differences from this version of the program are printed.
 
-    `others` and `word` are as in `check_no_others`.
+    `setup` can replace controller and plant. `others` are further options of the user that must be
+    None, and `word` is the argument `case` of `check_no_others`.
 
     Raises:
         CaseError: The file cannot be read or is not a valid case.

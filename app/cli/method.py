@@ -201,7 +201,7 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
 
 
 def _write_csv(path: Path, header: str, rows: np.ndarray, form: str) -> None:
-    """Write the rows without missing values."""
+    """Write the rows that have no NaN as a CSV file."""
     import numpy as np
 
     known = rows[~np.isnan(rows).any(axis=1)]

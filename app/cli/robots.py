@@ -72,11 +72,11 @@ def check_robot(
     quick: Flag = False,
     json: Json = False,
 ) -> None:
-    """Check a robot's description against URDF, meshes and engines.
+    """Check a robot's description against URDF, meshes and physics engines.
 
-    The command compares pinocchio with the engines, and the bodies with the meshes. It checks
-    limits, pairs, border and guiding runs, and prints warnings. The exit status is 0 only if no
-    check fails.
+    The command compares pinocchio with pybullet and MuJoCo, and the bodies with the meshes. It
+    checks limits, pairs, border and guiding runs, and prints warnings. The exit status is 0 only if
+    no check fails.
 
     Args:
         name: Name of the robot; `dbb robots` lists all names.
