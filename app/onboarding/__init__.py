@@ -14,10 +14,10 @@ SIDES = ("guiding-lateral", "guiding-front")
 
 
 def helpers(processes: int | None = None) -> Workers:
-    """Worker processes for `app.onboarding.new_robot.finish`, which import that module at once.
+    """Worker processes for `app.onboarding.new_robot.finish`, which import its module at the start.
 
-    Their number is `processes`, by default the number of usable cores, but at most that of `SIDES`.
-    If it is one, this process does the work.
+    Their number is `processes` (default: one for each usable core), but at most one for each of
+    `SIDES`. With a number of one, this process does the work.
     """
     prepare = partial(import_module, "app.onboarding.new_robot")
     return Workers(prepare, min(processes or usable_cores(), len(SIDES)))

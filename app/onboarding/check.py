@@ -69,7 +69,7 @@ class Row(NamedTuple):
 
     name: str
     outcome: Outcome
-    """passed, warned, failed, or "nothing to show" if the check has no case that tests it."""
+    """passed, warned or failed; "nothing to show" if no posture or run tests the robot."""
     text: str
     numbers: dict[str, float]  # the measured values by their names
 
@@ -85,11 +85,12 @@ def check_robot(
     """All checks of a description; a row is available as soon as its check ends.
 
     A check that ends with an error fails, and its row has the message. Without a model or a border,
-    the checks that need it are left out. The checks use the robot's own parameters.
+    the checks that need it are left out. The checks use the parameters of the description. If no
+    requested run tests the base, a failed row `guiding` follows.
 
     Args:
         description: The description.
-        runs: Whether to guide the end-effector in runs, which takes most of the time.
+        runs: Whether to simulate the guiding runs, which take most of the time.
         tell: Called with the name of each step before it begins.
         processes: Number of processes that sample the border; None means one for each usable core.
         sampling: Parameters of a coarser border; None means the complete border.
@@ -133,7 +134,7 @@ def check_robot(
 
 
 def _done(name: str, check: Callable[..., Row], *arguments: object) -> Row:
-    """The row of a check; an exception of a library becomes a row with the outcome failed."""
+    """The row of a check; an exception becomes a row with the outcome failed."""
     try:
         return check(*arguments)
     except DbbError as error:
@@ -144,7 +145,7 @@ def _done(name: str, check: Callable[..., Row], *arguments: object) -> Row:
 
 
 def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
-    """Compare M and C q̇ + g of pinocchio with those of a physics engine, in random states."""
+    """Compare M and C q̇ + g of pinocchio and of a physics engine in random states."""
     if not find_spec(name):
         return Row(name, "warned", f"{name} is not installed; try: pip install {name}", {})
     from app.simulation.plants.planar import planar_plant

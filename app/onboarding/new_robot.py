@@ -55,7 +55,7 @@ _DAMPING = (
 
 
 class _Work(NamedTuple):
-    """The workers of `finish`, its reports of steps and of their progress, and its borders."""
+    """The workers of `finish`, its functions for reports of steps and progress, and for borders."""
 
     workers: Workers
     tell: Callable[[str], None]
@@ -200,7 +200,7 @@ def _embodied(
 ) -> _Embodied:
     """Fit bodies around groups of links, up to three times while `Detection.fails`.
 
-    The result is the fit with the fewest pairs in `Detection.blind`, then `Detection.undetected`.
+    The result is the fit with the fewest pairs in `Detection.blind`, then the least `undetected`.
 
     Raises:
         RobotFileError: Each fit has a pair in `Detection.blind`; or as for `with_stops` or
@@ -253,8 +253,8 @@ def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
     The second fit differs by its random postures. Without --bodies, the third has one body more
-    than the others, if the arm has more moving units with shapes. `found` has the numbers of
-    bodies, with the base, of the earlier fits.
+    than the larger of these, if the arm has enough moving units with shapes. `found` has the
+    numbers of bodies, with l_m, of the earlier fits.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies

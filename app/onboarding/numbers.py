@@ -25,7 +25,7 @@ Sourced = Mapping[str, tuple[Any, str]]  # values with sources, by the field of 
 
 _TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from the other limit
 _SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
-_LARGEST = 1000.0  # [rad] or [m] position limit from which a joint counts as unlimited
+_LARGEST = 1000.0  # [rad] or [m] position limit from which a joint has no limit on this side
 _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
 _TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
@@ -68,8 +68,8 @@ def read_limits(arm: Arm) -> Limits:
     """The limits in the URDF, or assumed ones; an effort of 0 means a missing effort.
 
     Raises:
-        RobotFileError: Position limits are missing (prismatic joint), empty, or probably in another
-            unit; the message names all of these joints.
+        RobotFileError: Position limits are missing (prismatic joint), have an empty range, or are
+            probably in another unit; the message names all of these joints.
     """
     _check_ranges(arm.joints)
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
@@ -194,7 +194,7 @@ def _within(value: float | None, most: float) -> float:
 
 
 def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
-    """The source of numbers; `assumed` has the names of joints by the assumption for these."""
+    """The source of numbers; `assumed` has the names of joints by the assumption for them."""
     parts = [f"assumed for {', '.join(names)}: {what}" for what, names in assumed.items() if names]
     return "; ".join(["from the URDF", *parts])
 
@@ -274,7 +274,7 @@ def base_numbers(
     if kind != "car-like":  # the steering limits its angular velocity
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
         w = min(_BASE_SPEED[1], v / b if b else np.inf)
-        one_wheel = "assumed: the wheels turn at their speed limit in opposite directions"
+        one_wheel = "assumed: the wheels move at the largest linear velocity in opposite directions"
         turning = _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel
         found["max_angular_velocity_radps"] = round(w, 3), turning
         found["max_angular_acceleration_radps2"] = _ACCELERATION[1], _AS_PAPERS

@@ -44,7 +44,7 @@ class Pictures(NamedTuple):
     border: bytes | None  # None for a robot without a border
     reach: bytes | None  # None without a counted reachability
     view: str  # HTML text of the page `VIEW`
-    bare: dict[str, Bare]  # names of the links that extend beyond their bodies
+    bare: dict[str, Bare]  # links that extend beyond their bodies, by name
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
@@ -190,7 +190,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
 
 
 def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
-    """The border of each pair with l_m at half its height and d_b / 2 above its top, or None."""
+    """The border of each pair with l_m at half the height of l_m, and d_b / 2 above it; or None."""
     model, d_b = robot.model, robot.request.buffer
     eps = model.description.config.border.eps
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
@@ -275,7 +275,7 @@ def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """Names of the links that extend beyond their body.
+    """`Bare` of each link that extends beyond its body by more than `_BARE`, by its name.
 
     `placed` are the poses of the joint frames in the ready posture, by pinocchio's indices.
     """

@@ -141,8 +141,8 @@ def option(field: str) -> str:
 
 
 def check_request(request: Request) -> None:
-    """Refuse an existing robot's name, numbers out of bounds, options of another kind of base, and
-    packages without a folder.
+    """Refuse the name of a robot in another folder, numbers out of bounds, options that another
+    option or the kind of base excludes, and packages without a folder.
 
     Raises:
         UnknownNameError: The kind of base does not exist.

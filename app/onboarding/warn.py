@@ -67,7 +67,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
 
 
 def _places(robot: NewRobot) -> Iterator[str]:
-    """Parts of the arm that are below the floor or inside the base in the ready posture."""
+    """Warnings of links of the arm below the floor, or inside of l_m, in the ready posture."""
     base, state = MobileBody(robot.model), RobotState(robot.model)
     own = robot.request.arm_urdf is None
     look = f"check {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
@@ -146,7 +146,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     for name in (name for name in verdict.near if verdict.overlap[name] > _FALSE):
         yield (
             f"the bodies of the pair {name} overlap in {verdict.overlap[name]:.0%} of the free "
-            "random postures, in which no links collide: the controller avoids these postures too"
+            "random postures: the controller avoids these, although no links collide there"
         )
     for body in robot.bodies:
         links = sum(fit.volume / fit.over_cover for fit in body.fits)  # 0 for flat parts
@@ -254,7 +254,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Distances by which moving links outside of the arm's chain can leave their bodies."""
+    """Warnings of moving links outside of the arm's chain that can leave their bodies."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
@@ -286,7 +286,7 @@ def outside(model: RobotModel, body: str, points: Array) -> Array:
 
 
 def wheels_carried(parsed: Parsed) -> list[str]:
-    """Continuous joints on fixed links of a separate arm's URDF that do not belong to the arm."""
+    """Continuous joints outside of the arm, on links fixed to the root of a separate arm's URDF."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children[link] if j.kind == "continuous"]
@@ -386,7 +386,7 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
     The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' speed limits.
     The position is lost if the residual of the linear rows alone exceeds a tenth of the linear
-    motion. The pose is lost if the position is, or if, for all rows, the linear or the angular
+    motion. The pose is lost if the position is, or if, with all six rows, the linear or the angular
     residual exceeds a tenth of the larger one of linear and angular motion. A lever of 0.3 m
     converts angular parts to metres.
 
@@ -468,7 +468,7 @@ def push_warning(model: RobotModel, borne: Array) -> str:
 def _near_postures(model: RobotModel) -> Array:
     """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base.
 
-    With fewer than 25, the arm may be anywhere; if all have contact, it is at its lower limits.
+    With fewer than 25, the distance does not matter; if all have contact, N is 1: the lower limits.
     """
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))

@@ -57,7 +57,7 @@ def whole_robot(request: Request) -> Whole:
     """Read the robot from one or two files, with distinct names and one joint per telescope.
 
     Raises:
-        RobotFileError: A file is not a URDF, or the links do not exist or have no arm between them.
+        RobotFileError: A file is not a URDF, --base or --tip is no link, or no arm is between them.
         UnknownNameError: No xacro declares an argument of --xacro.
         AssetError: A package is not installed.
     """
@@ -142,7 +142,7 @@ def _renamed(tree: Tree, links: Mapping[str, str], joints: Mapping[str, str]) ->
 
 
 def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
-    """A tree in which each telescope between two links has one joint, and a sentence on each one.
+    """A tree with one joint for each telescope between two links; a sentence on each telescope.
 
     A telescope has one independent prismatic joint and others that follow it (`<mimic>`). In the
     new tree, this joint alone moves the last part, by the sum of all positions. The parts before
@@ -166,7 +166,7 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
 
 def _telescopes(chain: list[Joint]) -> Iterator[tuple[list[Joint], list[Joint], list[float]]]:
     """For each telescope: all joints from its first to its last part, the joints of its parts, and
-    the travel of each part along the axis of the first part, for a unit travel of the leader.
+    the total travel of each part along the axis of the first part, for a unit travel of the leader.
 
     The parts are prismatic and parallel, with only fixed joints between them; all but one follow.
     """

@@ -41,7 +41,7 @@ _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
-    """Write the description and the list of sources into the folder that has the URDF."""
+    """Write the description, check it, and write the list of sources; the folder has the URDF."""
     title = f"{robot.content['title']}, from {robot.request.shown_source}"
     text = description_text(robot.content, title)
     write_whole(folder / "robot.toml", text)
@@ -52,7 +52,7 @@ def write_robot(robot: NewRobot, folder: Path) -> None:
 def _sources_text(robot: NewRobot) -> str:
     """The text of `SOURCES.md`, which lists the files that the robot consists of."""
     request, lines = robot.request, []
-    copied = "No mesh is copied: `robot.urdf` refers to the files of the installed packages."
+    copied = "No mesh is copied: `robot.urdf` refers to the original files."
     for what, path in (("robot", request.shown_source), ("arm", request.arm_urdf)):
         if path is not None:
             lines.append(f"- URDF of the {what}: `{path}`")
@@ -159,7 +159,7 @@ _HEADER = (
 
 
 def description_text(content: Mapping[str, Any], title: str) -> str:
-    """The text of `robot.toml` without empty tables, and with a comment of each number's source."""
+    """The text of `robot.toml` without empty entries; a comment has the source of each number."""
     document = tomlkit.document()
     for line in (title, *_HEADER):
         document.add(tomlkit.comment(line))
@@ -259,8 +259,8 @@ def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
     """A joint of the new URDF, whose zero is its position in `rest`, or its old zero.
 
     Libraries place a joint that does not move at zero, which can be outside of its limits: a finger
-    would be inside of the gripper. The relation of a mimic joint to its leader stays the same;
-    without a leader, the joint is independent.
+    would be inside of the gripper. The relation of a mimic joint to its leader stays the same; if
+    the new URDF has no such leader, the joint becomes independent.
     """
     kind = "fixed" if joint.kind in FREE else joint.kind
     at = rest.get(joint.name, 0.0)

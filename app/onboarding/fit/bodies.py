@@ -1,4 +1,4 @@
-"""Small convex bodies around groups of links: around the points that other links can reach.
+"""Bodies around groups of links: small convex shapes around the points that other links can reach.
 
 A unit is a group of links that moves as one rigid body (`app.onboarding.fit.units`). A body
 encloses one or more units.
@@ -40,13 +40,14 @@ class FittedBody(NamedTuple):
     units: tuple[int, ...]  # indices of the units (groups of links) that the body encloses
     fits: tuple[Fit, ...]  # its shapes, in `frame`
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """For a link of this body, the links of bodies nearer to the base that are nested with it."""
+    """For a link of this body, the links nested with it in bodies nearer to the base, except in the
+    neighbour of this body."""
 
 
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
-    l_m has one box if possible. Each further shape, and each polytope instead of a box, must save
+    By default l_m has one box. Each further shape, and each polytope instead of a box, must save
     `_SAVES` contacts of l_m with the arm per posture, in postures in which no links touch.
     """
     units, base = meetings.units, meetings.units[0]
@@ -66,9 +67,9 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[Array]]:
-    """Divisions of the parts into one group, two groups, and so on, up to four, by hull corners.
+    """Divisions of parts into one, two, three and four groups; hull corners represent a group.
 
-    From a division, the one with one group less is made by the merger that adds the least volume.
+    Each division results from the one with one group more by the merger that adds the least volume.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, tuple[Array, float]]] = {}  # growth and merged hull
@@ -92,7 +93,9 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
-    """(tries,) [-] mean number of units, not close by design, that a fit touches when free."""
+    """(tries,) [-] mean number of the arm's units, not close by design, that a body of the shapes
+    `tried` touches in free postures, or in all postures if none is free.
+    """
     free = (meetings.random.distances > 0.0).all(axis=1)
     q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
     ends = {v for u, v in meetings.pairs if u in mobile and (u, v) not in meetings.close}
@@ -192,7 +195,8 @@ class ArmFitter:
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
     """The selected points of one link in groups (N, 3) [m] that are distant from one another.
 
-    Distant is more than `_APART`, or twice the largest distance of a neighbour on the surface.
+    Their distance exceeds `_APART` and twice the largest distance between a point of the link's
+    surface and its nearest neighbour.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
     if len(points) < 2:
@@ -208,12 +212,11 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to 
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """Corners (N, 3) [m] and volume [m³] of the hull that the points on a chain of joints sweep, as
-    seen from the frame of each joint of the chain.
+    """For each joint of a chain, in its frame: corners (N, 3) [m] and volume [m³] of the hull that
+    the points on all joints of the chain sweep.
 
     `points` (N, 3) [m] are in the frame of each joint, by its number; the numbers are consecutive.
-    Points beyond a joint sweep the same in all frames before it, and vice versa, so the sweep over
-    each joint is computed only once in each direction.
+    The sweep over a joint is computed once for all points beyond it and once for all before it.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
@@ -228,10 +231,10 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
 
 @kept_per_model(_PASSED)
 def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
-    """Corners (M, 3) [m] of the hull that points sweep while one joint moves through its range.
+    """Corners (M, 3) [m] around the volume that points sweep while a joint moves through its range.
 
-    With `outwards`, the result for points in the frame of the joint is in that of the joint before
-    it; without, vice versa. `data` are the points' bytes: a key, as other groupings need the same.
+    With `outwards`, the points are in the frame of the joint, and the result is in the frame of the
+    joint before it; otherwise the reverse. `data` has the bytes of the points, as a key of a cache.
     """
     points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))

@@ -67,8 +67,8 @@ class Meetings:
     """Pairs that no buffer can monitor: the units are within d_b in most free postures, or they are
     units of the arm that touch, but overlap by at most 3 mm."""
     apart: frozenset[tuple[int, int]]
-    """Pairs of a unit on the base and a unit of the arm that are within d_b in most free postures
-    and overlap by more than 5 mm in some postures: joint limits have to prevent the overlap."""
+    """Pairs of a unit on the base and a unit of the arm, not nested, that are within d_b in most
+    free postures and overlap by over 5 mm in some: joint limits have to prevent the overlap."""
     random: Postures
     rare: Postures  # of pairs that rarely collide; see `_rare_postures`
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
@@ -76,13 +76,13 @@ class Meetings:
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """Close pairs that are nested, as in a telescope; their contacts do not count."""
+        """Close pairs that touch in most random postures, by design as in a telescope."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
     @property
     def grazing(self) -> frozenset[tuple[int, int]]:
-        """Close pairs of the arm that touch, but overlap by at most 3 mm; d_b does not matter."""
+        """Close pairs of the arm that touch but overlap by at most 3 mm; d_b does not matter."""
         distances = np.vstack([self.random.distances, self.rare.distances])
         return _grazing(self.units, self.pairs, distances)
 
@@ -93,7 +93,7 @@ class Meetings:
         return np.logical_and(self.random.distances <= 0.0, watched)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
-        """(N,) whether one of the other units can reach each point of a unit's surface."""
+        """(N,) for each point of a unit's surface: whether a unit of `others` can reach it."""
         none = np.zeros(len(self.units[unit].surface), dtype=bool)
         return np.any([none, *(self.met.get((unit, k), none) for k in others)], axis=0)
 
@@ -112,8 +112,8 @@ def sample_meetings(
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
-    First `samples` postures are drawn, then further ones until `enough` postures in total have a
-    collision, up to 40,000. With `points`, the result has `met`. `stopped` means that joint limits
+    First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
+    all have a collision. With `points`, the result has `met`. `stopped` means that joint limits
     prevent the collisions of the pairs in `apart`; then these pairs are not in `close`.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
@@ -151,9 +151,10 @@ def sample_meetings(
 def _built_near(
     units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
-    """The fields `close` and `apart` of `Meetings`, and columns of `distances` (N, pairs) [m].
+    """The fields `close` and `apart` of `Meetings`, and indices of columns of `distances`.
 
-    The columns are those of close pairs that are not nested: the real robot cannot make them touch.
+    `distances` (N, pairs) [m] are those of random postures. The columns are those of close pairs
+    that are not nested: the real robot cannot make them touch.
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
@@ -178,7 +179,7 @@ def _look(_: object, part: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> A
 
 
 def _touch_mostly(distances: Array) -> Array:
-    """(pairs,) whether hulls with the distances (N, pairs) [m] touch as often as nested hulls."""
+    """(pairs,) whether hulls touch in `BUILT_IN` of the postures, by distances (N, pairs) [m]."""
     return (distances <= 0.0).mean(axis=0) >= BUILT_IN
 
 
@@ -186,7 +187,8 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
 
     Units are nested if `found.nested` has them, or if they are neighbours that touch in at least
-    `BUILT_IN` of the postures; two of their links are if they touch in `BUILT_IN` of these.
+    `BUILT_IN` of the postures. Two links of such units are nested if they touch in at least
+    `BUILT_IN` of the postures in which the units touch.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
@@ -203,7 +205,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
 def nested_touches(model: RobotModel, geometry: Geometry) -> dict[tuple[str, str], float]:
     """[-] share of random postures in which two nested links of a description touch, by the pair.
 
-    It is 0 for a link without a shape, and at least `NESTED` for those of `nested_links`.
+    It is 0 for a link without a shape; pairs of `nested_links` should have at least `NESTED`.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -224,10 +226,10 @@ def _rare_postures(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) postures with collisions of pairs that collide in fewer than `_RARE` sampled ones.
+    """(N, n_m) postures in which pairs collide that do so in fewer than `_RARE` sampled postures.
 
-    They are variations of the postures in which the pair was nearest. `sampled` are postures (N,
-    n_m) and distances (N, pairs) [m].
+    They are variations of the postures in which the pair was nearest. Pairs in `close`, and pairs
+    always more than `_FAR` apart, are left out. `sampled`: postures (N, n_m), distances (N, pairs).
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]
@@ -250,7 +252,7 @@ def _rare_postures(
 
 
 def free_postures(distances: Array) -> Array:
-    """(N,) whether no hulls touch, by distances (N, pairs) [m]; all True if fewer than 50 are."""
+    """(N,) whether no hulls touch, by distances (N, pairs) [m]; all True with fewer than 50."""
     free = np.asarray((distances > 0.0).all(axis=1))
     return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
 

@@ -107,7 +107,7 @@ def fit_capsule(points: Array) -> Capsule:
 def fit_box(points: Array) -> Box:
     """A small box around points, with an edge along an axis of the frame or a principal axis.
 
-    A rotated box replaces the best one only if its volume is smaller by more than a tenth.
+    A rotated box replaces the best box so far only if its volume is smaller by more than a tenth.
     """
     straight = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -122,7 +122,7 @@ def fit_box(points: Array) -> Box:
 def fit_hull(points: Array) -> Hull | Box:
     """A polytope around the points, with a face for each of 42 directions; a box if that fails.
 
-    Its frame is at the centre of the points' bounding box, with z along their principal axis.
+    Its frame is at the centre of the points' bounding box, with z along their first principal axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -201,7 +201,7 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """The halves of a mesh with the smallest sum of hull volumes; none if no plane cuts the mesh.
 
-    The tried planes are normal to the axes. Only the search thins out a large mesh.
+    The tried planes are normal to the axes. The search uses only some triangles of a large mesh.
     """
     some = mesh.faces[:: 1 + len(mesh.faces) // _TRIANGLES]
     best, plane = np.inf, None

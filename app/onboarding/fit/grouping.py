@@ -215,25 +215,26 @@ def judge(
 
 
 def _share(flags: Array) -> float:
-    """[-] share of True in flags (N,); 0 without a flag."""
+    """[-] share of True in flags (N,); 0 if N is 0."""
     return float(flags.sum() / max(1, len(flags)))
 
 
 class Detection(NamedTuple):
     """Collisions of links in random postures that the fit has not used, and the undetected ones.
 
-    A posture is detected if the bodies of any pair overlap: avoidance prevents the overlap.
+    A collision is detected if the bodies of any pair overlap in its posture, because avoidance
+    prevents this overlap.
     """
 
     looked_at: int  # number of random postures
     postures: int  # number of postures in which hulls of links collide
     undetected: int  # those in which meshes collide, but no pair of bodies overlaps
-    watched: int  # collisions of links whose bodies are a pair, once for each posture
+    watched: int  # collisions of links whose bodies are a pair, once for each pair and posture
     missed: int  # number of these collisions in which the bodies of the pair do not overlap
     deepest: float  # [m] largest distance of these bodies in a missed collision; 0 without one
     blind: tuple[str, ...]
-    """Pairs whose bodies do not overlap in more than half of the collisions of their links, in
-    random postures and those that a search has found together."""
+    """Pairs whose bodies miss more than half of the collisions of their links, in the random
+    postures and the postures of a search together."""
     worst: str
     """The two units (groups of links) that meet most often in the undetected postures, with the
     share of these contacts in all random postures; `none` without undetected postures."""
@@ -252,7 +253,7 @@ class Detection(NamedTuple):
 
     @property
     def fails(self) -> bool:
-        """Whether a collision is undetected, or a pair does not enclose its links."""
+        """Whether a collision is undetected, or `blind` has a pair."""
         return bool(self.undetected or self.blind)
 
 
@@ -346,8 +347,8 @@ def _left_out(
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
     """The largest range of one of the `joints` that contains no posture of q_m (N, n_m), as text.
 
-    It is empty if no range has at least `LEAST` of the joint's range, or of a turn, or with fewer
-    than `_FEWEST_CONTACTS` postures, because such a range is then a coincidence.
+    It is empty if this range is below `LEAST` of the joint's range, or of a turn if that is less.
+    It is also empty if N is below `_FEWEST_CONTACTS`: such a range is then a coincidence.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
@@ -382,12 +383,12 @@ def _ranked(
     mobile: Sequence[int],
     slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
-    """All divisions of the chain into groups, each with a lower bound of its cost.
+    """All valid divisions of the chain into groups, each with a lower bound of its cost.
 
     Each group has at least one link with a shape. The bound is the cost of the number of bodies.
     The order is that of the bound plus the cost of collisions that ideal bodies would miss: two of
-    these overlap exactly if links of both overlap. No group has a unit that is fixed to the base
-    together with a unit of `slides`, the units on prismatic joints of the arm.
+    these overlap exactly if links of both overlap. No group joins unit 1, if it has shapes, with a
+    unit of `slides`, the units on prismatic joints of the arm.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

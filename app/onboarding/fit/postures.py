@@ -197,10 +197,10 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that comes nearer than `INNER` d_b and has no fault, of at most three.
+    """The first line without a fault, of at most three lines that come nearer than `INNER` d_b.
 
-    If each has a fault, the result is a text with the faults or, with `anyway`, the first of these
-    lines. If none comes near enough, the text is empty.
+    If each of these lines has a fault, the result is a text with the faults or, with `anyway`, the
+    first of the lines. If no line comes near enough, the text is empty.
     """
     tried: dict[Place, str] = {}
     for line in islice((each for each in lines if each.nearest < INNER * d_b), _MAX_RUNS):
@@ -219,10 +219,11 @@ def fault_of_run(
     place: Place,
     on_progress: OnProgress = lambda _: None,
 ) -> str:
-    """The measured fault of a run on the line `name` at a place, or an empty string.
+    """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
-    The base has to move by `GIVES_WAY` d_b, and the arm to stay `CLEARANCE` away from the base and
-    `_LOWEST` from the floor. `on_progress` is called with the finished share of the run.
+    At the end, the base has to be `GIVES_WAY` d_b away from its start. The arm has to stay
+    `CLEARANCE` away from the base and `_LOWEST` from the floor. `on_progress` is called with the
+    finished share of the run.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -334,9 +335,9 @@ class _Guide:
         """Lines of a scenario; the most promising lines are first.
 
         A quick first step moves the arm to each start from a known posture. Each time the caller
-        requests a line, a slow step searches for a posture with which a run starts: with few tries,
-        and if no line near the base is left, with all tries. No two lines have nearly the same end.
-        If no line brings the arm nearer than `INNER` d_b, only the best line is yielded.
+        requests a line, a slow step searches for a posture with which a run starts: on lines near
+        the base with few tries, then with all tries, then on other lines. No two lines have nearly
+        the same end. If no line leads nearer than `INNER` d_b, only the best one is yielded.
         """
         mount, body = self._model.p_base(), self.body
         tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
@@ -381,9 +382,8 @@ class _Guide:
             yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from a start at height z, which ends early at the base.
-
-        None if the arm cannot start there, or comes too near to the floor.
+        """The line from a start at height z [m] to the first end of `_LEFT_OVER` with contact, or
+        to the last end; None if the arm cannot start there, or comes too near to the floor.
         """
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
@@ -479,7 +479,7 @@ _LED = (
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] tops of l_m's parts, at most `most`, from high to low, `_SAME_TOP` or more apart."""
+    """[m] tops of l_m's parts, clipped to `most`, from high to low, more than `_SAME_TOP` apart."""
     found: list[float] = []
     for top in sorted((min(float(part.upper[2]), most) for part in body.parts), reverse=True):
         if not found or top < found[-1] - _SAME_TOP:

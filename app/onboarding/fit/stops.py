@@ -34,15 +34,15 @@ def with_stops(
     meetings: Meetings,
     ready: Sequence[float] | None = None,
 ) -> Limits:
-    """Joint limits with which no link that is close to the base by design can reach the base.
+    """Joint limits that, if possible, prevent contact of the base with links close to it by design.
 
     For each of these links that reaches the base in a sampled posture, the joint before the link
     that retains the largest share of its range gets narrower limits. If no joint retains a quarter
-    of its range, or of a turn, the limits do not change; see `watching_buffer`. `ready` (n_m,) is a
-    posture that the limits have to include, or None.
+    of its range, or of a turn if this is less, no limit changes; see `watching_buffer`. `ready`
+    (n_m,) is a posture that the limits have to include, or None.
 
     Raises:
-        RobotFileError: Limits can prevent the contact, but none of them include `ready`.
+        RobotFileError: Limits can prevent the contact, but none of them includes `ready`.
     """
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     stops = {}
@@ -84,8 +84,8 @@ def with_stops(
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] distance up to which two links with some distances (N,) count as in contact: `MARGIN`, or
-    half of the largest distance if that is less, as for adjacent links.
+    """[m] distance up to which two links count as in contact: `MARGIN`, or half of the largest of
+    their distances (N,) [m] in sampled postures if that is less, as for adjacent links.
     """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 
@@ -93,8 +93,8 @@ def contact_margin(distances: Array) -> float:
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
     """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
-    It is `d_b`, or a smaller value in steps of 0.01 m with its reason. A collision that no valid
-    value of `border.d_b` detects is ignored.
+    It is `d_b` with an empty text, or a smaller value, a multiple of 0.01 m, with its reason. A
+    collision that no valid value of `border.d_b` detects is ignored.
     """
     least, why = d_b, ""
     for u, v in sorted(meetings.close & meetings.apart):

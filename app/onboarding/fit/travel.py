@@ -45,7 +45,7 @@ def followers(tree: Tree, chain: Sequence[str]) -> list[Joint]:
 
 
 def _leader(tree: Tree, joint: Joint) -> tuple[Joint, float, float]:
-    """The independent joint that a joint follows through others, with multiplier and offset."""
+    """The independent joint that a joint finally follows, or itself; with multiplier and offset."""
     multiplier, offset = 1.0, 0.0
     for _ in tree.joints:  # a closed chain of mimic joints ends too
         if joint.mimic and joint.mimic[0] in tree.joints:

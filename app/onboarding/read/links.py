@@ -216,8 +216,8 @@ _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
 
 def _states_unit(path: Path) -> bool:
-    """Whether a COLLADA file has another unit than the metre or up axis than z, or no readable XML.
-    An invalid unit is an error.
+    """Whether a COLLADA file has a unit other than the metre, an up axis other than z, or no
+    readable XML. An invalid unit is an error.
     """
     try:
         with path.open("rb") as file:
@@ -237,7 +237,7 @@ def _states_unit(path: Path) -> bool:
 
 def is_foreign(path: Path) -> bool:
     """Whether `new-robot` has to convert a mesh file to STL: other libraries cannot read it, ignore
-    its unit or upward axis, or need very long.
+    its unit or up axis, or read it very slowly.
     """
     end = path.suffix.lower()
     with path.open("rb") as file:
@@ -269,7 +269,7 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; all of up to `_MANY`."""
+    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; of few points, all."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
@@ -356,7 +356,7 @@ def _check_inertia(where: str, stated: pin.Inertia, shapes: LinkGeometry) -> Non
 
 
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
-    """The stated inertia, with moments if only a mass is stated; or one from the volume."""
+    """The stated inertia, with moments of its hull if only a mass is stated; or one by volume."""
     if geometry.volume <= _FLAT:
         return LinkInertia(stated or pin.Inertia.Zero(), "")
     if stated is None:

@@ -138,7 +138,7 @@ def _path(info: zipfile.ZipInfo) -> PurePosixPath:
 
 
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
-    """Unpack a zip into a robot's folder; returns its URDF, with relative paths of all meshes.
+    """Unpack a zip into a robot's folder; return the file of its URDF, with relative mesh paths.
 
     `file` is the path of the URDF in the zip, or None for the only URDF.
 
@@ -216,14 +216,14 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _encoded(name: str) -> Iterator[bytes]:
-    """The bytes of a name that is not ASCII in each of Python's encodings; a zip may state none."""
+    """The bytes of a non-ASCII name in each of Python's encodings, because a zip may state none."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield name.encode(code)
 
 
 def _as_stored(name: bytes) -> str:
-    """The file name of an entry without a stated encoding: code page 437, two bytes escaped."""
+    """The file name of an entry without a stated encoding: in code page 437; 0x5C, 0xFF escaped."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 
@@ -248,10 +248,10 @@ class Contents(NamedTuple):
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The names of links and joints in the first 20 readable URDFs of a zip, by their paths in it.
+    """The names of links and joints in the readable ones of a zip's first 20 URDFs, by their paths.
 
     Raises:
-        RobotFileError: As for `unpack`, or no URDF of the zip can be read.
+        RobotFileError: As for `unpack`, or none of these URDFs can be read.
     """
     with temporary_folder() as folder:
         with named_part(archive.name):

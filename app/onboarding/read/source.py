@@ -32,7 +32,7 @@ FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
 """Endings of readable mesh files; a file without an ending is read as STL. `new-robot` converts
 formats that pybullet does not read to STL."""
 Packages = Callable[[str], Iterable[Path]]  # possible folders of a ROS package, best first
-Folders = Mapping[str, Path]  # folders of ROS packages, before all others
+Folders = Mapping[str, Path]  # stated folders of ROS packages; these are not searched elsewhere
 _IN_PACKAGE = ("package", "model")  # schemes of addresses in a package
 _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can be relative
 
@@ -58,10 +58,10 @@ def locate(source: str) -> Path:
 def read_robot(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, list[str], Collection[str]]:
-    """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
+    """Read the `<robot>` of a URDF or xacro; each mesh gets its address by `mesh_address`.
 
     Arguments, third result and errors are those of `read_source`. The second result has a sentence
-    on each shape that is removed. The errors of required meshes are those of `mesh_address`.
+    on each shape that is removed. A missing mesh that is required raises as `mesh_address` does.
     """
     robot, known = read_source(path, packages, arguments)
     said = []

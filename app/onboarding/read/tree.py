@@ -135,8 +135,8 @@ def make_tree(robot: Element) -> Tree:
     Replaces the materials of the visuals in `robot`, see `_set_own_colour`.
 
     Raises:
-        RobotFileError: A name is empty or not unique, a joint refers to a missing link, the links
-            are not a tree, or a number is invalid or probably in another unit.
+        RobotFileError: A name is empty or not unique, a joint has an unknown type or a missing
+            link, the links are not a tree, or a number is invalid or probably in another unit.
     """
     for tag in ("link", "joint"):
         for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():
@@ -331,7 +331,7 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 
 
 def parallel(a: Joint, b: Joint) -> bool:
-    """Whether both joints are prismatic with parallel axes; the parent of b is the child of a."""
+    """Whether both joints are prismatic with parallel axes, for a joint b on the child of a."""
     line = b.T_parent_child.rotation @ b.axis
     return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > PARALLEL
 

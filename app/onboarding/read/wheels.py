@@ -289,9 +289,10 @@ def _range(joint: Joint) -> float:
 
 
 def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[float, str]:
-    """[m] radius of all shapes about a joint's axis, and the name of the largest shape.
+    """[m] radius of all shapes about a joint's axis, and kind and link of the largest shape.
 
-    Each shape has the pose of its link in the frame of the joint's child.
+    Each shape has the pose of its link in the frame of the joint's child. If they are
+    not round about the axis, this raises a RobotFileError.
     """
     across = null_space(joint.axis[None])
     outlines = [(s.hull.vertices @ T.rotation.T + T.translation) @ across for s, T in shapes]
@@ -311,7 +312,7 @@ def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[
 
 
 def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
-    """Pairs of equal wheels on one axle, first the one with the larger y or, along x, smaller x."""
+    """Pairs of equal wheels on one axle: first the one with larger y or, along x, smaller x."""
     pairs = []
     for a, b in combinations(wheels, 2):
         apart = a.centre - b.centre
@@ -325,9 +326,10 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
 
 
 def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Steering:
-    """The upright joints of the base that carry turning links; options override these.
+    """The steering by the upright joints of the base that carry turning links.
 
-    If some of these links are wheels on the floor, only their joints count.
+    If some of these links are wheels on the floor, only the joints that carry these wheels count.
+    Options override the measured numbers.
     """
     upright: list[tuple[Joint, list[Joint], float]] = []
     tree, arm, floor = base.tree, base.arm, float(T_base_floor.translation[2])
@@ -360,7 +362,7 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
     rate = min(speeds, default=_STEERING_RATE)
     found = {
-        "wheelbase_m": (float(np.mean(places or 0.0)), "measured: from the wheels to the steered"),
+        "wheelbase_m": (float(np.mean(places or 0.0)), "measured: from the rear to the front axle"),
         "steering_limit_rad": (tightest, "from the URDF: the tightest joint"),
         "steering_rate_radps": (rate, slowest),
     }
