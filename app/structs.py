@@ -10,7 +10,7 @@ named tuple from which it is created.
 import ctypes
 import struct
 from hashlib import sha256
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from numba import extending, types
 from numba.core import config
@@ -48,6 +48,9 @@ class _Handle(int):
     kind: _Struct
     owners: tuple[Any, ...]
     """The memory of the struct, and the named tuple that owns the memory of its arrays."""
+
+    def __reduce_ex__(self, _: object) -> NoReturn:
+        raise TypeError("a struct cannot be copied or pickled: it is the address of its memory")
 
 
 @extending.typeof_impl.register(_Handle)

@@ -18,6 +18,7 @@ LAYERS = (
     "jobs",
     "strict",
     "kernel_store",
+    "kernel_memory",
     "compiled",
     "structs",
     "parameters",

@@ -24,7 +24,7 @@ from tools.measured import SETS
 
 PROJECT = Path(__file__).resolve().parent.parent
 RESULTS = PROJECT / "docs" / "results"
-CODE = ("app", "robot_assets")
+CODE = ("app", "robot_assets", "benchmarks")
 """Folders of the code: a row is up to date if nothing in them has changed since its commit."""
 
 Rows = dict[str, dict[str, Any]]

@@ -60,7 +60,7 @@ class Page:
         self.view, self.timeline, self.grip = viewer.view, viewer.timeline, viewer.grip
         self.channel, self._camera = viewer.channel, viewer.camera
         self.channel.on("escape", self._escape)
-        self.channel.on("nudge", lambda x, y, z: self.grip.nudge((x, y, z), shared.loop.latest()))
+        self.channel.on("nudge", lambda x, y, z: self.grip.nudge((x, y, z), self._newest))
         self.channel.on("drop", self.grip.release_keys)
         self.closed = False
         newest = shared.loop.latest()

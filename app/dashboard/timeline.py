@@ -131,8 +131,9 @@ class Timeline:
             if self.begin is None or self.earlier or self.begin > at:
                 self._marked = self._stored(at - MOST_MARKED)
                 self.begin = min(self._marked[0].t, at)
-            elif self.end is not None:
-                self._marked = self._stored(self.begin) or self._marked
+            elif self.end is not None and self.end < at:
+                last = self._marked[-1].t if self._marked else self.begin
+                self._marked += [stored for stored in self._stored(self.begin) if stored.t > last]
             self._cut(at)
 
     def unmark(self) -> None:

@@ -72,7 +72,7 @@ def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, An
             if end > worst:
                 worst, worst_t, at_limits = end, step.t, _limits_met(robot.model, step)
             nearest = min(nearest, *step.distances[:n])
-            links = min(links, *step.distances[n:])
+            links = min((links, *step.distances[n:]))
             contacts += step.contacts.arm_base or step.contacts.arm_arm
             shares.append(joint_share(step, robot.model))
         failures = int(session.controller.last.failures)

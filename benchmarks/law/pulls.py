@@ -96,7 +96,7 @@ def play(case: Held) -> dict[str, Any]:
         d = min(step.distances[:n])
         if d < nearest:
             nearest, back = d, 0.0
-        links = min(links, *step.distances[n:])
+        links = min((links, *step.distances[n:]))
         back = max(back, float(np.linalg.norm(moment.v)))  # since the nearest instant
         person = max(person, moment.person_speed)
         force = max(force, float(np.linalg.norm(step.person.hand)))

@@ -51,7 +51,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 def weight_title(weight: float) -> str:
     """The title of a cost of the base."""
-    times = f"{weight:g} times that" if weight != 1 else "equal to that"
+    times = f"{weight:g}² times that" if weight != 1 else "equal to that"
     return f"Cost of base motion in the objective: {times} of arm motion"
 
 

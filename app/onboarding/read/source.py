@@ -293,7 +293,8 @@ def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[
 def _stated_name(folder: Path) -> str:
     """The name in a folder's `package.xml`, or empty; a downloaded folder can have another name."""
     with suppress(OSError), (folder / "package.xml").open("rb") as file:
-        if found := re.search(rb"<name>\s*([\w.-]+)", file.read(1 << 16)):
+        text = re.sub(rb"<!--.*?-->", b"", file.read(1 << 16), flags=re.DOTALL)
+        if found := re.search(rb"<name>\s*([\w.-]+)", text):
             return found[1].decode()
     return ""
 

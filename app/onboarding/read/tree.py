@@ -325,7 +325,8 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
     roots = [
         joint.child
         for joint in hanging
-        if joint not in chain and not any(parallel(slide, joint) for slide in slides)
+        if joint not in chain
+        and not any(parallel(slide, joint) for slide in slides if slide.child == joint.parent)
     ]
     return tuple(dict.fromkeys(link for root in roots for link in tree.below(root)))
 
