@@ -1,14 +1,14 @@
 """Position, motion and external acceleration of the arm, estimated from noisy readings.
 
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
-Torques and the base's motion predict a joint's acceleration; the rest is a random walk. The noise
-of the readings is estimated from the readings themselves. The predicted accelerations leave an
-unexplained second difference of the positions. Its changes are due to the noise of the positions,
-and have 20 times the variance of this noise. The weight of a velocity depends on its agreement with
-the difference of the last two positions. The noise of velocities has a lower bound in proportion to
-the noise of positions, because drives compute velocities from the same positions. Thus the filter
-follows readings without noise at once, noisy readings do not shake the arm, and velocities that are
-late, wrongly scaled or missing have no effect.
+Torques and the base's motion predict a joint's acceleration; the external acceleration is a random
+walk. The noise of the readings is estimated from the readings themselves. The predicted
+accelerations leave an unexplained second difference of the positions. Its changes are due to the
+noise of the positions, and have 20 times the variance of this noise. The weight of a velocity
+depends on its agreement with the difference of the last two positions. The noise of velocities has
+a lower bound in proportion to the noise of positions, because drives compute velocities from the
+same positions. Thus the filter follows readings without noise at once, noisy readings do not shake
+the arm, and velocities that are late, wrongly scaled or missing have little or no effect.
 
 The estimate belongs to the newest reading, which can be several periods old; `advance` predicts
 the present state from this estimate, with the accelerations due to torques and base since then.
@@ -108,13 +108,13 @@ def process_noise(
 ) -> Array:
     """(n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration in 1 s.
 
-    It is at least so large that the filter responds within `RESPONSE`: a pull moves a light joint
-    beyond its speed limit within 0.05 s. The response takes at least the blind time [s], because
-    readings that are older than assumed contradict the predicted motion. If the standard deviation
-    of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower too, so that the
-    noise of estimated speeds is limited. Recent errors `v_error` (n_m,) of velocities that were
-    predicted over some control periods increase the process noise, up to `_MOST_DRIFT`; `variance`
-    (n_m,) is that of the positions' noise.
+    It is at least so large that the filter responds within the longest of `RESPONSE`, `periods`
+    control periods and the blind time [s]: a pull moves a light joint beyond its speed limit within
+    0.05 s, but readings that are older than assumed contradict the predicted motion. If the
+    standard deviation of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower
+    too, so that the noise of estimated speeds is limited. If `periods` > 1, recent errors `v_error`
+    (n_m,) of used velocities increase the process noise, up to `_MOST_DRIFT`; `variance` (n_m,) is
+    that of the positions' noise.
     """
     drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
     for i in range(len(v_error)):
@@ -186,7 +186,7 @@ def estimate_arm(
 
 @compiled()
 def advance(x: Array, predicted: Array, dt: float) -> None:
-    """Predict x (3, n_m) over k control periods of dt [s] with the accelerations (k, n_m)."""
+    """Advance x (3, n_m) by k control periods of dt [s]; x[2] adds to `predicted` (k, n_m)."""
     for k in range(len(predicted)):
         for i in range(x.shape[1]):
             x[1, i] += dt * (predicted[k, i] + x[2, i])
@@ -242,9 +242,9 @@ def _learn(
 def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
     """The variances (2, n_m) of positions and velocities, with lower bounds.
 
-    `least` [rad or m] bounds the positions' standard deviation; `ratio` [1/s] times that of the
-    positions, and `least` / dt with the time dt [s] since the last reading, bound the velocities'
-    one: drives compute velocities from the same positions.
+    The standard deviation of a position is at least `least` [rad or m]. That of a velocity is at
+    least `ratio` [1/s] times that of its position, and at least `least` / dt, with the time dt [s]
+    since the last reading: drives compute velocities from the same positions.
     """
     found = np.empty_like(variances)
     for i in range(variances.shape[1]):
@@ -317,8 +317,9 @@ def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float)
     The mean of an estimated acceleration is the difference of two velocities, divided by the
     interval. P (n_m, 3, 3) is mainly due to possible changes of the acceleration, not to noise:
     for a filter that knows only positions, the noise of the mean is due to `_NOISE` P, and that of
-    the velocities themselves, which imply the inertia of a known load [kg], is due to P / 2. M is
-    the arm's mass matrix, J (3, n_m) the arm's Jacobian. No filter knows `_FRICTION`.
+    the velocities themselves, which imply the inertia of the mass `loaded` [kg], is due to P / 2. M
+    is the arm's inertia matrix, J (3, n_m) the arm's part of the end-effector's linear Jacobian. P
+    does not include `_FRICTION`.
     """
     inertia, C = np.empty_like(M), np.zeros_like(M)
     for i in range(len(M)):
@@ -386,10 +387,11 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
     A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
     inertia. `w.load` is the mass that best explains the external torques; a force of a person
     counts too. `w.loaded` is the sum of all sudden loads, minus the changes of the payload's mass,
-    without the friction that remains after a person's push upwards. `w.unstated` reports this sum
-    while the torques contain at least half of it. It is 0 if the sum would make the mass at the
-    end-effector negative, because then a person pushes upwards. `jumped` states whether the arm
-    cannot have moved to the newest reading.
+    without the friction that remains after a person's push upwards. It becomes 0 below
+    `_LEAST_LOAD`, or if the torques of the newest intervals contain less than half of it.
+    `w.unstated` is `w.loaded` while the newest two intervals contain at least half of it; otherwise
+    it is 0. It is also 0 if the mass at the end-effector would then be negative, because a person
+    pushes upwards. `jumped` states whether the arm cannot have moved to the newest reading.
     """
     n_b, dt = len(w.g) - len(w.q_m), gains.dt
     if w.samples[()] < _SETTLED:

@@ -12,12 +12,12 @@ further properties:
   the reading. Any delay is the number of periods until accelerations due to the torques and the
   base appear in the measured positions. The readings of the last 50 to 100 periods count, so that
   noise hides the delay as little as possible.
-- **The period**: the motion of a joint, divided by the integral of its velocity over the stated
-  period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
-  loop does not run at the stated period.
+- **The period**: the motion of a joint, divided by the integral of its velocity with the stated
+  period as the time step, is 1. If successive measurements of this ratio agree on a different value
+  for 0.05 s, the loop does not run at the stated period.
 - **The contradiction**: a joint is far above its speed limit, and no lag lets the commanded torques
-  explain its motion better than no torques. Usually joints are then swapped, have a wrong sign, or
-  are too late. Readings that jump in many successive steps count too.
+  explain its motion better than no torques. Usually the readings of joints are then swapped, have a
+  wrong sign, or are too late. Readings that jump in many successive steps count too.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
   if they exceed the speed limits by far. Then the joint velocities are computed from the positions,
   and the base's velocity from the model of the drive.
@@ -58,8 +58,8 @@ FAULTS = {
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
     "localisation": "the base's pose has jumped, or contradicts its velocity: use a frame without "
     "jumps, such as odom, and check the unit and the sign of pose and velocity",
-    "load": "the weight of a load suddenly acts on the end-effector: set `payload.mass` to the "
-    "mass of the load",
+    "load": "the weight of a load suddenly acts, or no longer acts, on the end-effector: set "
+    "`payload.mass` to the mass of the present load",
     "base": "the base does not follow its commands: check its brakes, its driver, the sign of its "
     "velocity, and its `drive_time_constant_s`",
     "contradictory": "the arm's motion does not agree with the commanded torques: brake the drives "
@@ -77,9 +77,10 @@ MAX_AGE = 0.1
 """[s] largest time without a new reading before the fallback command."""
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
-_NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
+_NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions' noise
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
-_RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1
+_RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1, for a
+# stated period and for a measured one
 _RIGHT_BY_CLOCK = 1.05  # [-] the same for a control period that a clock shows
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 EARLY = 0.01
@@ -113,7 +114,7 @@ _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _RECENT = 2.0  # [s] time constant of the comparison of the base's pose with its velocity
 _NEAR = 0.02  # [m or rad] difference of the two that is always plausible
-_SMALLEST, _LARGEST = 0.125, 10.0  # [-] ratios of periods; rpm instead of rad/s has 0.105
+_SMALLEST, _LARGEST = 0.125, 10.0  # [-] bounds of a plausible ratio; rpm instead of rad/s has 0.105
 _NOISY = 0.05  # [rad] noise of a wrapped position at a joint limit
 _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then is compared
 
@@ -154,7 +155,7 @@ def _same(a: Array, b: Array) -> bool:
 
 @compiled()
 def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
-    """Whether the velocities of base and joints (qd) are not all 0; if they are, `unknown`."""
+    """Whether a velocity of base or joints (qd) is not 0; if all are 0, the result is `unknown`."""
     for v in base_velocity:
         if v != 0.0:
             return True
@@ -168,8 +169,8 @@ def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
 def _is_repeated(
     w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float, dt: float
 ) -> bool:
-    """Whether the readings have the last time stamp [s], or equal the last readings although the
-    robot has moved.
+    """Whether the readings have the last time stamp [s]; without a stamp, whether they equal the
+    last readings although the robot moves.
     """
     if not math.isnan(stamp):
         return stamp == w.stamp[()]
@@ -216,7 +217,7 @@ def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
 def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -> Array:
     """The base's velocity: the reading `read` (n_b,), or the prediction by its drive's model.
 
-    A reading is not used if it is missing, or beyond a limit by more than half the range. The
+    A reading is not used if it is missing, or larger than twice the limit of its axis. The
     prediction does not pass the command; after a gap it is the command, at the first reading 0.
     """
     found, time = read.copy(), (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
@@ -243,7 +244,7 @@ def _implausible(q: Array, limits: Array) -> bool:
 
 @compiled()
 def _recall(w: Any, ago: int, count: int) -> Array:
-    """(count, n_m) predicted accelerations of successive periods; the newest ended `ago` before."""
+    """(count, n_m) predicted accelerations of successive periods, until `ago` periods ago."""
     found = np.empty((count, w.history.shape[1]))
     for k in range(count):
         put(found[k], w.history[(int(w.periods[()]) - ago - count + 1 + k) % HISTORY])
@@ -300,7 +301,7 @@ def _polynomials(ages: Array, count: int) -> Array:
 
 @compiled()
 def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
-    """Estimate `w.lag`, the delay of the readings in control periods.
+    """Add the positions q to the newest group, and estimate `w.lag` at the end of each group.
 
     Each possible lag predicts the motion of the last groups' mean positions, which have little
     noise, up to a polynomial of time for the motion by external forces (`_weigh_lags`).
@@ -417,7 +418,8 @@ def _compare_lags(
 def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     """Update the evidence with a new group, and change the lag if the evidence is sufficient.
 
-    `w.contradiction` grows by the evidence against all lags, within the same bound.
+    If `w.ratio` is 1 and the base has no fault, the evidence against all lags, within
+    ±`_LARGEST_GAIN`, is added to `w.contradiction`.
 
     The evidence for each lag is a sum that never becomes negative (a CUSUM test): each new group
     adds the gain of the lag minus `_DOUBT`. The gain is the logarithm of a likelihood ratio, with
@@ -479,14 +481,15 @@ def _divided(way: float, integral: float) -> float:
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
-    The joint with the largest displacement is used. A driver's filter can delay velocities by up to
-    0.01 s, and rare readings seem to delay them by half an interval. Each possible delay implies a
-    ratio. If a ratio near 1 is among them, `w.ratio` becomes 1. If not, it becomes the geometric
-    mean of the smallest and the largest one. A mean outside of 1/8 to 10 means that no plausible
-    period explains the readings: then `w.no_velocity` and `w.ratio` become 1. At least three
-    successive ratios that differ from 1, and agree for 0.05 s, set the fault `period`. From then
-    on, each ratio that differs from 1, and agrees with the last ratio, corrects the period; it
-    needs a larger displacement. If a clock shows the period, such ratios set `w.no_velocity`.
+    The joint with the largest displacement, relative to its noise, is used. A driver's filter can
+    delay velocities by up to 0.01 s, and rare readings seem to delay them by half an interval. Each
+    possible delay implies a ratio. If a ratio near 1 is among them, `w.ratio` becomes 1. If not, it
+    becomes the geometric mean of the smallest and the largest one. A mean outside of 1/8 to 10
+    means that no plausible period explains the readings: then `w.no_velocity` and `w.ratio` become
+    1. A ratio that differs from 1 counts if it agrees with the last ratio, which can be 1, within
+    15 %. Ratios that count for 0.05 s, at least two, set the fault `period`. From then on, each one
+    corrects the period, and needs a larger displacement. If a clock confirms the period, they set
+    `w.no_velocity` instead.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
     if gap or w.faults[PERIOD] != 0.0:
@@ -652,7 +655,7 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _differs(error: Array, way: float, turn: float) -> bool:
-    """Whether the error (3,) of a base motion exceeds `_NEAR` + `way`/2 [m], or `turn`/2 [rad]."""
+    """Whether the error (3,) of a motion exceeds `_NEAR` + half of `way` [m] or `turn` [rad]."""
     far = math.hypot(error[0], error[1]) > _NEAR + 0.5 * way
     return far or abs(error[2]) > _NEAR + 0.5 * turn
 
@@ -663,8 +666,8 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
     Odometry is often slower than the joints' readings: between its readings, the base moves at its
     velocity. The fault `localisation` is a reading that contradicts the velocity: a jump, or recent
-    changes of the pose that differ from the integral of the velocity by more than half of this
-    integral. Without a new reading for `_SELDOM`, the motion since the last one is compared too.
+    changes of the pose that differ from the integral of the velocity by more than `_NEAR` plus half
+    of the path. Without a new reading for `_SELDOM`, the motion since the last one is compared too.
     `w.pose_jump` is for `shift_reference`.
     """
     moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
@@ -794,7 +797,7 @@ def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool
     `w.v_error` is the largest recent error of the velocities that the law used for the time of the
     reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. It decays with the time
     constant of the noise estimate. `w.blind_time` includes `_LATE` after a large error or a jump of
-    the arm: the readings can then be older than assumed.
+    the arm, unless a time stamp shows the age: the readings can then be older than assumed.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, blind = math.exp(-steps * gains.dt / gains.noise_window), steps + lag > 1.0

@@ -102,7 +102,7 @@ def _largest(motion: Array) -> float:
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Start a polynomial to the newest sample; `way` (6,) leads there from the last reference."""
+    """Start a polynomial to the newest sample, at `way` (6,) from the caller's last reference."""
     between = w.since_sample[()]
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion
@@ -267,9 +267,9 @@ def take_reference(
     """Write the reference of this step into x_ref, v_ref and a_ref.
 
     The fields of the caller's `Reference` are R (3, 3) and p (3,) [m], v (6,) [m/s, rad/s] and
-    a (6,) [m/s², rad/s²], linear above angular, in the world. `interpolate`
-    states whether to interpolate references that jump. Returns whether the reference is a possible
-    motion (`_is_motion`); if it is not, nothing is written.
+    a (6,) [m/s², rad/s²], linear above angular, in the world. `interpolate` states whether to
+    interpolate references that jump. Returns whether the reference is a possible motion
+    (`_is_motion`); if it is not, nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False
