@@ -39,7 +39,7 @@ def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
     """λ² (q_limit − q) − 2 λ q̇ [rad/s² or m/s²], the bound from a position limit of a joint.
 
     λ is `rate` [1/s]. At the distance e from the limit, the acceleration towards the limit is at
-    most λ² e − 2 λ q̇. Thus the joint reaches the limit without overshoot.
+    most λ² e + 2 λ ė. Thus a joint that starts with −ė ≤ λ e does not pass the limit.
     """
     return rate**2 * (limit - q) - 2 * rate * qd
 
@@ -226,7 +226,7 @@ def distance_rows(
 
 @compiled()
 def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max: Array) -> float:
-    """[N] bound of a push on the arm's closest point towards the other body.
+    """[N] largest push on the arm's closest point towards the other body that the arm can resist.
 
     A force F against the normal requires the torque t_i + J_i F of each joint, with the distance's
     Jacobian J_i and the torque t_i without that force. No torque exceeds its limit τ_i up to

@@ -155,6 +155,8 @@ def _activate_row(
 ) -> tuple[int, bool]:
     """Change y and the active rows, the first `size` of `kept`, until row p is at its bound.
 
+    `side` is 1 if row p is below its lower bound, −1 if above its upper one, `miss` the distance.
+
     Returns:
         Number of active rows, and whether row p is at its bound; if not, the hard rows are
         infeasible.
@@ -191,9 +193,9 @@ def _activate_row(
 def compliances(softness: Array, length: Array) -> Array:
     """(m,) compliances of the rows, which are scaled to unit length.
 
-    Before this scaling, all soft rows of the same slack weight have the compliance that follows
-    from the shortest soft row: a slack s costs s² times the same factor in each of them. If the
-    cost depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
+    Before this scaling, all rows of the same softness ε² > 0 have the compliance ε² κ, where κ is
+    the square of the shortest soft row: a slack s costs ½ s² / (ε² κ) in each of them. If the cost
+    depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
 
     Args:
         softness: (m,) [-] softness of each row; a row with 0 is hard.
@@ -235,10 +237,11 @@ def _nearest_within(
 ) -> tuple[Array, bool]:
     """The constrained optimum, by the dual active-set method of Goldfarb and Idnani (1983).
 
-    With a_i = L⁻¹ C_iᵀ, scaled to length one, and z = Lᵀ (q̈ - x), z = Σ y_i a_i. The bounds b of
-    the scaled rows are l - C x and u - C x in the same scale. The multipliers y solve
-    b_l ≤ K y ≤ b_u with K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one
-    and 0 between. A pass brings the most violated row to its bound; active rows stay or are left.
+    The optimum q̈ follows from z = Lᵀ (q̈ - x) = Σ y_i a_i, with the rows a_i = L⁻¹ C_iᵀ of a,
+    scaled to length one. The bounds b_l and b_u are l - C x and u - C x in the same scale. The
+    multipliers y solve b_l ≤ K y ≤ b_u with K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound,
+    ≤ 0 at an upper one and 0 between. A pass brings the most violated row to its bound; each active
+    row stays at its bound or becomes inactive.
 
     Args:
         x: (n,) the free optimum.
@@ -303,7 +306,7 @@ def _joined(fixed: Array, rest: Array) -> Array:
 
 @compiled()
 def _free_optimum(H: Array, c: Array, fixed: Array) -> tuple[Array, Array]:
-    """The Cholesky factor of H, and the optimum without limits, of the entries after the fixed."""
+    """For the entries after the fixed ones: Cholesky factor of H, and optimum without limits."""
     k = len(fixed)
     L = cholesky(H[k:, k:])
     return L, solved(L, -(c[k:] + times(H[k:, :k], fixed)))
@@ -317,7 +320,7 @@ def solve_qp(
 
     If no limit is active, the solution is a closed form. Otherwise, with H = L Lᵀ and
     z = Lᵀ (x − x*) from the free optimum x*, the solution is the feasible z nearest to 0. A slack s
-    of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's slack weight and κ is the smallest
+    of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's softness and κ is the smallest
     C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε² times the
     violation at x*. Soft limits, even conflicting ones, never make the problem infeasible.
 

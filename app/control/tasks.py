@@ -116,7 +116,7 @@ def generate_avoidance_task(
     Args:
         base_rows: (n_b, n) [J_m O].
         xdd_m: (n_b,) [m/s² or rad/s²] ẍ_m of (16).
-        beta_m: [-] β_m of (28).
+        beta_m: [-] β_m of (28), or 0 if the method does not move the base.
         J_r: (k, n) Jacobians (21) of the distances of the pairs within the arm (L_m^c).
         b_r: (k,) [m/s²] ẍ_r − J̇_r q̇ of these pairs.
         beta_r: (k,) [-] activations of these pairs.
@@ -285,7 +285,7 @@ def posture_objective(
         q_limits: (2, n_m) [rad or m] lower and upper joint limits.
         stiffness: [1/s²] stiffness towards the posture.
         damping: [1/s] damping of the joints.
-        joint_centering: [1/s²] pull at a joint limit towards the middle.
+        joint_centering: [1/s²] restoring acceleration at a joint limit, relative to half the range.
         base_weight: [-] cost of the base's acceleration relative to a joint's.
         base_damping: [1/s] damping of the base.
     """
@@ -453,11 +453,11 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
 
     An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
     drags the end-effector along, the distance stays the same, and the base would continue. Our
-    extension: R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the
-    end-effector's linear Jacobian, in `J_ee` (6, n) and J_b = J_ee J_m_inv; Q = `qd_max` (n_m,)
-    [rad/s or m/s] the speed limits of the joints, and v [m/s] a speed. Along a direction in which
-    the joints can move the end-effector at v, half of the base's motion remains; at 2 v, one
-    seventeenth.
+    extension: R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b. J is the arm's part of the end-effector's linear
+    Jacobian in `J_ee` (6, n), and J_b the base's part times `J_m_inv`. Q is the diagonal matrix
+    of the joints' speed limits `qd_max` (n_m,) [rad/s or m/s], and v is `speed` [m/s]. Along a
+    direction in which the joints can move the end-effector at v, half of the base's motion remains;
+    at 2 v, one seventeenth.
     """
     n_b, n_m = len(J_m_inv), len(qd_max)
     follows = np.zeros((3, 3))
