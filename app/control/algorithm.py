@@ -179,8 +179,8 @@ def algorithm_2(
     """Self-collision avoidance: one control step.
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
-    `put_commands` gives the fallback command. A step can be repeated up to `put_commands`, because
-    a second pass writes the same values: this happens after ProxQP has solved one of its QPs.
+    `put_commands` writes the fallback command. After ProxQP has solved a QP of the step, the step
+    is repeated: before `put_commands`, a second pass writes the same values.
 
     Paper: Algorithm 2.
 
@@ -233,7 +233,7 @@ def activate_pairs(gains: Any, w: Any) -> None:
 
 @compiled()
 def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
-    """Lines 3 to 6: acting points and forces of the pairs with the base, and its acceleration."""
+    """Lines 3 to 6: acting points and forces of the pairs of arm and base, ẍ_m and β_m."""
     for i in range(robot.n_mob):
         for unknown in (w.p_n[i], w.p_t[i], w.p_act[i], w.tangent[i]):
             fill(unknown, math.nan)
@@ -539,7 +539,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖², with the rows between links as
     springs; b_ee and these rows have slow gains. While a person guides the arm, a task that brings
     the base to rest replaces T_2. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the bounds of the
-    joints at their full rates, and |J_m q̈_b| ≤ a_max. If the method's base takes part in the
+    joints at the rates of `gains`, and |J_m q̈_b| ≤ a_max. If the method's base takes part in the
     barriers, the barriers of all pairs are constraints too. Returns the number of its limits.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
@@ -564,10 +564,10 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
     """A base acceleration near a_des that drags the end-effector along as little as possible.
 
-    If β_m = 0, the result is a_des. If β_m > 0, a_des is clipped to ±a_max, and `limit_ee_drag`
-    minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are the inertia and
-    the mass of the base, w is `ee_hold.weight`, and D leads to the end-effector's acceleration that
-    the arm cannot compensate. The base responds to the command a_hold with a_free.
+    If β_m (here `w.B[0]`) is 0, the result is a_des. Otherwise a_des is clipped to ±a_max, and
+    `limit_ee_drag` minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are
+    the base's inertia and mass, w is `ee_hold.weight`, and D maps a command to the end-effector's
+    acceleration that the arm cannot compensate. The base answers the command a_hold with a_free.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -587,7 +587,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """Set up the QP that makes room for the arm.
 
     Minimise ‖q̈ − q̈_0‖ in the metric H, with q̈_0 the optimum of the cost for the base's response
-    to its present command: the smallest change with which the arm fulfils T_2 within its limits.
+    to `w.a_base_cmd`: the smallest change with which the arm fulfils T_2 within its limits.
     The cost is the sum of the tasks of base and arm, with a far higher weight of T_2, and with the
     base's rows in proportion to their activation. The approach rates of the limits match the base's
     slow response, so the base reacts early: it turns in time if a wrist joint comes near its limit.

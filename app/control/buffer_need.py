@@ -22,10 +22,11 @@ then the end-effector has approached the base by no more than
 
     x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
 
-(without damping, the bracket is v_k²/(2 a_k)). The smallest distance is therefore at least the
-largest d_* - x(d_*). This bound grows with d_b. The required d_b is the smallest d_b for which this
-bound is at least 0.02 m, the reserve; it is not below `activation.d_full`. If the sum of the speeds
-a_k T_k stays below v at every d_*, no d_b suffices.
+(without damping, the bracket is v_k²/(2 a_k); v includes the speed of a channel that moves towards
+the arm). The smallest distance is therefore at least the largest d_* - x(d_*). This bound grows
+with d_b. The required d_b is the smallest d_b for which this bound is at least 0.02 m, the reserve;
+it is not below `activation.d_full`. If the sum of the final speeds w_k stays below v at every d_*,
+no d_b suffices.
 
 The bound has two simplifications. The end-effector does not move along the base, and a force from
 the side has a lever of at least 0.25 m for ω: near the wheel axis the tangential part of the force
@@ -74,7 +75,7 @@ def _bound(
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] the largest d_* - x(d_*), see above; −∞ if the base does not reach v at any d_*.
+    """[m] largest d_* - x(d_*) by the module's docstring; −∞ if the base reaches v at no d_*.
 
     Args:
         d_b: [m] buffer distance.
@@ -154,8 +155,8 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
     """[m] smallest sufficient d_b for one motion of `_ways`; infinite if none suffices.
 
-    `sizes` (k,) [m] are ascending; the result is between two of them, because `_bound` grows with
-    d_b.
+    `sizes` (k,) [m] are ascending, and `_bound` grows with d_b: the result is the first sufficient
+    size, or a finer one between it and the size before it.
     """
 
     def first(ascending: Array) -> int:
@@ -173,8 +174,8 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
     """(k,) [m] lower bound of the smallest distance between arm and base, for each d_b (k,) [m].
 
-    Each d_b must be larger than d_full. The bound is −∞ if the base cannot retreat as fast as the
-    arm approaches (`approach.v`) at any distance.
+    Each d_b must be larger than d_full. The bound is −∞ if the base reaches the speed of the arm,
+    `approach.v`, at no distance.
     """
     ways = list(_ways(approach, base, config))
     return np.array([max(_bound(each, *way) for way in ways) for each in d_b])

@@ -20,7 +20,7 @@ from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
 _FLOAT = np.dtype(float)
-_FASTEST = 0.6  # [-] largest product of gain [1/s] and control period
+_FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 1/s², and the period
 
 
 def checked_period(dt: float) -> float:
@@ -63,7 +63,7 @@ def check_gains(config: Config, dt: float) -> None:
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
     """Build the error for joint positions q_m (n_m,) far outside the position limits.
 
-    The message names the joint that is the farthest outside.
+    The message names the joint that is the farthest outside, relative to its range.
     """
     low, high, joints = model.q_lower, model.q_upper, model.description.arm.joints
     i = int(np.argmax(np.abs(q_m - 0.5 * (high + low)) / (high - low)))
@@ -75,7 +75,7 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
 
 
 def clocks_differ(measurement: Measurement) -> MeasurementError:
-    """The error for a first reading whose time stamp does not belong to the step's time."""
+    """The error for a first reading whose time stamp is too far from the time of the step."""
     age = measurement.now - measurement.time
     side = "before" if age > 0.0 else "after"
     return MeasurementError(

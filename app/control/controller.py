@@ -1,8 +1,8 @@
 """The controller: measurement in, one control step out, without simulator or display.
 
-A step calls the compiled functions `update_estimate` and `run_algorithm_2`; between them pinocchio
-computes kinematics, dynamics and distances. `ControlLoop` is the complete control at 1 kHz in one
-object, for your own loop and for the simulation.
+A step calls the compiled functions `take_reference`, `update_estimate` and `run_algorithm_2`;
+before the last one, pinocchio computes kinematics, dynamics and distances. `ControlLoop` is the
+complete control in one object, for your own loop and for the simulation.
 """
 
 import logging
@@ -223,8 +223,8 @@ class Controller:
 
         Raises:
             MeasurementError: A reading or the reference has a wrong type or number of entries, the
-                reference is not a possible motion, or a joint of the first reading is far outside
-                of its position limits, for example because the reading is in degrees.
+                reference is not a possible motion, a joint of the first reading is far outside of
+                its position limits, or the first reading's time stamp is too far from `now`.
         """
         if base_acceleration is None:
             return self._step(measurement, reference, BASE_AS_COMMANDED)
@@ -278,7 +278,7 @@ class Controller:
         return w
 
     def _rescue(self, which: int) -> None:
-        """Solve the open QP, number `which` from 0, by ProxQP, and write the result into `qp_x`."""
+        """Solve the open problem `which`, from 0, by ProxQP; write `qp_x` and `qp_tried`."""
         w, m = self.last, int(self.last.qp_rows)
         w.qp_tried[which] = 1.0
         if which == HIERARCHY:
@@ -300,8 +300,8 @@ class Command(NamedTuple):
     u_a: Array
     """(n_m,) [N m or N] torques of the arm, including gravity and Coriolis terms."""
     base_velocity: Array
-    """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base. It
-    changes once in each command period, at 10 Hz by default."""
+    """(n_b,) [m/s or rad/s] velocity command along the base's axes: v and ω for a differential
+    base. It changes only at the end of each command period, at 10 Hz by default."""
     step: ControlStep
     """All quantities of the step, such as the distances; the next step overwrites them."""
 
@@ -315,7 +315,7 @@ class Command(NamedTuple):
 
     @property
     def load(self) -> float:
-        """[kg] mass of the load that the fault `load` reports.
+        """[kg] mass of the load in the fault `load`; negative if a stated load has ceased.
 
         Without this fault, the mass at the end-effector that best explains the external torques,
         including those of a person.
@@ -377,7 +377,7 @@ class ControlLoop:
         """Names of all faults of the readings since `reset`."""
 
     def joint_order(self, names: Sequence[str]) -> JointOrder:
-        """A function that sorts a driver's joint states; `names` is the driver's order of joints.
+        """A function that selects the arm's joints from joint states in the order `names`.
 
         Raises:
             MeasurementError: `names` is not a list, or a joint of the arm is missing or repeated.
@@ -410,8 +410,8 @@ class ControlLoop:
 
         Raises:
             MeasurementError: A reading or the reference has a wrong type or number of entries, the
-                reference is not a possible motion, or a joint of the first reading is far outside
-                of its position limits, for example because the reading is in degrees.
+                reference is not a possible motion, a joint of the first reading is far outside of
+                its position limits, or the first reading's time stamp is too far from `now`.
         """
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)

@@ -148,7 +148,8 @@ load | m | | kg | | readings |
     memory: mass at the end-effector that best explains the external torques of the last interval
 loaded | | | kg | | readings |
     memory: sum of the loads that began suddenly, minus the additions to `payload.mass`
-unstated | | | kg | | readings | memory: mass of the reported load; 0 without one
+unstated | | | kg | | readings |
+    memory: mass of the reported load, negative if a stated load has ceased; 0 without one
 torques | | 8 n_m | N m, N | joints | readings |
     memory: mean external torques in intervals of 0.02 s or longer, the newest first
 lifts | | 8 n_m | N m/kg, N/kg | joints | readings |
@@ -176,7 +177,7 @@ d_b | d_b | | m | | §2.2 | memory: present buffer distance; it approaches a new
 d | d | n_r | m | | line 4 | signed distances
 p_a | p_a | n_r 3 | m | world | line 4 | closest points on l_a
 p_b | p_b | n_r 3 | m | world | line 4 | closest points on l_b
-normal | n | n_r 3 | 1 | world | (21) | signed normals from l_a to l_b
+normal | n | n_r 3 | 1 | world | (21) | normals from l_a to l_b, also in penetration
 core | | n_r 3 | m | world | (21) | points of the core of l_b that belong to p_b
 J | J_r | n_r n | m/rad, 1 | reduced | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
@@ -263,7 +264,7 @@ qp_x | | 4 n | | reduced | | solutions of the four QPs from Python; NaN without 
 qp_tried | | 4 | 1 | | | 1 for each QP that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP
-qp_fixed | | n_b | | reduced | | fixed first entries of the solution
+qp_fixed | | n_b | | reduced | | base's entries of q̈ before the QP; fixed in the arm's QP
 qp_rows | | | 1 | | | number of rows of the open QP in C, l, u and softness
 """
 """A line for each quantity: name | symbol | shape | unit | frame | source | meaning."""
@@ -316,7 +317,7 @@ class ControlStep:
         """Memory for a robot.
 
         Args:
-            sizes: The dimensions of `DIMENSIONS`.
+            sizes: The value of each dimension in `DIMENSIONS`.
             pinocchio: The views of `PINOCCHIO`.
             pairs: The link pairs, those of L_m first.
             rows: For each pair: the row of its distance, and the rows of its convex parts.
