@@ -1,10 +1,10 @@
 """Structs of arrays and numbers that Python and compiled code share.
 
 The call of a compiled function with a struct takes 0.01 µs; with a tuple of arrays it takes 0.1 µs
-for each array. Both sides share the memory of the arrays: Python reads,
-without a copy, the values that compiled code writes. The numbers of a struct, and the arrays to
-which its fields refer, are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the
-named tuple from which it is created.
+for each array. Both sides share the memory of the arrays: Python reads, without a copy, the values
+that compiled code writes. The numbers of a struct, and the arrays to which its fields refer, are
+fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the named tuple from which it is
+created.
 """
 
 import ctypes

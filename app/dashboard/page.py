@@ -60,7 +60,7 @@ class Page:
         self.view, self.timeline, self.grip = viewer.view, viewer.timeline, viewer.grip
         self.channel, self._camera = viewer.channel, viewer.camera
         self.channel.on("escape", self._escape)
-        self.channel.on("nudge", lambda x, y, z: self.grip.nudge((x, y, z), self._newest))
+        self.channel.on("nudge", lambda *ahead: self.grip.nudge(ahead, self._present()))
         self.channel.on("drop", self.grip.release_keys)
         self.closed = False
         newest = shared.loop.latest()
@@ -84,6 +84,10 @@ class Page:
         add_shortcuts(client.gui, self._shortcuts(), notifier)
         self._camera.begin(self.timeline.shown())
         self.draw(texts=True)
+
+    def _present(self) -> Snapshot:
+        """Return the newest snapshot, or the response to the posture of the joint sliders."""
+        return self.explorer_panel.shown(newest := self._shared.loop.latest(), newest)
 
     def draw(self, *, texts: bool) -> None:
         """Draw the viewer's point in time; update panels, plots and labels only if `texts`."""

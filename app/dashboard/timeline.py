@@ -150,7 +150,8 @@ class Timeline:
         with self._lock:
             found = list(self._marked) if self.begin is not None else self._loop.stored()
         if len(found) < 2:
-            raise LogError("the marked interval has no duration; mark a start and a later end")
+            whole = "marked interval" if self.begin is not None else "run"
+            raise LogError(f"the {whole} has no duration yet; mark a start and a later end")
         return [stored.snapshot for stored in found]
 
     def between(self, begin: float, end: float, spacing: float) -> list[Snapshot]:

@@ -20,7 +20,7 @@ from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import ConfigError
-from app.simulation.loop.commands import Pause, Play, Reset, StepOnce
+from app.simulation.loop.commands import STEPS, Pause, Play, Reset, StepOnce
 from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
@@ -79,9 +79,9 @@ class Viewer:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`; after the newest one, a paused run advances."""
+        """Move the shown instant by `seconds`; after the newest one, a paused run advances, up to 1 s."""
         if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
-            self.shared.loop.send(StepOnce(seconds))
+            self.shared.loop.send(StepOnce(min(seconds, STEPS[1])))
         else:
             self.timeline.step(seconds)
 
