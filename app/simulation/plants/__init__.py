@@ -23,7 +23,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant with a present or former name, by default of `default_plant`.
+    """The present name of a plant from its present or former name; None: the `default_plant`.
 
     If the plant does not exist, this raises an UnknownNameError.
     """

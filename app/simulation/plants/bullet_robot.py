@@ -113,7 +113,7 @@ class BulletRobot(BulletWorld):
 
 
 class BulletDoor(HeldDoor):
-    """The refrigerator in pybullet. Of the robot, only the links of the mobile base touch the door.
+    """The refrigerator in pybullet. Of the robot, only links of the base can touch the door.
 
     The hinge has dry friction and two stops. The cabinet stands on the floor and is not fixed.
     """
@@ -213,10 +213,10 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge fixed links that have contacts with the same parts, or no collision shape.
+    """Merge fixed links that have the parent's contacts, or no collision shape, into the parent.
 
     Links have contacts with the same parts if the same body covers them, and they are nested with
-    the same links. pybullet treats each link as a joint, and is limited to 128. The end-effector's
+    the same links. pybullet treats each link as a joint, and loads at most 128. The end-effector's
     link is not merged into its parent, because pulls are expressed in the frame of this link.
     """
     nested = description.nested

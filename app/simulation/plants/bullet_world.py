@@ -118,9 +118,9 @@ class BulletWorld:
     def load(
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
-        """Load a body without damping, and return its index; `place` (3,) [m] is the root's.
+        """Load a body without damping, and return its index; its root is at `place` (3,) [m].
 
-        With `self_collision` the links can touch, and the root is fixed.
+        With `self_collision` links that are not neighbours can touch, and the root is fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:

@@ -81,7 +81,7 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links in bodies of a pair of `body_contact_pairs`, without those in `nested`."""
+    """Pairs of links whose bodies are in `body_contact_pairs`, without the pairs in `nested`."""
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {
@@ -125,7 +125,7 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
 
 
 def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
-    """The shapes of a URDF's links, whose joints are those of a model."""
+    """The collision shapes of the links in a URDF; `model` has the joints that move them."""
     try:
         loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     except ValueError as error:  # assimp reports exhausted memory like a damaged file

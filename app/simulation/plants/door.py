@@ -176,7 +176,7 @@ class Cabinet:
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:
-    """Size [m] and pose in the world of a refrigerator's boxes; its door is open by an angle."""
+    """Size [m] and pose in the world of a refrigerator's boxes, at an opening angle [rad]."""
     cabinet, opened = Cabinet(door), door.pose(angle)
     handle = door.pose(0.0).actInv(door.handle(0.0)).translation
     return {

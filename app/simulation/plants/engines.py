@@ -28,9 +28,10 @@ class Difference(NamedTuple):
     """Differences between two engines in some postures."""
 
     picture: float
-    """[-] largest share, among all pictures, of the rays to the robot with different hits."""
+    """[-] share of the rays to the robot whose hits differ between the engines, in the worst
+    picture."""
     depth: float
-    """[m] depth of the deepest contact that exists in only one engine."""
+    """[m] depth of the deepest contact of a kind that only one engine reports in a posture."""
     contacts: int
     """Number of contacts that both engines report, at most one of each kind in each posture."""
     postures: int
@@ -41,8 +42,8 @@ def compare_engines(
 ) -> Difference:
     """Put both planar plants into random postures, and compare contacts and pictures.
 
-    In the first `pictures` postures, the pictures are taken from three sides each. This raises the
-    errors of `make_physics`.
+    Each of the first `pictures` postures has pictures from three sides. This raises the errors of
+    `make_physics`.
     """
     plants = planar_plant("pybullet", model), planar_plant("mujoco", model)
     state, rng = RobotState(model), np.random.default_rng(seed)
@@ -71,7 +72,7 @@ def compare_engines(
 
 
 def _picture(plants: tuple[Planar, Planar], base: Array, side: tuple[float, ...]) -> float:
-    """[-] share of the rays to the robot with different hits, in a parallel projection."""
+    """[-] share of the rays to the robot whose hits differ between the engines, all parallel."""
     forward = -np.array(side) / np.linalg.norm(side)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)

@@ -108,8 +108,8 @@ def _move_arm(
     """Integrate the arm's rows of the equation of motion over one step, changing q and q̇ in place.
 
     The joints have ideal stops: each joint that would leave its range in this step moves to its
-    nearer limit. `felt` (n_m,) are the joint torques of the forces on the arm, `coupled` is
-    M_ab q̈_b; M (n, n) and h (n,) are those of (26).
+    nearer limit. If an input is not finite, q and q̇ become NaN. `felt` (n_m,) are the joint torques
+    of the forces on the arm, `coupled` is M_ab q̈_b; M (n, n) and h (n,) are those of (26).
     """
     n = len(q)
     A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled
@@ -139,7 +139,7 @@ _move_arm_once = direct(_move_arm)
 
 
 def _contact_geometry(model: RobotModel) -> tuple[pin.GeometryModel, list[str]]:
-    """The bodies and the floor with the pairs that can touch, and the `Contacts` of each pair."""
+    """The bodies and the floor with the pairs that can touch; each pair's field of `Contacts`."""
     geometry, groups = model.geometry.copy(), list[str]()
     floor = geometry.addGeometryObject(
         pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))

@@ -3,8 +3,8 @@
 A skid-steer base stands on all its wheels; all wheels are driven and have the same friction along
 and across. The effective track depends on the load of each wheel. Therefore a turn on the spot at
 the start calibrates the drive. A base with two wheels also stands on casters, which are
-frictionless and slightly soft: the spheres at the floor in the URDF, or, without such spheres, the
-four corners of the base.
+frictionless and slightly soft: the spheres at the floor in the URDF, or, without such spheres, one
+at each corner of the base.
 """
 
 import math
@@ -39,7 +39,7 @@ _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
 """A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
 stiffer contacts and faster friction, MuJoCo lifts sliding parts: the wheels would hop, and the base
 would turn in jerks."""
-_AT_FLOOR = 0.01  # [m] height below which a part of the base touches the floor
+_AT_FLOOR = 0.01  # [m] a shape of the base that reaches down to this height counts as on the floor
 _GEOM = mujoco.mjtGeom
 _MIN_MASS = 0.005  # [-] assumed mass of a wheel without a mass, relative to the base's mass
 _SETTLING_TIME = 0.3  # [s] time in which the base sinks onto its wheels after a reset
@@ -170,7 +170,7 @@ class MujocoWheels(Physics):
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """[rad/s] turn rates of the base while wheels turn at speeds (n,) [rad/s], arm fixed."""
+        """Execute steps with wheel speeds (n,) [rad/s], arm fixed; return turn rates [rad/s]."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN

@@ -45,7 +45,7 @@ _FIELDS = {
     "tool": types.Array(types.f8, 1, "C"),  # (3,) [m] the end-effector in this body's frame
 }
 _WORLD = struct_type("World", _FIELDS)
-"""Forces, origins, centres, axes (in the world) and guess are views of MuJoCo's memory."""
+"""Views of MuJoCo's memory: forces, origins, centres, axes (in the world), torques, guess."""
 _Views: Any = NamedTuple("_Views", [(name, Any) for name in _FIELDS])  # type: ignore[misc]
 
 
@@ -170,7 +170,7 @@ class MujocoWorld:
 
 @compiled(Signature(types.void, (_WORLD.type, types.i8, _VECTOR, _VECTOR), None))
 def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
-    """Add a force (3,) [N] in the world on a point (3,) [m] in a body's frame to the forces."""
+    """Add a force (3,) [N], in the world, at a point (3,) [m] in a body's frame."""
     R, arm, felt = bodies.axes[body], np.empty(3), bodies.forces[body]
     for i in range(3):
         turned = R[i, 0] * point[0] + R[i, 1] * point[1] + R[i, 2] * point[2]
@@ -183,7 +183,7 @@ def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
 
 @compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR, _VECTOR), None))
 def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None:
-    """Set the motors' references and the arm's torques, and the person's force as the only force.
+    """Set the motors' references, the arm's torques and the person's force; clear other forces.
 
     MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint. A
     motor's reference acceleration is (speed - v) / dt. The solver starts from the accelerations
@@ -204,7 +204,7 @@ _press_once, _drive_once = direct(_press), direct(_drive)
 
 
 class MujocoDoor(HeldDoor):
-    """The refrigerator in MuJoCo. Of the robot, only the links of the mobile base touch the door.
+    """The refrigerator in MuJoCo. Of the robot, only links of the base can touch the door.
 
     The hinge has dry friction and two stops. The end-effector is welded to a massless body on
     the door; a sensor between this body and the door measures force and torque.
