@@ -55,7 +55,7 @@ _OWN = ("guiding-lateral", "guiding-front", "tracking")
 or a start from the user."""
 _FREE = "guiding-front"  # scenario whose start is also the start of the free motion
 _SAME_LINE = {"tracking": "guiding-lateral"}
-"""For a scenario: the scenario whose line is used if the robot has no line for the first one."""
+"""If the robot has no line for the first scenario, its line for the second one is used."""
 
 
 def scenario_by_name(name: str) -> Scenario:

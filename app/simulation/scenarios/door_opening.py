@@ -29,7 +29,7 @@ class DoorOpeningGains:
     ramp: float = 1.5
     """[s] rise time of the speed from zero."""
     turn: float = math.radians(88)
-    """[rad] rotation of the end-effector since the start; there the end-effector stops."""
+    """[rad] rotation since the start that ends the motion of the end-effector."""
     braking: float = math.radians(4)
     """[rad] length of the range before the angle `turn` in which the end-effector slows down."""
     radial_force: float = 0.0

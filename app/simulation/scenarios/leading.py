@@ -128,7 +128,7 @@ def _choices(kind: type[Scenario]) -> dict[str, tuple[str, ...]]:
 
 
 def check_point(option: str, point: Sequence[float], size: int = 3) -> None:
-    """Check that a point (size,) [m] is within ±10 m; otherwise raise a ConfigError."""
+    """Check that a point has `size` coordinates within ±10 m; otherwise raise a ConfigError."""
     if len(point) != size:
         raise ConfigError(f"{option}: {point!r} is not {size} numbers")
     for coordinate in point:

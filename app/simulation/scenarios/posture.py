@@ -1,4 +1,4 @@
-"""Search for the best of many postures that bring the end-effector to a target."""
+"""Search for the best of many postures of the arm, with or without a target of the end-effector."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -65,7 +65,7 @@ class PostureSearch:
         self._shoulder, self._length = _arm_length(model)
 
     def stand(self, base_pose: Array) -> None:
-        """Put the base at a pose (3,): x, y [m] and heading [rad] in the world; initially zero."""
+        """Set the base's pose for the next `place`: x, y [m] and heading [rad]; initially zero."""
         self._base_pose, self._placed = base_pose, None
 
     def place(self, q_m: Array) -> None:

@@ -41,7 +41,7 @@ _FIRMNESS = {
 
 @dataclass(frozen=True)
 class RefrigeratorScenario(Scenario):
-    """The end-effector holds the handle of a closed door and opens it."""
+    """The end-effector holds the handle of a refrigerator's door and opens it."""
 
     name: str = "refrigerator"
     duration: float = 45.0
@@ -79,7 +79,7 @@ class RefrigeratorScenario(Scenario):
 
     @property
     def door(self) -> Door:
-        """The door."""
+        """The door that the options describe."""
         from app.simulation.plants.door import Door
 
         side = 1.0 if self.hinge == "left" else -1.0

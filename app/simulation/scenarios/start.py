@@ -71,10 +71,9 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        The search prefers a posture from which the arm reaches further positions too, (3,) [m] each
+        A posture has a better quality if the arm reaches further positions from it, (3,) [m] each
         in `along`, while the base is at rest and the end-effector keeps its starting orientation.
-        If there is no such posture, the result is another valid posture, because the base can move
-        during a run.
+        The result can be a posture without this property, because the base can move during a run.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -170,7 +169,7 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] quality of a posture: smallest joint margin plus manipulability, also on the path.
+        """[-] quality of a posture and path: smallest joint margin plus smallest manipulability.
 
         It is 0 if the arm cannot follow the path with the base at rest.
         """
@@ -305,7 +304,7 @@ class _GraspSearch:
         return np.add(self._base_pose, [*back, 0.0])
 
     def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
-        """(n_m,) the posture after one step to the target, in its null space to `q_start`."""
+        """(n_m,) posture after one step to the target, and in the null space towards `q_start`."""
         error, J = self._search.linearised(q_m, target)
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)

@@ -47,7 +47,8 @@ class WayOutScenario(Scenario):
 
         The pair is drawn first. For a pair of arm and base, the direction is drawn too: the arm is
         above the base or beside it. Some of these cases are rare among uniformly random postures.
-        If the search finds no posture, this raises an UnreachableError.
+        After a case without a result, the next one is drawn; without any result, this raises an
+        UnreachableError.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
@@ -67,7 +68,7 @@ class WayOutScenario(Scenario):
             if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
                 return Setting(model, data, np.zeros(3), q_m, config)
         raise UnreachableError(
-            f"no posture of the arm has a start of the kind {self.begin!r} in {_TRIES} tries "
+            f"no start of the kind {self.begin!r} is among {_TRIES} random postures of the arm "
             "for each pair"
         )
 
@@ -81,8 +82,8 @@ def _judge(
 ) -> float:
     """1 if the search's present posture is a valid start, otherwise 0.
 
-    Pair i must be the nearest one, at a distance in the range `depth` [m], and the arm above the
-    floor, and above the base (True), beside it (False) or anywhere (None).
+    Pair i must be the nearest one, at a distance in the range `depth` [m], and the arm 1 cm above
+    the floor. `above`: the arm must be above the base (True), beside it (False), anywhere (None).
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]
