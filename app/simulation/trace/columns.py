@@ -166,8 +166,8 @@ class Quantity(NamedTuple):
     """Attributes of a control step, such as `truth.q_m`, with the numbers and float arrays that are
     recorded at each control step."""
     row: Take | None = None
-    """Computation of the numbers that are recorded at each control step, if there are no `paths`;
-    None for a quantity that is recorded at snapshots only.
+    """Computation of the numbers that are recorded at each control step; None for a quantity with
+    `paths`, and for one that is recorded at snapshots only.
     It is called at 50 Hz, and the cells of the other steps are empty; while the end-effector holds
     a door, it is called at each control step."""
 
@@ -184,9 +184,9 @@ def number(
     """A quantity of one number or text.
 
     `source` is the attribute of the control step with the value, as in `Quantity.paths`, or its
-    computation, as in `Quantity.take`. If `often`, the value is recorded at each control step,
-    otherwise at snapshots only; then `row` is required, unless `source` is an attribute. If
-    `optional`, the value can be None.
+    computation, as in `Quantity.take`. If `often`, the value is recorded at each control step, and
+    `row` is required unless `source` is an attribute; otherwise it is recorded at snapshots only.
+    If `optional`, the value can be None.
     """
     if often and row is None and not isinstance(source, str):
         raise ValueError(
@@ -226,7 +226,7 @@ def numbers(
 def _source(
     source: str | Take | None, convert: Callable[[Any], Any]
 ) -> tuple[Take | None, tuple[str, ...]]:
-    """`take` and `paths` of a quantity; `convert` the value of an attribute."""
+    """`take` and `paths` of a quantity; `convert` converts the value of an attribute."""
     if not isinstance(source, str):
         return source, ()
     read = attrgetter(source)

@@ -144,7 +144,7 @@ def _snapshots(
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
-    """The cells of a column in the rows with snapshots, by `_cast`."""
+    """The cells of a column in the rows with snapshots; an empty one is NaN or an empty text."""
     if not column.often:
         _cast(column, values, len(drawn))
     nothing = "" if column.kind == "text" else NAN
@@ -155,7 +155,7 @@ def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> l
 
 
 def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
-    """Convert the cells of a column to its type; `filled` cells must have a value."""
+    """Convert a column to its type; unless it is optional or text, it must have `filled` values."""
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
         raise LogError(

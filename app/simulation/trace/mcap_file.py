@@ -9,7 +9,7 @@
 | `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, with their meshes | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
 | `/markers` | `foxglove.SceneUpdate`, closest points, acting points, forces | each snapshot |
-| `/step` | `dbb.Step`, the columns with a number at each step; signs become `_` | each row |
+| `/step` | `dbb.Step`, columns with a number at each step, special characters as `_` | each row |
 | `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | start, each change |
 
 The schemas `foxglove.…` and `dbb.…` are Protobuf, the others are ROS 2 messages, because Rerun

@@ -118,7 +118,7 @@ def jumps(run: Trace, quantity: str) -> dict[str, float]:
 
 
 def sign_changes(values: Array, band: float) -> int:
-    """Largest number of sign changes in a column of values (N, k) outside of ±`band`."""
+    """Largest number of sign changes in a column of `values` (N, k) without values in ±`band`."""
     signs = (np.sign(column[np.abs(column) > band]) for column in values.T)
     return max((int((s[1:] != s[:-1]).sum()) for s in signs), default=0)
 
@@ -187,7 +187,7 @@ def _finite(value: float) -> float | None:
 
 
 def _total(quantity: str) -> Callable[[Trace], int]:
-    """Number of rows in which a flag is true."""
+    """A function that counts the rows in which a flag is true."""
     return lambda run: int(run.of(quantity).sum())
 
 

@@ -55,13 +55,14 @@ _DOOR = TypeAdapter(Door)
 
 
 class PairReading(NamedTuple):
-    """One link pair at one instant, named such as `lm-lEE`; positions are in the world."""
+    """One link pair at one instant; the points are those of the controller, in the world."""
 
     name: str
+    """Name of the pair, such as `lm-lEE`."""
     mobile: bool
     """Whether one of the two bodies is the base (a pair of L_m)."""
     d: float
-    """[m] signed distance."""
+    """[m] true signed distance."""
     beta: float
     """[-] activation β."""
     p_a: Array
@@ -113,9 +114,9 @@ class Score(NamedTuple):
     base_path: float
     """[m] length of the path of the base's centre."""
     acceleration_jump: float
-    """[m/s²] largest change of the commanded v̇ in one step."""
+    """[m/s²] largest change of a commanded linear acceleration of the base in one step."""
     angular_jump: float
-    """[rad/s²] largest change of the commanded ω̇ in one step."""
+    """[rad/s²] largest change of the commanded angular acceleration of the base in one step."""
     torque_jump: float
     """[N m or N] largest change of a joint's torque or force in one step."""
     contacts: int
@@ -280,7 +281,7 @@ _VECTOR = types.Array(types.f8, 1, "A")
 
 @compiled(Signature(types.f8, (STEP.type, _VECTOR, types.f8, _VECTOR), None))
 def _least_bound(w: Any, force: Array, size: float, tau_max: Array) -> float:
-    """[N] smallest `force_bound`, for a force (3,) [N] of some size on the end-effector, or NaN."""
+    """[N] smallest `force_bound`, or NaN; `size` [N] is the norm of the hand's `force` (3,) [N]."""
     qdd, n_b, least = w.qdd.copy(), len(w.qdd) - len(tau_max), np.inf
     qdd[n_b:] += w.x_est[2]
     load = steady_torques(w.M, w.h, qdd)
@@ -430,7 +431,7 @@ class Snapshot:
     """Explanation of the robot's motion in the control step at `t`; None if not requested."""
 
     def follows(self, before: "Snapshot") -> bool:
-        """Whether no restart is between an earlier snapshot `before` and this snapshot."""
+        """Whether this snapshot belongs to the run of `before`, and is not earlier than it."""
         return self.run == before.run and self.t >= before.t
 
     @property

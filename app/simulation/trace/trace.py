@@ -45,7 +45,7 @@ _RESTING = 1e-6  # [m/s, m/s²] largest velocity and acceleration of a resting r
 _MOVING = 1e-3  # [m/s] speed towards the target above which the end-effector counts as moving
 _AT_LIMIT = 0.005  # [-] largest distance of a joint at a limit, relative to the joint's range
 _AT_SPEED = 0.99  # [-] smallest ratio of speed to speed limit of a joint at its speed limit
-_STRETCHED = 0.05  # [-] smallest singular value of the Jacobian below which the arm is stretched
+_STRETCHED = 0.05  # [-] the arm counts as stretched if a singular value of its Jacobian is smaller
 _PUSHED = 0.01  # [m/s²] smallest acceleration away from the target that counts as a push
 
 
@@ -289,7 +289,7 @@ class Stored:
 
     @property
     def snapshot(self) -> Snapshot:
-        """The snapshot; after `pack` it is a copy, and the 512 newest copies are cached."""
+        """The snapshot; after `pack` it is a copy, and the 512 last used copies are cached."""
         content = self._content  # another thread may pack it
         return _unpacked(self) if isinstance(content, bytes) else content
 
@@ -301,7 +301,7 @@ def _unpacked(stored: Stored) -> Snapshot:
 
 
 class History:
-    """The newest snapshots in order of time, most of them packed; a run begins without any."""
+    """The newest snapshots of a run in order of time; only the newest 1050 are not packed."""
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
         """Start empty; `stored` is the largest number of snapshots."""
@@ -315,7 +315,7 @@ class History:
         return self._latest
 
     def add(self, snapshot: Snapshot) -> None:
-        """Append a snapshot; it replaces the newest snapshot if both have the same time.
+        """Append a snapshot; it replaces the newest one of the same time, and all of another run.
 
         Other threads read the history meanwhile, so it is never empty after the first snapshot.
         """
@@ -380,7 +380,7 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Where the end-effector is in a step, and all reasons why it is not at its target.
 
-    "links too near": the rows that separate links of the arm outweigh the end-effector's task.
+    "links too near": rows that separate links of the arm precede the end-effector's task.
     "border against end-effector": the avoidance moves the base, and thus the end-effector, away
     from the target.
     """
