@@ -102,7 +102,7 @@ class RunCase(Strict):
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """Changes of the program's version and parameters since then, one line of text each."""
+        """Changes of version and list of parameters since the case was written, one line each."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
         same = self.version == now
         return [
@@ -156,7 +156,7 @@ def read_case(path: Path) -> RunCase:
 
 @cache
 def _options_of(kind: type[Scenario]) -> type[Strict]:
-    """The record of options of the scenario class `kind`: its fields; None means no change."""
+    """The pydantic model of the fields of a scenario class; None means no change of a field."""
     options: dict[str, Any] = {
         name: (hint | None, None) for name, hint in get_type_hints(kind).items()
     }

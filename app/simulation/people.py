@@ -74,7 +74,7 @@ class People:
         self._hands: dict[tuple[object, ...], PersonHand] = {}
 
     def configure(self, config: PersonConfig) -> None:
-        """Use another strength of each person from the next call of `pull` on."""
+        """Use other parameters of all people from the next call of `pull` on."""
         self._config = config
         for hand in self._hands.values():
             hand.configure(config)
@@ -110,8 +110,8 @@ class PersonHand:
     """One hold of a person: F = K (p - p_ee) - D v_ee on the held point p_ee, limited to f_max.
 
     p starts at the held point and moves towards the latest target as a critically damped point with
-    limited speed; thus F has no steps, although targets jump 20 times a second. The damper acts
-    against the world: while p rests, the person only absorbs energy.
+    limited speed; thus F has no steps, even if the target jumps. The damper acts against the world:
+    while p rests, the person only absorbs energy.
 
     If the hand has a mass, F moves the mass, and the robot receives the force that the grip
     transmits. The grip's force is smaller than F while F accelerates the mass, equals F at rest,
@@ -125,7 +125,7 @@ class PersonHand:
         self.configure(config)
 
     def configure(self, config: PersonConfig) -> None:
-        """Use another strength and mass from the next call of `force` on."""
+        """Use other parameters of the person from the next call of `force` on."""
         spring = config.stiffness, config.damping, config.f_max, config.mass
         self._spring = np.array([*spring, self._dt])
 
@@ -161,7 +161,7 @@ def checked_target(target: Sequence[float] | Array) -> Array:
     """Check a person's target in the world and return it as an array (3,) [m].
 
     This raises a TargetError if the target is not three finite numbers, is below the floor, or has
-    a coordinate above 10 km.
+    a coordinate beyond ±10 km.
     """
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
@@ -200,7 +200,7 @@ def _finite(point: Sequence[float] | Array, name: str) -> Array:
 
 @compiled()
 def _shorten(vector: Array, longest: float) -> None:
-    """Scale a vector (3,) to a length if it is longer."""
+    """Shorten a vector (3,), in place, to the length `longest` if it is longer."""
     length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     if length > longest:
         for i in range(3):

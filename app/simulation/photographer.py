@@ -135,7 +135,7 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """Take a picture of the robot, or with `robot` False only of the `solids`.
+        """Take a picture of the robot and the `solids`, or with `robot` False only of the `solids`.
 
         `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
         positions.

@@ -328,8 +328,8 @@ class Disturbances:
     def sensed(self, truth: Measurement) -> Measurement:
         """The sensors' readings in a control step; without disturbances, the true values.
 
-        The joint velocities are computed from noisy positions by `VelocityTracking`, as on a robot
-        that has only encoders. The base's sensors have no noise.
+        With noise, `VelocityTracking` computes the joint velocities from the noisy positions, as on
+        a robot that has only encoders. The base's sensors have no noise.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -341,7 +341,7 @@ class Disturbances:
         return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
 
     def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings that reach the controller: new, late, or a repetition of the last ones."""
+        """The readings that reach the controller: new, late or repeated; perhaps with stamps."""
         step, self._steps = self._steps, self._steps + 1
         if not self._stamped:
             return self._transmitted(sent, step)
@@ -373,9 +373,9 @@ class Disturbances:
 class VelocityTracking:
     """Velocities from positions: a tracking loop, as in the electronics of encoders.
 
-    The transfer function from q to v̂ is ω² s / (s + ω)², exactly discretised: constant velocities
-    are exact, and changes have a delay of 2/ω = 8 ms. Position noise with the standard deviation σ
-    causes velocity noise with the standard deviation σ √(ω³ dt) / 2, 62 σ/s at 1 kHz.
+    The transfer function from q to v̂ is ω² s / (s + ω)², discretised with exact poles: constant
+    velocities are exact, and changes have a delay of about 2/ω = 8 ms. Position noise with the
+    standard deviation σ causes velocity noise of about σ √(ω³ dt) / 2, 62 σ/s at 1 kHz.
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:

@@ -145,7 +145,7 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario; its input ends when a person pulls the end-effector, or at its end."""
+    """Start a scenario, and end a pause; a pull of the end-effector ends the scenario's motion."""
 
     scenario: Scenario
 

@@ -51,7 +51,7 @@ class Ensemble:
 
     @property
     def main(self) -> Session:
-        """The session of the main robot; separate if the end-effector holds an object."""
+        """The session of the main robot: `free`, or another one while the robot holds a door."""
         return self._led.session
 
     @property

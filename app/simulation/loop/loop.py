@@ -45,7 +45,7 @@ class LoopHandle:
         self._begun = True
 
     def start(self) -> None:
-        """Begin and wait for the first snapshot; raises a LoopError if there is no session."""
+        """Begin and wait for the first snapshot; raises a LoopError if the loop has failed."""
         if not self._begun:
             self.begin()
         self._ready.wait()

@@ -39,10 +39,10 @@ def loop_child() -> Child:
     """Start a process that waits for a session to simulate.
 
     Its imports take one or two seconds; therefore a caller can start the process early, and pass it
-    to a `ProcessLoop` later. The process receives a function that makes the session with the arm's
-    start posture, then commands. It sends the outcome of the start (the names of the frames at
-    which people can hold the arm), then snapshots, and None as a heartbeat while there are none.
-    After a failure it sends an outcome with an error.
+    to a `ProcessLoop` later. The process receives a function that makes the session, and the
+    arm's start posture; then it receives commands. It sends the outcome of the start (the names of
+    the frames at which people can hold the arm), then snapshots, and None as a heartbeat while
+    there are none. After a failure it sends an outcome with an error.
     """
     return Child(_run_loop)
 
@@ -83,7 +83,7 @@ class ProcessLoop(LoopHandle):
             thread.join(_PATIENCE)
 
     def _send(self, child: Child) -> None:
-        """Send commands at intervals, so that they replace one another in the mailbox."""
+        """Send the task, then commands at intervals, so that new ones can replace waiting ones."""
         try:
             child.sender.send(self._task)
             self._task = None  # frees the robot and its border
