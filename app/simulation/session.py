@@ -40,6 +40,7 @@ class Step(NamedTuple):
     t: float
     """[s] simulated time at the start of the step."""
     measurement: Measurement
+    """The readings that the controller received."""
     control: ControlStep
     """All quantities of the control step; the next step overwrites them."""
     base_command: Array
@@ -56,7 +57,7 @@ class Step(NamedTuple):
     duration: float
     """[s] real time of the controller's computation."""
     truth: Measurement
-    """The true readings."""
+    """The readings without sensor errors."""
     state: RobotState
     """The true state of the robot; the next step overwrites it."""
     distances: Array

@@ -161,7 +161,7 @@ class Quantity(NamedTuple):
     """Computation of the value from a control step and the session after the step; None if the
     publisher of the snapshot sets the value."""
     single: bool = False
-    """Whether the quantity is a single number."""
+    """Whether the quantity is one number or text."""
     paths: tuple[str, ...] = ()
     """Attributes of a control step, such as `truth.q_m`, with the numbers and float arrays that are
     recorded at each control step."""

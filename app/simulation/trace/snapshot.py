@@ -102,13 +102,13 @@ class GhostReading(NamedTuple):
 
 
 class Score(NamedTuple):
-    """Results of a robot since the start of the comparison."""
+    """Results of a robot from the start of a comparison until now or the end of its scenario."""
 
     controller: str
     clearance: float
     """[m] smallest distance of any pair with the base."""
     error: float
-    """[m] present distance of the end-effector from its target, as `Snapshot.ee_error`."""
+    """[m] last distance of the end-effector from its target, as `Snapshot.ee_error`."""
     error_max: float
     """[m] largest distance of the end-effector from its target."""
     base_path: float
