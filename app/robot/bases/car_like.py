@@ -51,7 +51,7 @@ def nearest_in_cone(
         w: [rad/s] desired ω.
         kappa: [1/m] κ_max.
         radius: [m] ρ, √(I/m).
-        before: [m/s] present speed of the base.
+        before: [m/s] present speed of the base, or its present speed command.
 
     Returns:
         v [m/s] and ω [rad/s].
@@ -125,7 +125,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """The rolling wheels, then the steered ones."""
+        """The joints that roll, then those that steer."""
         return (
             Wheels("rolling", "wheel_joints", self.wheel_joints),
             Wheels("steering", "steering_joints", self.steering_joints),
@@ -137,11 +137,11 @@ class CarLikeBase(BaseKind):
 
     @property
     def measure(self) -> Measure:
-        """Sign(x) (2 κ_max x)² [-]."""
+        """Coefficients of sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
-        """Straight, or along one of the tightest arcs, with the delay of the steering."""
+        """Straight, or along one of the tightest arcs after the delay of the steering."""
         kappa = self.curvature_max
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         late = self.steering_limit_rad / self.steering_rate_radps
@@ -153,7 +153,7 @@ class CarLikeBase(BaseKind):
         return np.array(self._in_cone(v, w, float(before[0])))
 
     def drive_at_rest(self) -> Array:
-        """The steering angle δ [rad], straight ahead."""
+        """(1,) [rad] the steering angle δ = 0: straight ahead."""
         return np.zeros(1)
 
     def follower(self, dt: float) -> Follower:
@@ -198,7 +198,7 @@ class CarLikeBase(BaseKind):
 
         While the wheels steer, the motion is along the present arc. The speed on this arc is the
         nearest to the command in the metric of kinetic energy, but 0 if it would oppose the
-        command. It is reduced if the present arc and that of the command bend to opposite sides.
+        command. The speed is reduced if the present arc and the command's bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
         v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)

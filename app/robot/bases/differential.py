@@ -11,8 +11,8 @@ from app.strict import Array, Positive
 def mobile_jacobian(r: float, b: float) -> Array:
     """J_m of the differential base: (v, ω) = J_m (θ̇_r, θ̇_l).
 
-    Paper: Eq. (19), with corrected signs of the second column: the printed matrix has rank 1 and
-    contradicts (6).
+    Paper: Eq. (19), with r/2 instead of −r/2 in the second column: the printed matrix has rank 1
+    and contradicts (6).
 
     Args:
         r: [m] radius of the wheels.

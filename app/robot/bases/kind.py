@@ -113,7 +113,7 @@ class BaseKind(Sourced, ABC):
     kind: str
     """Name of the kind."""
     link: str
-    """URDF link that moves with the base and defines its frame, x forward."""
+    """URDF link of the base; the base's frame is the root link's: on the floor, x forward."""
     mass_kg: Positive
     """[kg] m of (17)."""
     inertia_kgm2: Positive
@@ -159,7 +159,7 @@ class BaseKind(Sourced, ABC):
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """The drawn wheels, in the order of the angles."""
+        """The drawn wheels, in the order of the angles of `turned`."""
         return ()
 
     @property
@@ -188,7 +188,7 @@ class BaseKind(Sourced, ABC):
 
     @property
     def A_b(self) -> Array:
-        """(n_b, 3) from a force [N] and torque [N m] on the base, in its frame, to ẍ_m.
+        """(n_b, 3) from (f_x, f_y, τ_z) [N, N, N m] on the base, in its frame, to ẍ_m.
 
         Each of the accelerations [m/s² or rad/s²] along the axes has its own equation, m v̇ = f or
         I ω̇ = τ, without the limits of `admissible`.
@@ -221,7 +221,7 @@ class BaseKind(Sourced, ABC):
         return np.zeros(0)
 
     def follower(self, dt: float) -> Follower:
-        """The drive's response in a step dt [s], within `max_velocity` and `max_acceleration`."""
+        """A function for the drive's response in a step dt [s], within the limits of each axis."""
         # Exact for a constant command during the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
         limits = list(zip(self.max_velocity, (a * dt for a in self.max_acceleration), strict=True))
@@ -237,7 +237,7 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] present response of the drive: clip((v_cmd − v)/τ, ±limits)."""
+        """(n_b,) [m/s² or rad/s²] acceleration by the drive: (clip(v_cmd) − v)/τ, clipped."""
         del drive
         gain, velocities = 1.0 / self.drive_time_constant_s, (np.asarray(v), np.asarray(v_cmd))
         limits = self.max_velocity, self.max_acceleration
@@ -264,13 +264,13 @@ class TurningBase(BaseKind):
 
     @property
     def max_velocity(self) -> tuple[float, ...]:
-        """Largest speed [m/s] or turning speed [rad/s], by the axis."""
+        """(n_b,) [m/s or rad/s] largest velocity of each axis, linear or angular."""
         v, w = self.max_linear_velocity_mps, self.max_angular_velocity_radps
         return tuple(w if axis.angular else v for axis in self.axes)
 
     @property
     def max_acceleration(self) -> tuple[float, ...]:
-        """(n_b,) [m/s² or rad/s²] largest acceleration of each axis, by its kind."""
+        """(n_b,) [m/s² or rad/s²] largest acceleration of each axis, linear or angular."""
         v, w = self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
         return tuple(w if axis.angular else v for axis in self.axes)
 
