@@ -32,7 +32,7 @@ IN_CHECKOUT = (_PROJECT / "pyproject.toml").is_file() and (_PROJECT / "robot_ass
 ASSETS = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "robot_assets"
 """Folder of the robot descriptions, in a checkout or inside the installed package."""
 SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
-"""Folder of the delivered borders; read only."""
+"""Folder of the delivered borders; in a writable checkout also of new ones (`cache_folder`)."""
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
@@ -58,7 +58,8 @@ def cache_folder() -> Path:
 def user_robots() -> list[Path]:
     """Folders of the user's own robots in `$DBB_ROBOTS`; the dashboard uses the first for new ones.
 
-    An empty entry, or an unset `$DBB_ROBOTS`, means the folder `robots` in the user's data folder.
+    An empty entry, or an unset `$DBB_ROBOTS`, means the folder `robots` in the user's data folder
+    or, without a home, in `cache_folder`.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
     return [folder or usual for folder in _listed_folders()]
@@ -85,7 +86,8 @@ def check_robot_name(name: str) -> None:
     """Refuse the name of a robot that does not exist.
 
     Raises:
-        UnknownNameError: Lists the existing robots, and the first wrong folder of `$DBB_ROBOTS`.
+        UnknownNameError: The robot does not exist; the message lists the existing robots, and the
+            first unusable folder of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())
@@ -96,7 +98,7 @@ def check_robot_name(name: str) -> None:
 
 
 def wrong_folders() -> str:
-    """A sentence on the first folder of `$DBB_ROBOTS` that cannot have robots, or empty."""
+    """A sentence on the first unusable folder of `$DBB_ROBOTS`, with the reason; or empty."""
     for folder in filter(None, _listed_folders()):
         if isfile(folder / "robot.toml"):
             return f"DBB_ROBOTS names the folder of a robot, {folder}: name the folder around it"
@@ -163,7 +165,7 @@ def resolve_package_uri(uri: str) -> Path:
 def followed(path: Path) -> Path:
     """A file's path without symbolic links.
 
-    A link to a store of contents, whose files have other endings or none, stays a link.
+    A link to a file with another ending stays a link: readers select the format by the ending.
     """
     full = path.resolve()
     return full if full.suffix == path.suffix else path.parent.resolve() / path.name
@@ -172,7 +174,7 @@ def followed(path: Path) -> Path:
 def package_roots(package: str) -> list[Path]:
     """Folders of an installed package: a Python package's own, then those below `share`.
 
-    A folder of the current directory is not installed, although Python may import it there.
+    A folder in the current directory does not count, unless `sys.path[1:]` has this directory.
     """
     spec = None
     if package.isidentifier() and package != "__main__":  # which has no folder
@@ -292,12 +294,12 @@ def shapes_of(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, Elem
 
 
 def read_urdf(description: HasUrdf) -> ElementTree.Element:
-    """The robot's URDF; a link without an inertia has a zero one.
+    """The robot's URDF; a link without an inertia gets mass and inertia 0.
 
     Raises:
         AssetError: The file is missing.
-        DescriptionError: The file cannot be read, is not valid XML, is too large, or has more than
-            200 moving joints.
+        DescriptionError: The file cannot be read, `xml_text` refuses it, or it has more than 200
+            moving joints.
     """
     path = urdf_path(description)
     try:
@@ -318,7 +320,7 @@ _UTF16 = {
     **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
     **{b"<\0": "utf-16-le", b"\0<": "utf-16-be"},
 }
-"""First bytes of a file in UTF-16; with others, a file that declares UTF-16 is read as UTF-8."""
+"""First bytes of a file in UTF-16; without these, a file that declares UTF-16 is read as UTF-8."""
 _KINDS = {
     **dict.fromkeys((b"#usda", b"PXR-USDC"), "a USD file"),
     b"%PDF": "a PDF",
@@ -332,7 +334,7 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse content that is a `placeholder`: the first bytes of a file with the name `where`.
+    """Refuse the first bytes `content` of a file if they are a `placeholder`; `where` is its name.
 
     Raises:
         RobotFileError: The content is a placeholder; the message names its kind.

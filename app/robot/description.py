@@ -85,8 +85,8 @@ class BodyDescription(Strict):
     """URDF link in whose frame the shapes are."""
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
-    """URDF links that this body encloses, except for parts that cannot meet another body: the
-    distances and contacts of the body represent these links."""
+    """URDF links that this body represents in distances and contacts. It encloses them, except for
+    parts that cannot meet another body."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """For links in `covers`, the links of other bodies that are nested with them. If nested links
     touch, this does not count as a contact."""
@@ -181,7 +181,7 @@ class RobotDescription(Strict):
 
     @property
     def mobile_body(self) -> BodyDescription:
-        """l_m."""
+        """The body of the mobile base, l_m."""
         return self.bodies[0]
 
     def with_mobile_shapes(self, *shapes: Shape) -> Self:

@@ -50,7 +50,7 @@ class RobotModel:
         reading_shapes: Valid shapes of the arrays of a `Measurement`: with and without `drive`.
         J_m: (n_b, n_b) Jacobian of the base; for a differential base that of (19).
         J_m_inv: (n_b, n_b) inverse of J_m.
-        base_rows: (n_b, n) [J_m O], the rows of (16), and of the base's acceleration limits.
+        base_rows: (n_b, n) [J_m O] of (19): the rows of ẍ_m and of the base's acceleration limits.
         S: (3 + n_m, n) map from the reduced velocity to pinocchio's velocity: T J_m, and 1 for the
             joints of the arm.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] limits of the base's axes.
@@ -66,8 +66,9 @@ class RobotModel:
 
         Raises:
             AssetError: The URDF, or the file of a convex mesh, is missing.
-            DescriptionError: The description names a joint or link that the URDF does not have, its
-                limits contradict each other, or pinocchio cannot read the URDF.
+            DescriptionError: The URDF lacks a joint or link, a joint of the arm is continuous or
+                out of order, limits contradict each other or the ready posture, or pinocchio
+                cannot read the URDF.
         """
         self.description = description
         full = whole_model(description)

@@ -124,7 +124,7 @@ class ConvexMesh(_Placed):
         Raises:
             AssetError: The file is missing, or reading exceeds the budget of `app.jobs.bounded`.
         """
-        # Imported here: only this shape needs trimesh, whose import takes longer than the others.
+        # Imported here: the import is slow, and only the distances of this shape need trimesh.
         with extras_named():
             import trimesh
 
@@ -302,8 +302,8 @@ def polytope_vertices(
 
 
 def _power_sum(a: Array, b: Array, e: float) -> Array:
-    """(a^(1/e) + b^(1/e))^e for numbers that are not negative; relative to the larger of both,
-    because their powers could overflow.
+    """(a^(1/e) + b^(1/e))^e for numbers that are not negative, computed with the ratio of both,
+    because powers of the numbers could overflow.
     """
     high, low = np.maximum(a, b), np.minimum(a, b)
     ratio = np.divide(low, high, out=np.zeros_like(high), where=high > 0)

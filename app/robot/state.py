@@ -78,8 +78,8 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats; missing velocities are NaN.
 
     Raises:
-        MeasurementError: The value is not a `Measurement`, or a field is not an array of the right
-            number of values; the message names the field.
+        MeasurementError: The value is not a `Measurement`, a field has a wrong type or number of
+            values, a time is not in seconds, or `time` lacks `now`; the message names the field.
     """
     if not isinstance(measurement, Measurement):
         raise MeasurementError(
@@ -111,7 +111,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def _seconds(name: str, value: Any) -> float:
-    """A time [s]; None becomes NaN."""
+    """A time [s]; None becomes NaN, and a time in nanoseconds raises a `MeasurementError`."""
     if value is None:
         return np.nan
     found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
@@ -179,7 +179,7 @@ def _swept(v: _Vector, w: _Vector, p: _Vector) -> tuple[float, float, float]:
 
 @compiled()
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
-    """Twist and acceleration at q̈ = 0 of the body on each joint, at the origin of the world.
+    """Twist of the body on each joint, at the origin of the world, and its derivative at q̈ = 0.
 
     The axes of each joint turn with its parent. The base's axes are fixed to the base, so that its
     twist is constant at q̈ = 0.
@@ -231,7 +231,7 @@ def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
 def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
     """Acceleration [m/s²] at q̈ = 0 of a body's point at p (3,) [m] in the world, from the body's
-    twist (6,) and its bias (6,), the acceleration of `chain_motion`.
+    twist (6,) and the twist's derivative `bias` (6,), both of `chain_motion`.
     """
     return _swept(point_velocity(bias, p), _angular(twist), point_velocity(twist, p))
 
@@ -498,7 +498,7 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """From now on, use the arrays of a control step as memory; each step updates them."""
+        """From now on, use the arrays of a control step as memory; updates write into them."""
         for name in RobotState.__annotations__:
             present, shared = getattr(self, name), getattr(step, name)
             shared[...] = present

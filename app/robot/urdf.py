@@ -105,8 +105,9 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    The `.bin` files in the folder of a `.gltf` have its vertices. A mesh counts as large data at
-    any size: a few bytes can encode millions of triangles. Errors: those of `resolve_package_uri`.
+    The `.bin` files in the folder of a `.gltf`, which have its vertices, count too. The result is
+    above `SMALL` for any mesh, because a few bytes can encode millions of triangles. Errors: those
+    of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}
@@ -124,8 +125,8 @@ def urdf_mesh(
     `load` reads the triangles of a mesh file; `where` begins the message of an error.
 
     Raises:
-        RobotFileError: It is not a shape of a URDF, an attribute is missing or invalid, or an error
-            of `load`.
+        RobotFileError: The element is not a shape of a URDF, an attribute is missing or invalid, or
+            `load` raises this error.
         AssetError: As for `resolve_package_uri`.
     """
     if shape.tag != "mesh":
