@@ -55,7 +55,7 @@ _UNREADABLE = (
 
 
 class DamagedFileError(Exception):
-    """A file cannot be read, its content is invalid, or it has a different key than its name."""
+    """A file cannot be read, its content is invalid, or its key is not the one in its name."""
 
 
 class _Header(Strict):
@@ -117,7 +117,8 @@ class BorderData:
     clouds: dict[str, Cloud]
     """P_i of Algorithm 1, the sampled points for each pair of arm and base, by the pair's name."""
     origin: Literal["cache", "shipped", "sampled"]
-    """The user's cache, a file of the project, or a new computation."""
+    """A file of `cache_folder`, a file of `SHIPPED_CACHE` if that is another folder, or a new
+    sampling."""
 
 
 def load_border_data(

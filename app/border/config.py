@@ -13,7 +13,7 @@ class SamplingConfig(Strict):
     pair_samples: int = Field(default=100_000, ge=100)
     """[-] number of joint positions for (1)."""
     cloud_samples: int = Field(default=200_000, ge=100)
-    """[-] number of random joint positions from which the flood of P_i starts."""
+    """[-] number of random joint positions per pair; those in range start the flood of P_i."""
     d_low: float = Field(default=0.03, ge=0.0, le=0.3)
     """[m] smallest distance d_m of P_i."""
     d_high: float = Field(default=0.32, ge=0.05, le=0.6)
@@ -28,7 +28,7 @@ class SamplingConfig(Strict):
     """[-] number of floods of a sector; the second and later floods start at the borders to the
     neighbouring sectors."""
     retries: int = Field(default=6, ge=0, le=16)
-    """[-] number of further rounds in which a batch of postures makes steps into open voxels."""
+    """[-] number of further attempts of a batch of postures to step into open voxels."""
 
 
 QUICK = SamplingConfig(

@@ -35,8 +35,8 @@ Best = tuple[float, complex, complex]
 """Distance [m] of the nearest point that the search has found, the point [m], and the unit tangent
 there, both as x + iy."""
 Corner = tuple[complex, complex, bool]
-"""A crossing of a ring with another shape: the point [m] and the unit tangent as x + iy, and
-whether the visible part of the ring starts there."""
+"""A crossing of a ring with another shape's offset: the point [m] and the unit tangent as x + iy,
+and whether the visible part of the ring starts there."""
 
 
 class Table(NamedTuple):
@@ -126,9 +126,9 @@ def _search_edges(
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
     """Search the corners of the contour for a point that is nearer to p, x + iy [m], than `best`.
 
-    At a corner one outline leaves the contour, and another begins. End and beginning differ by the
-    interpolation error; the segment between them belongs to the contour. At a corner the tangent is
-    perpendicular to the line to p.
+    At a corner the visible part of one ring ends, and that of another begins. The two ends differ
+    by the interpolation error; the segment between them belongs to the contour. At a corner the
+    tangent is perpendicular to the line to p.
     """
     met = np.zeros(len(corners), np.bool_)
     for at, t, begins in corners:
@@ -210,7 +210,7 @@ def nearest_offset(border: Any, at: Array) -> Array:
     block is farther than the nearest point, so the cost hardly grows with the number of shapes.
 
     Returns:
-        (2, 3) p and t of `Foot`; NaN if there are no contours.
+        (2, 3) p and t of `Foot`; their x and y are NaN if there are no contours.
     """
     firsts, heights, vertices = border.firsts, border.heights, border.vertices
     tangents, shown, spans = border.tangents, border.shown, border.spans
@@ -291,7 +291,7 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     All are in the base's frame; `pair` is the number of the pair of arm and base. The result is
     that of `nearest_sample` if the border consists of points and has some at this height, with the
     surface's tangent where the sample's is undefined; otherwise it is that of `nearest_offset`.
-    Point and tangent are NaN if l_m has no border.
+    The x and y of point and tangent are NaN if l_m has no border.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]

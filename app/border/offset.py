@@ -18,12 +18,12 @@ from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
 
 RAYS = 360  # number of rays from the centre of a slice
-_STEP = 0.01  # [m] distance between heights, and along the arc above the top
-_HIGH_BOTTOM = 0.8  # [-] height of a shape's bottom / d_b above which the arc below is traced too
+_STEP = 0.01  # [m] distance between heights, and along the arcs above the top and below the bottom
+_HIGH_BOTTOM = 0.8  # [-] smallest height of a shape's bottom / d_b with an arc below the bottom
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
-_ALONE = 1.0  # [m] distance to the other shapes' offsets if there are no other shapes
+_ALONE = 1.0  # [m] upper bound of `_shown`, which is its value if there are no other shapes
 
 _Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
 
@@ -51,7 +51,7 @@ class OffsetContours:
         return level(self.table.firsts, self.table.heights, z)
 
     def contours(self, z: float) -> list[Array]:
-        """The contour at height z [m], the visible pieces of all rings, as polygons (K, 2) [m]."""
+        """The contour at height z [m], the visible pieces of all rings, as polylines (K, 2) [m]."""
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
             heights = table.heights[first:end]
@@ -256,7 +256,7 @@ def _levels(bottom: float, top: float, d_b: float) -> Array:
     """(H,) [m] the heights at which a shape's offset is traced.
 
     They start at the floor or, for a shape high above the floor, on an arc below its bottom. They
-    are 10 mm apart beside the shape, and 10 mm of arc apart above its top and below its bottom.
+    are at most 10 mm apart: in height beside the shape, along the arc above and below it.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

@@ -34,8 +34,8 @@ class Chain:
     """The joints that move a body, and the coordinates of the body's pose that they determine.
 
     The pose is that of the end-effector or, for a body that does not carry it, of the body's first
-    shape; the base is at the origin. The pose has six coordinates, or five, all but the rotation
-    about the z axis, or the three of the position: as many as the joints can change independently.
+    shape; the base is at the origin. The pose has as many coordinates as the joints can change
+    independently: six; five, without the rotation about the z axis; or three, of the position.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
@@ -87,7 +87,7 @@ class Chain:
 
     @property
     def ranges(self) -> tuple[Array, Array]:
-        """Lower and upper ends (k,) [rad or m] of the joints' ranges, at most one turn each."""
+        """Lower and upper ends (k,) [rad or m] of the ranges; at most one turn if revolute."""
         turned = np.minimum(self.upper, self.lower + 2 * np.pi)
         return self.lower, np.where(self.turns, turned, self.upper)
 
@@ -118,7 +118,7 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Indices of the redundant joints: with these fixed, a pose determines the other joints.
+    """Redundant joints, as indices in the chain: with these fixed, a pose determines the others.
 
     If several choices are possible, the joints nearest to the body are fixed.
 

@@ -32,7 +32,7 @@ from app.robot.link_pairs import Pair, PairDistances, sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
 
-_SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the number of cores
+_SEED_JOBS = 16  # [-] jobs of random postures per pair, for any number of cores: equal samples
 _BATCH = 2048  # [-] smallest number of postures in a batch, if there are enough postures
 _DAMPING = 0.03  # [m] damping of the pseudo-inverse; entries of an arm's Jacobian are around 0.5 m
 _FREE_STEP = 0.10  # [rad] random self-motion of the first retry; it grows with each retry
@@ -114,8 +114,8 @@ class _Sampler:
         return {pair: _joined(list(islice(found, _SEED_JOBS))) for pair in self._seed_of}
 
     def _jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
-        """One job for each sector that a posture of `given` can start; after the first round, only
-        postures of other sectors count. `kept` are this pair's postures so far.
+        """One job for each sector with an open voxel at or next to a posture of `given`; after the
+        first round, only postures of other sectors count. `kept` are this pair's postures so far.
         """
         taken = self._voxels.keys(self._voxels.cells(kept.points))
         free = np.ones(self._voxels.count, dtype=bool)
@@ -261,8 +261,8 @@ class _Flood:
     def run(self, sources: Array) -> tuple[Array, Array]:
         """Flood the open voxels from starting postures (N, n_m) [rad or m].
 
-        In up to `retries` + 1 rounds, one posture of a batch makes a step into each open voxel next
-        to the batch.
+        In up to `retries` + 1 attempts, one posture of a batch makes a step into each open voxel
+        next to the batch.
 
         Returns:
             The accepted postures (N, n_m) float32 [rad or m], including sources in open voxels, and
@@ -315,7 +315,7 @@ class _Flood:
         """Compute postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
 
         J (N, 3, n_m) are the Jacobians at the postures q. Retries add random self-motion, which
-        grows with the round. Joints that would leave their position limits do not move.
+        grows with each retry. Joints that would leave their position limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)

@@ -168,7 +168,7 @@ class RadialProfile:
 
 
 def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProfile:
-    """The means of values `reach` (N,) at distances rho (N,) [m] from the mount, in shells [m]."""
+    """The profile of values `reach` (N,) at distances rho (N,) [m], in shells `shell` [m] thick."""
     # A lattice has positions on the border of two shells; their shell must not depend on rounding.
     index = np.floor(np.asarray(rho) / shell + ROUNDING).astype(int)
     size = int(index.max(initial=-1)) + 1
@@ -211,7 +211,7 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Fit (9) to positions by least squares with equal weights.
 
     The fit uses all positions in the shells around the best shell whose mean is at least `share`
-    times the best mean. Below the default, `ScoreField.reachability` replaces (9).
+    times the best mean. Below 0.05 C, `ScoreField.reachability` departs from (9).
 
     Paper: Eq. (9).
 
