@@ -77,7 +77,7 @@ def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _PartLowering(NativeLowering):
-    """Translation of a function to code that only callers link."""
+    """Translation of a function to code for its callers, without machine code of its own."""
 
     _name = "part_lowering"
 

@@ -372,7 +372,7 @@ def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
 
 @cache
 def present_name(path: str) -> str:
-    """The present name of a parameter; the first call with a former name logs one line."""
+    """The present name of a parameter; the first call with each former name logs a warning."""
     if path in FORMER_NAMES:
         getLogger(__name__).warning("parameter %s is now %s", path, FORMER_NAMES[path])
     return FORMER_NAMES.get(path, path)

@@ -50,7 +50,7 @@ def _folders(file: str, *, make: bool) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
     They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and the
-    cache folders of this user, which are made with `make`.
+    `cache_folders` of this user with the same `make`.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:

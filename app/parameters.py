@@ -85,7 +85,7 @@ class Section(NamedTuple):
 
 
 def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
-    """The parameter of the field `name` of the record of a section.
+    """The parameter that the field `name` of a section's record describes.
 
     The field's docstring starts with the unit in brackets. A number must have both bounds.
     """

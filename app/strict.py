@@ -91,7 +91,7 @@ def explain(
 ) -> str:
     """The error of a record `model` as one line, with `field: valid value` for the first problems.
 
-    `valid_text` states the valid values for the place and kind of a problem, or is None.
+    `valid_text` returns the valid values for the place and kind of a problem, or None.
     """
     texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(texts):
@@ -221,7 +221,7 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def _at(error: ValueError, text: str) -> str:
-    """The line that a reader of TOML or JSON names in its message, or empty.
+    """The text of the line that an error of a TOML or JSON reader names; or empty.
 
     Advice follows if a comma before the error is the cause.
     """

@@ -207,7 +207,7 @@ def _remove(folder: Path) -> None:
 
 
 def _claimed(folder: Path) -> int:
-    """Make and lock a folder, and return the number of the open file that holds the lock.
+    """Make and lock a folder, and return the file descriptor that holds the lock.
 
     Raises:
         OutputError: Another process holds the lock for longer than `_PATIENCE`.
@@ -226,9 +226,9 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The number of the open file that locks a folder, or None if another process or user holds it.
+    """The file descriptor that locks a folder, or None if another process or user holds the folder.
 
-    If the file system has no locks, the file locks nothing; with `surely`, the result is then None.
+    If the file system has no locks, it locks nothing; with `surely`, the result is then None.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)

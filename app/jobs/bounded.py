@@ -45,7 +45,8 @@ class Budget(NamedTuple):
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
-    `read` must be a function of a module; its arguments and its result must be picklable.
+    `read` must be a function of a module; its arguments and its result must be picklable. Data up
+    to `SMALL` have no budget.
 
     Raises:
         BudgetError: Reading exceeds the budget, or crashes its process.

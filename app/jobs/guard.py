@@ -4,8 +4,8 @@ The guard is a separate process, so a library that hangs and holds Python's lock
 guard. Its command is `python guard.py HEARD LIVES PID PATIENCE [NUMBER ...]`. HEARD is a file
 descriptor. The end of this file, or a byte with one of the NUMBERs of signals, announces the end of
 the process; the guard copies the bytes up to this announcement to standard output. LIVES is the
-file descriptor of a pipe that is open while the process lives. A negative PID is the number of a
-process group. PATIENCE is the time in seconds between the announcement and the kill.
+file descriptor of a pipe that is open while the process lives. A negative PID means the process
+group −PID. PATIENCE is the time in seconds between the announcement and the kill.
 """
 
 import ctypes
@@ -30,7 +30,7 @@ def wake_without_parent() -> None:
 def guarded(
     heard: int, patience: float, numbers: Sequence[int] = (), *, group: bool = False
 ) -> Iterator[int]:
-    """Run a guard for this process, or for its whole `group`, during the `with`.
+    """Run a guard for this process, or its whole `group`, in the `with`; arguments: see the module.
 
     Yields:
         The descriptor of a file to which the guard copies the bytes of `heard`. If the guard cannot
@@ -62,7 +62,7 @@ def guarded(
 
 
 def main(heard: int, lives: int, pid: int, patience: float, numbers: Sequence[int]) -> None:
-    """Wait until `heard` announces the end of process `pid`; kill it `patience` [s] later."""
+    """Kill process `pid` if it still runs `patience` [s] after `heard` has announced its end."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     wake_without_parent()

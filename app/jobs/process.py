@@ -236,7 +236,7 @@ def _leave(*_: object) -> None:
 
 
 def _end_with_parent(leads_group: bool) -> None:
-    """Wait until the parent has closed this process's standard input, then end this process."""
+    """End this process, or the group that it leads, when the parent closes its standard input."""
     os.read(0, 1)
     if leads_group:
         end_group(0, at_once=False)  # includes this process, which then removes temporary files

@@ -90,8 +90,9 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 def ending_signals_raised() -> Iterator[None]:
     """Raise exceptions for ending signals during the `with`, in the main thread only.
 
-    If other code converts the exception into an error that is not a `DbbError`, the exception is
-    raised again at the end. If the work does not end, `_deadline` ends the process.
+    If other code converts the exception into a `BrowserError`, or an error that is not a
+    `DbbError`, the exception is raised again at the end. If the work does not end, `_deadline` ends
+    the process.
 
     Raises:
         KeyboardInterrupt: SIGINT (Ctrl-C) has ended the work.
