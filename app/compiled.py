@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import llvmlite.binding as llvm
@@ -21,11 +22,12 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.core.typing.templates import Signature
 
-from app.kernel_memory import manage_memory
 from app.kernel_store import KernelStore
 
 # LLVM needs far longer for one large function than for several small functions.
 _INLINED = 400  # [bytes] longest bytecode of an inlined function
+_REPLACED = "NRT_incref", "NRT_decref", "NRT_MemInfo_alloc_aligned"
+_MEMORY = Path(__file__).with_name("kernel_memory.ll").read_text(encoding="utf-8")
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
@@ -115,7 +117,7 @@ class _Lowering(NativeLowering):
         library = state.library = codegen.create_library(state.func_id.func_qualname)
         library.enable_object_caching()
         optimise = library._optimize_final_module
-        library._optimize_final_module = lambda: manage_memory(library, optimise)
+        library._optimize_final_module = lambda: _manage_memory(library, optimise)
         config.LOOP_VECTORIZE = codegen._loopvect = 0
         codegen._pass_builder = partial(_pass_builder, codegen)
         try:
@@ -123,6 +125,15 @@ class _Lowering(NativeLowering):
         finally:
             config.LOOP_VECTORIZE = codegen._loopvect = before
             del codegen._pass_builder
+
+
+def _manage_memory(library: Any, optimise: Callable[[], None]) -> None:
+    """Optimise a kernel's module, with the functions of `kernel_memory.ll` instead of numba's."""
+    optimise()  # it removes superfluous calls, which it recognises by their names
+    library._final_module.link_in(llvm.parse_assembly(_MEMORY))
+    for name in _REPLACED:  # other modules of the process keep numba's functions
+        library._final_module.get_function(name).linkage = "internal"
+    optimise()
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:

@@ -16,7 +16,7 @@ from numba.core.dispatcher import Dispatcher
 
 from app.system import cache_folders
 
-_COMPILING = "compiled.py", "kernel_memory.py", "structs.py"
+_COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:

@@ -72,7 +72,7 @@ def tripled(x):
     doubled = np.concatenate((x + x, np.ones(3)))
     return x + doubled[: len(x)]
 
-sizes = (0, 1, 9, 125, 5000)
+sizes = (0, 1, 8, 9, 125, 128, 129, 5000)
 kept = [tripled(np.full(size, 1.0 + k)) for k in range(40) for size in sizes]
 print(all((x == 3.0 * (1 + k // len(sizes))).all() for k, x in enumerate(kept)))
 del kept

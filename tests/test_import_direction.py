@@ -18,7 +18,6 @@ LAYERS = (
     "jobs",
     "strict",
     "kernel_store",
-    "kernel_memory",
     "compiled",
     "structs",
     "parameters",

@@ -91,6 +91,7 @@ def test_steps_and_curves_have_the_values_of_the_log(read: Read, trace: Trace) -
     for k, (row, (_, step)) in enumerate(zip(trace.table, read["/step"], strict=True)):
         names = [column.name.replace("-", "_") for column in trace.columns]
         assert [getattr(step, name) for name in names] == pytest.approx(row, nan_ok=True, abs=0)
+        assert "d_b" not in trace.groups, "it has no column in the table"
         for quantity, columns in trace.groups.items():
             _, curves = read[f"/curves/{quantity}"][k]
             assert curves.name == columns

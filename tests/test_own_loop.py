@@ -19,7 +19,7 @@ from app.control.contract import JointOrder
 from app.control.controller import ControlLoop
 from app.control.inputs import gains_struct
 from app.control.quantities import ControlStep
-from app.control.readings import HISTORY, _find_lag
+from app.control.readings import HISTORY, PERIOD, _find_lag, _find_period, _measure_from
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError
 from app.robot.model import RobotModel
@@ -448,6 +448,20 @@ def test_only_changes_of_acceleration_that_no_person_causes_show_a_lag(
         q += 0.001 * speed
         _find_lag(loop.controller._robot, w.struct, q, 0, gains)
     assert w.lag == pytest.approx(lag, abs=3)
+
+
+def test_rare_wrong_ratios_of_a_motion_do_not_add_up_to_a_wrong_period(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    w = ControlLoop(robot, border_data).step(ready(robot)).step
+    gains, q, qd = gains_struct(Config(), robot, "dbb", 0.001), w.q_m.copy(), np.full(7, 0.2)
+    _measure_from(w.struct, q, qd)
+    w.reading[1], w.known[()], w.ratio[()] = qd, 100.0, 1.0
+    for k in range(20_000):
+        q += 0.001 * qd * (1.12 if k % 1000 < 14 else 1.0)
+        _find_period(w.struct, q, qd, 1, gains)
+        w.reading[0] = q
+        assert not w.faults[PERIOD], f"after {k} ms"
 
 
 @pytest.mark.slow

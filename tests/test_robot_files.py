@@ -18,6 +18,7 @@ from app.onboarding.read import links
 from app.onboarding.read.links import MOST_FACES, is_foreign, load_mesh, read_mesh
 from app.onboarding.read.package import open_package
 from app.onboarding.read.source import locate
+from app.onboarding.read.tree import find_arm, make_tree
 from app.onboarding.request import Request
 from app.onboarding.write import rebased_urdf
 from app.robot.assets import xml_text
@@ -693,6 +694,22 @@ def test_a_telescope_is_parallel_and_its_mimic_joints_are_rescaled(
         leader, each, offset = joints[name].mimic
         assert (leader, each * travel) == ("slide", pytest.approx(factor))
         assert offset == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("axis", "beside"), [("1 0 0", ()), ("0 0 1", ("side",))])
+def test_a_slide_behind_a_fixed_joint_belongs_to_a_telescope_if_it_is_parallel(
+    axis: str, beside: tuple[str, ...]
+) -> None:
+    limit = 'lower="0" upper="1" effort="1" velocity="1"'
+    joints = [
+        joint("lifts", "prismatic", "base", "lift", axis="0 0 1", limit=limit),
+        joint("fixed", "fixed", "lift", "carriage", rpy="0 1.5707963 0"),
+        joint("slides", "prismatic", "carriage", "side", axis=axis, limit=limit),
+        joint("turns", "revolute", "lift", "hand", axis="0 0 1", limit=limit),
+    ]
+    links = "".join(map(link, ("base", "lift", "carriage", "side", "hand")))
+    tree = make_tree(ElementTree.fromstring(f'<robot name="r">{links}{"".join(joints)}</robot>'))
+    assert find_arm(tree, "base", "hand").beside[1] == beside
 
 
 def test_a_very_large_mesh_is_reduced_with_the_same_hull(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+import ctypes
 import gc
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from numba import types
+from numba.core.runtime import nrtdynmod
 from numba.core.typing.templates import Signature
 
 from app.compiled import compiled
@@ -50,3 +53,34 @@ def test_compiled_code_reads_every_field_and_shares_its_memory(flags: tuple[bool
     read(struct, found)
     assert found.tolist() == [1.5, 4, flag, first, second, 1.0, turned[0, 1], 2.0, 3.0]
     assert (matrix[1, 2], scalar[()]) == (6.0, 7.0)
+
+
+def count(struct: Any) -> int:
+    """The count of references in numba's record of a struct's memory."""
+    return ctypes.c_int64.from_address(int(struct)).value
+
+
+def test_compiled_code_never_releases_the_memory_of_a_struct() -> None:
+    matrix, turned = np.ones((2, 3)), np.ones((3, 2), order="F")
+    complex_, scalar = np.array([1j, 2j]), np.array(0.0)
+    values = Values(1.5, True, matrix, 4, False, True, turned, complex_, scalar)
+    struct = KIND.made_of(values)
+    assert count(struct) == 1
+    for _ in range(100):
+        read(struct, np.empty(9))
+        with pytest.raises(TypeError):
+            read(struct, "not an array")
+    assert count(struct) == 1
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+def test_a_struct_is_not_copied_because_its_address_belongs_to_one_memory(copied: Any) -> None:
+    kind = struct_type("One", {"x": types.f8})
+    struct = kind.made_of(NamedTuple("One", [("x", float)])(1.0))
+    with pytest.raises(TypeError, match="address of its memory"):
+        copied(struct)
+
+
+def test_numba_has_the_record_of_memory_that_structs_and_kernels_assume() -> None:
+    words = [str(each) for each in nrtdynmod._meminfo_struct_type.elements]
+    assert words == ["i64", "i8*", "i8*", "i8*", "i64"]  # the allocator follows

@@ -426,9 +426,17 @@ class ControlLoop:
                 self.reported.add(name)
                 more = {
                     "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
-                    "period": f" ({self.controller.dt * 1000:.2f} ms)",
+                    "period": f" ({self.controller.dt * 1000:.2f} ms{self._too_long()})",
                 }
                 logger.warning("readings, %s: %s%s", name, FAULTS[name], more.get(name, ""))
+
+    def _too_long(self) -> str:
+        """Which gain is too large for the measured period, if one is."""
+        try:
+            check_gains(self.controller.config, self.controller.dt)
+        except ConfigError as error:
+            return f"; {error}"
+        return ""
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:

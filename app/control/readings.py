@@ -527,7 +527,9 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         w.no_velocity[()] = 0.0 if plausible else 1.0
     if w.no_velocity[()] != 0.0:
         found = 1.0
-    elif found != 1.0:
+    if found == 1.0:
+        w.agreed[()] = 0.0
+    else:
         agrees = abs(found - w.ratio[()]) < 0.15 * found
         time = w.travel_time[()] * (1.0 if by_clock else found)
         w.agreed[()] = w.agreed[()] + time if agrees else 0.0

@@ -91,7 +91,10 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         shapes = pose.shape, v.shape, q.shape, qd.shape, drive.shape
         floats = pose.dtype is v.dtype is q.dtype is qd.dtype is drive.dtype is _FLOAT
         no_times = now is time is np.nan  # the defaults
-        times = no_times or (type(now) is type(time) is float and max(now, time) < _LATEST)
+        times = no_times or (
+            type(now) is type(time) is float
+            and -_LATEST < min(now, time) <= max(now, time) < _LATEST
+        )
         if floats and times and shapes in model.reading_shapes:
             return measurement
     now, time = _seconds("measurement.now", now), _seconds("measurement.time", time)

@@ -79,7 +79,7 @@ class Viewer:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`; after the newest one, a paused run advances, up to 1 s."""
+        """Move the shown instant by `seconds`; after the newest one, a paused run advances."""
         if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
             self.shared.loop.send(StepOnce(min(seconds, STEPS[1])))
         else:

@@ -325,10 +325,20 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
     roots = [
         joint.child
         for joint in hanging
-        if joint not in chain
-        and not any(parallel(slide, joint) for slide in slides if slide.child == joint.parent)
+        if joint not in chain and not any(_extends(tree, slide, joint) for slide in slides)
     ]
     return tuple(dict.fromkeys(link for root in roots for link in tree.below(root)))
+
+
+def _extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
+    """Whether only parallel prismatic joints and fixed ones lead from a slide through a joint."""
+    path, turn = (*tree.chain(slide.child, joint.parent), joint), np.eye(3)
+    for each in path:
+        turn = turn @ each.T_parent_child.rotation
+        along = abs(float(slide.axis @ turn @ each.axis)) > PARALLEL
+        if each.moves and not (each.kind == "prismatic" and along):
+            return False
+    return True
 
 
 def parallel(a: Joint, b: Joint) -> bool:

@@ -73,7 +73,10 @@ class Trace:
             begin = len(self.columns)
             self.columns += (column for column in QUANTITIES[name].columns(meta) if column.often)
             end = len(self.columns)
-            self._slices[name] = begin if QUANTITIES[name].single else slice(begin, end)
+            if not QUANTITIES[name].single:
+                self._slices[name] = slice(begin, end)
+            elif end > begin:
+                self._slices[name] = begin
         self.index = {column.name: k for k, column in enumerate(self.columns)}
         """Index of each column in the table, by its name."""
 

@@ -1,20 +1,15 @@
-"""The memory of arrays in kernels: a formula that returns a new array costs almost nothing.
+; The memory of arrays in kernels: a formula that returns a new array costs almost nothing.
+;
+; A control step makes 200 to 300 small arrays. numba's allocation, and its atomic counting of
+; references, would take a third of the step. A kernel holds the interpreter's lock, so no other
+; thread uses its arrays, and plain operations suffice. A released array of at most 1 kB waits for
+; the next array of its class. Larger arrays, arrays from Python, and arrays that the kernel returns
+; are released as usual.
 
-A control step makes 200 to 300 small arrays. numba's allocation and its atomic counting of
-references would take a third of the step. A kernel holds the interpreter's lock, so no other thread
-uses its arrays, and plain operations suffice.
-"""
-
-from collections.abc import Callable
-from typing import Any
-
-import llvmlite.binding as llvm
-
-_REPLACED = "NRT_incref", "NRT_decref", "NRT_MemInfo_alloc_aligned"
-_CODE = """
 ; numba's record of an array's memory: count of references, destructor, its argument, address, size,
 ; and allocator. Here the argument of the destructor marks the arrays of this kernel, the size is
-; their class (size in units of 64 bytes), and the count of a released array is the next one.
+; their class (size in units of 64 bytes), and instead of the count a released array has the address
+; of the next released one.
 %owner = type { i64, ptr, ptr, ptr, i64, ptr }
 @released = internal global [17 x ptr] zeroinitializer  ; the first released array of each class
 declare ptr @NRT_MemInfo_alloc_safe_aligned(i64, i32)
@@ -100,17 +95,3 @@ large:
   %other = call ptr @NRT_MemInfo_alloc_safe_aligned(i64 %size, i32 %align)
   ret ptr %other
 }
-"""
-
-
-def manage_memory(library: Any, optimise: Callable[[], None]) -> None:
-    """Optimise a kernel's module, with this memory management instead of numba's.
-
-    A released array of at most 1 kB waits for the next array of its class. Larger arrays, arrays
-    from Python, and arrays that the kernel returns are released as usual.
-    """
-    optimise()  # it removes superfluous calls, which it recognises by their names
-    library._final_module.link_in(llvm.parse_assembly(_CODE))
-    for name in _REPLACED:  # other modules of the process keep numba's functions
-        library._final_module.get_function(name).linkage = "internal"
-    optimise()
