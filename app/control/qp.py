@@ -239,9 +239,9 @@ def _nearest_within(
 
     The optimum q̈ follows from z = Lᵀ (q̈ - x) = Σ y_i a_i, with the rows a_i = L⁻¹ C_iᵀ of a,
     scaled to length one. The bounds b_l and b_u are l - C x and u - C x in the same scale. The
-    multipliers y solve b_l ≤ K y ≤ b_u with K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound,
-    ≤ 0 at an upper one and 0 between. A pass brings the most violated row to its bound; each active
-    row stays at its bound or becomes inactive.
+    multipliers y solve b_l ≤ K y ≤ b_u, K = a aᵀ + diag(compliances); y_i ≥ 0 at a lower bound, ≤ 0
+    at an upper one, 0 between. A pass brings the most violated row to its bound; each active row
+    stays there or becomes inactive.
 
     Args:
         x: (n,) the free optimum.
@@ -270,8 +270,7 @@ def _nearest_within(
         for j in range(m):
             K[i, j] = dot(a[i], a[j])
         K[i, i] += compliance[i]
-    y, kept = np.zeros(m), np.empty(m, np.int64)
-    size, found = 0, False
+    y, kept, size, found = np.zeros(m), np.empty(m, np.int64), 0, False
     for _ in range(10 * m):
         s = times(K, y)
         p, miss = _most_violated(s, below, above, kept[:size])

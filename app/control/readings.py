@@ -483,11 +483,10 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
     The joint with the largest displacement, relative to its noise, is used. A driver's filter can
     delay velocities by up to 0.01 s, and rare readings seem to delay them by half an interval. Each
-    possible delay implies a ratio. If a ratio near 1 is among them, `w.ratio` becomes 1. If not, it
-    becomes the geometric mean of the smallest and the largest one. A mean outside of 1/8 to 10
-    means that no plausible period explains the readings: then `w.no_velocity` and `w.ratio` become
-    1. A ratio that differs from 1 counts if it agrees with the last ratio, which can be 1, within
-    15 %. Ratios that count for 0.05 s, at least two, set the fault `period`. From then on, each one
+    possible delay implies a ratio: if one is near 1, `w.ratio` becomes 1, else the geometric mean
+    of the smallest and the largest. A mean outside of 1/8 to 10 is not plausible: `w.no_velocity`
+    and `w.ratio` become 1. Successive ratios other than 1 that agree within 15 % for 0.05 s, at
+    least two, set the fault `period`; the first one can also agree with 1. From then on, each one
     corrects the period, and needs a larger displacement. If a clock confirms the period, they set
     `w.no_velocity` instead.
     """
@@ -525,10 +524,8 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     plausible = _SMALLEST < found < _LARGEST  # not NaN
     if not unclear and (found == 1.0 or not (by_clock and plausible)):
         w.no_velocity[()] = 0.0 if plausible else 1.0
-    if w.no_velocity[()] != 0.0:
-        found = 1.0
-    if found == 1.0:
-        w.agreed[()] = 0.0
+    if w.no_velocity[()] != 0.0 or found == 1.0:
+        found, w.agreed[()] = 1.0, 0.0
     else:
         agrees = abs(found - w.ratio[()]) < 0.15 * found
         time = w.travel_time[()] * (1.0 if by_clock else found)
