@@ -131,8 +131,8 @@ def _manage_memory(library: Any, optimise: Callable[[], None]) -> None:
     """Optimise a kernel's module, with the functions of `kernel_memory.ll` instead of numba's."""
     optimise()  # it removes superfluous calls, which it recognises by their names
     library._final_module.link_in(llvm.parse_assembly(_MEMORY))
-    for name in _REPLACED:  # other modules of the process keep numba's functions
-        library._final_module.get_function(name).linkage = "internal"
+    for name in _REPLACED:  # no other module of the process finds these functions by their names
+        library._final_module.get_function(name).linkage = "private"
     optimise()
 
 

@@ -11,7 +11,7 @@
 ; their class (size in units of 64 bytes), and instead of the count a released array has the address
 ; of the next released one.
 %owner = type { i64, ptr, ptr, ptr, i64, ptr }
-@released = internal global [17 x ptr] zeroinitializer  ; the first released array of each class
+@released = private global [17 x ptr] zeroinitializer  ; the first released array of each class
 declare ptr @NRT_MemInfo_alloc_safe_aligned(i64, i32)
 declare void @NRT_MemInfo_call_dtor(ptr)
 
@@ -43,7 +43,7 @@ end:
   ret void
 }
 
-define internal void @release(ptr %owner) noinline {
+define private void @release(ptr %owner) noinline {
   %to_mark = getelementptr %owner, ptr %owner, i64 0, i32 2
   %mark = load ptr, ptr %to_mark
   %own = icmp eq ptr %mark, @released

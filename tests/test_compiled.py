@@ -82,6 +82,29 @@ for k in range(200_000):
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - begin < 20_000)
 """
 
+BESIDE = """
+import numba
+import numpy as np
+from app.compiled import compiled
+
+@compiled("f8[::1](f8)")
+def eight(x):  # all its arrays have one size: the optimiser omits the size in each allocation
+    return np.full(8, x)
+
+@compiled("f8(f8[:,::1], f8[::1])")
+def solved(A, b):  # `solve` is a module of numba
+    return np.linalg.solve(A, b).sum()
+
+@numba.njit
+def square(n):
+    return np.full((n, n), 3.0)
+
+eight(1.0)
+kept = [square(40) for _ in range(50)]
+print({solved(np.eye(30), np.ones(30)) for _ in range(2000)})
+print(all((each == 3.0).all() for each in kept))
+"""
+
 
 def run(folder, script, *before, **other):
     path = os.pathsep.join([str(PROJECT), os.environ.get("PYTHONPATH", "")])
@@ -209,3 +232,8 @@ def test_measurement_is_checked_with_and_without_compiled_kernels(tmp_path, disa
 def test_arrays_keep_their_values_after_later_calls_and_are_released(tmp_path):
     (tmp_path / "memory.py").write_text(MEMORY, encoding="utf-8")
     assert run(tmp_path, "memory.py")[0].split() == ["True", "True"]
+
+
+def test_other_compiled_code_of_the_process_keeps_its_own_memory_management(tmp_path):
+    (tmp_path / "beside.py").write_text(BESIDE, encoding="utf-8")
+    assert run(tmp_path, "beside.py")[0].split() == ["{30.0}", "True"]
