@@ -66,7 +66,7 @@ class ActivationConfig(Strict):
     d_full: float = number(0.05, 0.0, 0.05, "Full activation at d_full")
     """[m] the avoidance task is fully active up to this distance, or d_b − 0.02 m if smaller."""
     closest_point_smoothing: float = number(
-        0.005, 0.001, 0.05, "Closest-point blending", advanced=True
+        0.005, 0.001, 0.05, "Closest-point smoothing", advanced=True
     )
     """[m] smoothing length of the closest point. The closest point is a mean over the parts of a
     link whose distances exceed the link's smallest distance by about this length or less."""

@@ -7,11 +7,11 @@ are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the named tu
 created.
 """
 
-import ctypes
 import struct
 from hashlib import sha256
 from typing import Any, NamedTuple, NoReturn
 
+import numpy as np
 from numba import extending, types
 from numba.core import config
 from numba.experimental import structref
@@ -84,9 +84,10 @@ class StructType(NamedTuple):
         if config.DISABLE_JIT:
             return values
         content = self._packed(values)
-        memory = ctypes.create_string_buffer(_OWNER.size + len(content))
-        address = ctypes.addressof(memory)
-        memory.raw = _OWNER.pack(1, 0, 0, address + _OWNER.size, len(content), 0) + content
+        memory = np.empty(_OWNER.size + len(content), np.uint8)
+        address = memory.__array_interface__["data"][0]
+        owner = _OWNER.pack(1, 0, 0, address + _OWNER.size, len(content), 0)
+        memory[:] = np.frombuffer(owner + content, np.uint8)
         handle = _Handle(address)
         handle.kind, handle.owners = self.type, (memory, values)
         return handle

@@ -723,7 +723,7 @@ def test_border_is_redrawn_only_after_a_change(scene, borders):
     view.borders["lm-l3"] = "determinant"
     assert cloud.update(view, config)
     assert [legend.pair for legend in cloud.legends] == ["lm-lEE", "lm-l3"]
-    assert [legend.title[:3] for legend in cloud.legends] == ["How", "Mob"]
+    assert [legend.title[:3] for legend in cloud.legends] == ["Sco", "Mob"]
 
 
 @pytest.mark.parametrize("quantity", ["determinant", "reachability", "score"])

@@ -58,12 +58,8 @@ def test_every_imported_library_belongs_to_the_package_or_an_extra() -> None:
 
 
 def test_method_imports_no_extra_at_the_top_of_a_module() -> None:
-    lazily = {"map.py", "chain.py"}  # modules of `dbb reach`
     for path in FILES:
-        if (
-            layer_of(path) in {"robot", "border", "avoidance", "control"}
-            and path.name not in lazily
-        ):
+        if layer_of(path) in {"robot", "border", "avoidance", "control"}:
             tree = ast.parse(path.read_text(encoding="utf-8"))
             top = ast.Module(list(tree.body), [])
             for node in ast.walk(tree):

@@ -72,7 +72,7 @@ def check_robot(
     quick: Flag = False,
     json: Json = False,
 ) -> None:
-    """Check a robot's description against URDF, meshes and physics engines.
+    """Check a robot against its URDF, meshes and physics engines.
 
     The command compares pinocchio with pybullet and MuJoCo, and the bodies with the meshes. It
     checks limits, pairs, border and guiding runs, and prints warnings. The exit status is 0 only if

@@ -315,7 +315,10 @@ def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
-    """Line 2 after pinocchio's part: dynamics, end-effector, motion of all distances."""
+    """Line 2 after pinocchio's part, and the distances and closest points of lines 4 and 9.
+
+    The results are the dynamics, the end-effector's motion, and the motions of all distances.
+    """
     M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.g_pin, robot.T_J_m)
     put_rows(w.M, M)
     put(w.h, h)

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.config import Config, sections
-from app.control.readings import MAX_AGE
+from app.control.readings import HISTORY, MAX_AGE
 from app.control.references import FASTEST, HARDEST
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, did_you_mean
@@ -80,7 +80,8 @@ def clocks_differ(measurement: Measurement) -> MeasurementError:
     side = "before" if age > 0.0 else "after"
     return MeasurementError(
         f"measurement.time is {abs(age):.4g} s {side} measurement.now: "
-        f"both must be seconds of the same clock; readings can be up to {MAX_AGE} s old"
+        "both must be seconds of the same clock; readings can be up to "
+        f"{MAX_AGE} s and {HISTORY - 1} control periods old"
     )
 
 

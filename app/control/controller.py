@@ -241,7 +241,8 @@ class Controller:
         measurement = checked(measurement, self._model)
         drive = measurement.drive if len(measurement.drive) else self._base.drive_at_rest()
         read, v_cmd = measurement.base_velocity, self.last.v_cmd
-        v = np.where(np.isfinite(read), read, self.last.base_velocity)
+        possible = np.abs(read) <= 2.0 * np.array(self._base.max_velocity)  # not NaN
+        v = np.where(possible, read, self.last.base_velocity)
         a = self._base.drive_acceleration(v, drive, v_cmd)
         self.last.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
         return self._step(measurement, reference, BASE_MEASURED)

@@ -158,7 +158,7 @@ class Page:
         self.guide.leave_demonstration()
 
     def end(self) -> None:
-        """Close the page and the guide of a disconnected viewer; cancel the creation of files."""
+        """Close the page and the guide of a viewer, and cancel the creation of files."""
         self.close()
         self.guide.go("")
         self.viewer.files.cancel()

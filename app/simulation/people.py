@@ -239,12 +239,14 @@ def _push_mass(
 def _pull(
     motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the person's hand for one step: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
+    """Move the person's hand for one step, and compute its force on the held point.
 
-    `motion` (4, 3) has p [m] and ṗ [m/s] of the hand, position and velocity of its mass; NaN before
-    the first step; it is changed in place. `p_ee` and `v_ee` are those of the held point. `spring`
-    (5,) has the stiffness [N/m], the damping against the world [N s/m], the largest force [N], the
-    mass of the hand [kg] and the step [s]. The result `force` (3,) [N] is that on the held point.
+    The free end p of the hand's spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
+    `motion` (4, 3), which is changed in place, has p [m] and ṗ [m/s], then position and velocity of
+    the hand's mass. It is NaN before the first step; without a mass, the last two rows are always
+    NaN. `p_ee` and `v_ee` are position and velocity of the held point. `spring` (5,) has the
+    stiffness [N/m], the damping against the world [N s/m], the largest force [N], the mass of the
+    hand [kg] and the step [s]. The result `force` (3,) [N] acts on the held point.
     """
     p, v, x, x_dot = motion
     stiffness, damping, f_max, mass, dt = spring

@@ -115,7 +115,8 @@ def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
     """Find the parameters that differ from the program's defaults in at least one configuration.
 
     Returns:
-        For each: the path, such as `border.d_b`; the default; and the value, or a list of values.
+        For each: the path, such as `border.d_b`; the default; and the value or, if the
+        configurations differ, the list of their different values.
     """
     changes = []
     for path, about in tunables().items():

@@ -231,7 +231,10 @@ class Guide(Panel):
             self._viewer.play(SHOWN)
 
     def _end(self, *, anew: bool) -> None:
-        """Remove the ghost; with `anew`, put a robot that no viewer holds at the free start."""
+        """End the guide's comparison, unless a viewer has chosen another one.
+
+        With `anew`, also reset the robot to the free start, unless a viewer holds it.
+        """
         loop, self._compares = self._shared.loop, False
         if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
             return  # a viewer has chosen another comparison

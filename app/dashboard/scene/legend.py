@@ -55,7 +55,7 @@ def title_of(quantity: str, kind: str) -> tuple[str, str]:
     return {
         "determinant": (measure.title, measure.unit),
         "reachability": ("Reachability by the arm, R (9)", ""),
-        "score": ("Score S (10): signed mobility × reachability R", measure.unit),
+        "score": ("Score S, equation (10): signed mobility × reachability", measure.unit),
     }[quantity]
 
 

@@ -142,7 +142,7 @@ def fit_hull(points: Array) -> Hull | Box:
 
 
 def support(shape: Shape, D: Array) -> Array:
-    """(K,) [m] largest coordinate of a capsule, box or hull along each vector of D (K, 3)."""
+    """(K,) [m] largest coordinate of a capsule, box or hull along each unit vector of D (K, 3)."""
     if isinstance(shape, Capsule):
         ends = np.array([shape.start_m, shape.end_m])
         return (D @ ends.T).max(axis=1) + shape.radius_m

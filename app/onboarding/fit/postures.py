@@ -461,7 +461,10 @@ class _Guide:
 
 
 def _sampled(search: PostureSearch) -> tuple[Array, Array, Array]:
-    """Random postures (N, n_m), positions (N, 3) [m] of their end-effectors, and flaws (N,)."""
+    """Random postures (N, n_m), positions (N, 3) [m] of their end-effectors, and flaws (N,).
+
+    A flaw is a text as in `PostureSearch.flaw`, empty for a valid posture.
+    """
     postures = list(search.guesses(np.random.default_rng(0), _SAMPLES))
     places, flaws = [], []
     for q_m in postures:

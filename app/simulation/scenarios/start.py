@@ -171,7 +171,8 @@ class StartSolver:
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
         """[-] quality of a posture and path: smallest joint margin plus smallest manipulability.
 
-        It is 0 if the arm cannot follow the path with the base at rest.
+        The two terms count up to 0.15 and 0.1. The quality is 0 if the arm cannot follow the path
+        with the base at rest.
         """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()

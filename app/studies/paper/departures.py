@@ -1,4 +1,7 @@
-"""Departures from equations (26)-(29), measured for the paper's form and for the project's form."""
+"""The project's departures from equations (26) to (29), and the effect of each departure.
+
+Each departure has a number, such as a jump of the torques, for the printed form and for ours.
+"""
 
 from collections.abc import Callable, Iterator
 from typing import Any
