@@ -319,7 +319,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
 
     The results are the dynamics, the end-effector's motion, and the motions of all distances.
     """
-    M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.g_pin, robot.T_J_m)
+    M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.J_pin, w.Y_pin, robot.T_J_m)
     put_rows(w.M, M)
     put(w.h, h)
     put(w.g, g)

@@ -282,13 +282,12 @@ QUANTITIES: tuple[Quantity, ...] = _read_table(_TABLE)
 PINOCCHIO = {
     "M_pin": types.Array(types.f8, 2, "F"),
     "h_pin": types.Array(types.f8, 1, "C"),
-    "g_pin": types.Array(types.f8, 1, "C"),
     "J_pin": types.Array(types.f8, 2, "F"),
+    "Y_pin": types.Array(types.f8, 2, "A"),
     "oMi": types.Array(types.f8, 3, "C"),
     "signed": types.Array(types.f8, 1, "A"),
 }
-"""Views of pinocchio's results: M, C q̇ + g, g, the Jacobian J, for each joint (n_j, 4, 3) the
-columns of its rotation and its origin [m], in the world, and the signed distances [m] of shapes."""
+"""Views of the libraries' results: `pinocchio_views`, and the signed distances [m] of shapes."""
 
 _Values: Any = NamedTuple(  # type: ignore[misc]
     "_Values",

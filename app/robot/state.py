@@ -24,6 +24,7 @@ from app.strict import Array
 
 _FLOAT = np.dtype(float)
 _LATEST = 1e11  # [s] times from here on are in nanoseconds
+_GRAVITY = 9.81  # [m/s²]
 _Vector = Array | tuple[float, float, float]
 
 
@@ -150,26 +151,6 @@ def coordinates(
     return qd, q, v
 
 
-@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:,:])")
-def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Array, Array]:
-    """Sᵀ M S (n, n), Sᵀ h (n,) and Sᵀ g (n,) of pinocchio's M, h and g."""
-    n_b = B.shape[1]
-    n = n_b + len(h) - 3
-    reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    reduced[n_b:, n_b:], h_r[n_b:], g_r[n_b:] = M[3:, 3:], h[3:], g[3:]
-    for i in range(n_b):
-        for k in range(3):
-            h_r[i] += B[k, i] * h[k]
-            g_r[i] += B[k, i] * g[k]
-            for j in range(n_b):
-                for l in range(3):
-                    reduced[i, j] += B[k, i] * M[k, l] * B[l, j]
-            for j in range(n_b, n):
-                reduced[i, j] += B[k, i] * M[k, 3 + j - n_b]
-        reduced[n_b:, i] = reduced[i, n_b:]
-    return reduced, h_r, g_r
-
-
 @compiled()
 def _swept(v: _Vector, w: _Vector, p: _Vector) -> tuple[float, float, float]:
     """The vector v + ω × p; of each argument, only the first three entries are used."""
@@ -249,6 +230,38 @@ def carrying(joint: int) -> int:
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
     """Velocity of a point at p (3,) [m] for one unit of the k-th velocity, which moves its body."""
     return _swept((J[0, k], J[1, k], J[2, k]), (J[3, k], J[4, k], J[5, k]), p)
+
+
+@compiled()
+def _gravity_terms(J: Array, Y: Array) -> Array:
+    """The gravity terms (3 + n_m,), by the heights of the centres of mass in `Y_pin`."""
+    g = np.empty(J.shape[1])
+    for k in range(len(g)):
+        moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
+        g[k] = _GRAVITY * moved[0] * _column(J, k, moved[1:])[2]
+    return g
+
+
+@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:,:], f8[:,:])")
+def reduced_dynamics(
+    M: Array, h: Array, J: Array, Y: Array, B: Array
+) -> tuple[Array, Array, Array]:
+    """Sᵀ M S (n, n), Sᵀ h (n,) and the gravity terms Sᵀ g (n,), by `pinocchio_views`."""
+    n_b, g = B.shape[1], _gravity_terms(J, Y)
+    n = n_b + len(h) - 3
+    reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    reduced[n_b:, n_b:], h_r[n_b:], g_r[n_b:] = M[3:, 3:], h[3:], g[3:]
+    for i in range(n_b):
+        for k in range(3):
+            h_r[i] += B[k, i] * h[k]
+            g_r[i] += B[k, i] * g[k]
+            for j in range(n_b):
+                for l in range(3):
+                    reduced[i, j] += B[k, i] * M[k, l] * B[l, j]
+            for j in range(n_b, n):
+                reduced[i, j] += B[k, i] * M[k, 3 + j - n_b]
+        reduced[n_b:, i] = reduced[i, n_b:]
+    return reduced, h_r, g_r
 
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
@@ -357,23 +370,28 @@ def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array
 
 
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
-    """Compute the results of `pinocchio_views`; `pin.computeAllTerms` takes 1.5 times as long."""
+    """Compute the results of `pinocchio_views`; `pin.computeAllTerms` takes twice as long."""
     pin.crba(model, data, q, pin.Convention.WORLD)  # and the Jacobian
     pin.nonLinearEffects(model, data, q, v)
-    pin.computeGeneralizedGravity(model, data, q)
 
 
 def pinocchio_views(data: pin.Data) -> dict[str, Array]:
-    """Views of M, C q̇ + g, g, the Jacobian and placements, by their names in a control step.
+    """Views of M, C q̇ + g, the Jacobian, placements and masses, by their names in a control step.
 
     `oMi` (n_j, 4, 3) has the columns of the rotation and the origin [m] of each joint; pinocchio
-    stores them contiguously.
+    stores them contiguously. `Y_pin` (n_j, 4) has the mass [kg] and the centre of mass [m], in the
+    world, of all bodies that each joint moves; pinocchio stores a mass before its centre.
     """
     joints, first = len(data.oMi), data.oMi[0].rotation
     oMi = np.lib.stride_tricks.as_strided(first, (joints, 4, 3), (96, 24, 8))
     last = np.array(data.oMi[joints - 1].translation)
     assert (oMi[-1, 3] == last).all(), "pinocchio does not store placements as assumed here"
-    return {"M_pin": data.M, "h_pin": data.nle, "g_pin": data.g, "J_pin": data.J, "oMi": oMi}
+    before = np.lib.stride_tricks.as_strided(data.oYcrb[0].lever, (joints, 2), (80, -8))[:, 1]
+    Y = np.lib.stride_tricks.as_strided(before, (joints, 4), (80, 8))
+    of_last = data.oYcrb[joints - 1]
+    as_read = np.array([of_last.mass, *of_last.lever])
+    assert np.array_equal(Y[-1], as_read, equal_nan=True), "pinocchio stores masses in another way"
+    return {"M_pin": data.M, "h_pin": data.nle, "J_pin": data.J, "Y_pin": Y, "oMi": oMi}
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
@@ -494,7 +512,8 @@ class RobotState:
         # These are views of pinocchio's memory, because reading them again takes longer.
         root, data = self.data.oMi[1], self.data
         self.R_world_base, self.p_o = root.rotation, root.translation
-        self._dynamics, self._J = (data.M, data.nle, data.g), data.J
+        views, self._J = pinocchio_views(data), data.J
+        self._dynamics = views["M_pin"], views["h_pin"], data.J, views["Y_pin"]
         self.pin, self._factor, self._load = model.pin, 1.0, pin.Inertia.Zero()
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
         self._shared = False
