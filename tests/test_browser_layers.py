@@ -166,7 +166,7 @@ def test_a_layer_is_visible_in_its_place_and_only_while_it_is_on(tab, served, la
 TITLES = {
     "determinant": "Mobility of the base",
     "reachability": "Reachability by the arm",
-    "score": "Score S (10)",
+    "score": "Score S, equation (10)",
 }
 
 
