@@ -164,11 +164,9 @@ def step_files() -> list[str]:
 
         return call
 
-    seen = {
-        "_estimate": noting(controller.update_estimate, controller._estimate),
-        "_law": noting(controller.run_algorithm_2, controller._law),
-    }
-    with patch.multiple(controller, **seen):
+    estimate = noting(controller.update_estimate, controller._estimate)
+    law = noting(controller.run_algorithm_2, controller._law)
+    with patch.multiple(controller, _estimate=estimate, _law=law):
         sys.setprofile(note)
         try:
             loop.step(at_rest)
