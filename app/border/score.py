@@ -143,7 +143,7 @@ class RadialProfile:
     def peak(self) -> int:
         """Index of the shell with the largest mean, of those with at least `_FEWEST` values.
 
-        If no shell has so many values, the shells with the most values are compared.
+        If no shell has this number, the shells with the most values are compared.
 
         Raises:
             ValueError: All shells are empty.

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.onboarding.read.links import Geometry, LinkGeometry, in_pieces, swept_shape
-from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
+from app.onboarding.read.tree import MOVING, Joint, Tree, extends
 
 Positions = Mapping[str, float]  # [rad or m] by the names of the joints
 
@@ -33,7 +33,7 @@ def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, 
         found = with_travel(tree, found, joint.parent, [*own, *beside], [_leader(tree, joint)[0]])
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
         below = tree.children[slide.child]
-        other = [joint.name for joint in below if not (joint.moves and parallel(slide, joint))]
+        other = [joint.name for joint in below if not (joint.moves and extends(tree, slide, joint))]
         found = with_travel(tree, found, slide.child, [*own, *other])
     return found
 

@@ -325,13 +325,16 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
     roots = [
         joint.child
         for joint in hanging
-        if joint not in chain and not any(_extends(tree, slide, joint) for slide in slides)
+        if joint not in chain and not any(extends(tree, slide, joint) for slide in slides)
     ]
     return tuple(dict.fromkeys(link for root in roots for link in tree.below(root)))
 
 
-def _extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
-    """Whether only parallel prismatic joints and fixed ones lead from a slide through a joint."""
+def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
+    """Whether a moving joint extends a slide, as in a telescope.
+
+    Only fixed joints and prismatic ones parallel to the slide lead to it, and it is parallel too.
+    """
     path, turn = (*tree.chain(slide.child, joint.parent), joint), np.eye(3)
     for each in path:
         turn = turn @ each.T_parent_child.rotation
@@ -339,12 +342,6 @@ def _extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
         if each.moves and not (each.kind == "prismatic" and along):
             return False
     return True
-
-
-def parallel(a: Joint, b: Joint) -> bool:
-    """Whether both joints are prismatic with parallel axes, for a joint b on the child of a."""
-    line = b.T_parent_child.rotation @ b.axis
-    return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > PARALLEL
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
