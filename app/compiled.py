@@ -5,9 +5,10 @@ nine entries. A kernel is a plain function of floats and arrays; with `NUMBA_DIS
 interprets the kernel, slowly.
 """
 
+import gc
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -51,14 +52,26 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
             kernel._cache = KernelStore(kernel.py_func)
         if not signatures:
             return cast("Function", kernel)
-        for signature in signatures:
-            kernel.compile(_any_array(signature) if isinstance(signature, str) else signature)
+        with _rare_collections():
+            for signature in signatures:
+                kernel.compile(_any_array(signature) if isinstance(signature, str) else signature)
         kernel.disable_compile()
         if kernel.stats.cache_misses or not isinstance(kernel._cache, KernelStore):
             _announce_once(getattr(kernel._cache, "saved", False))
         return cast("Function", kernel)
 
     return compile_
+
+
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """Collect garbage less often: numba's many live objects make each collection slow."""
+    before = gc.get_threshold()
+    gc.set_threshold(100_000, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
