@@ -6,7 +6,7 @@ Run it: python examples/cargo.py
 """
 
 from app.border.cache import load_border_data
-from app.border.config import SamplingConfig
+from app.border.sampling import SamplingConfig
 from app.config import Config
 from app.robot.description import load_robot
 from app.robot.model import RobotModel

@@ -7,8 +7,8 @@ import numpy as np
 
 from app import Config, ControlLoop, RobotModel, load_robot
 from app.robot.state import RobotState
-from app.simulation.load import PointLoad
 from app.simulation.plants import make_physics
+from app.simulation.plants.interface import PointLoad
 
 DT = 0.001  # [s]
 

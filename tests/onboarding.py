@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from app.border.cache import BorderData
-from app.border.config import SamplingConfig
+from app.border.sampling import SamplingConfig
 from app.jobs.progress import OnProgress
 from app.onboarding import new_robot, numbers
 from app.onboarding.fit import bodies, collision_sampling, grouping, postures

@@ -9,9 +9,8 @@ from typing_extensions import Self
 
 from app.config import LimitConfig, TaskConfig
 from app.control.limits import joint_bounds, joint_rows, torque_rows
-from app.control.qp import solve_qp, solve_qp_step
+from app.control.qp import OpenQP, changed_by_proxqp, solve_qp, solve_qp_step, solved_by_proxqp
 from app.control.quantities import ControlStep
-from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import (
     Reference,
     add_tracking,

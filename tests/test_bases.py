@@ -10,12 +10,12 @@ import pytest
 from app.avoidance.acting_point import resultant_force
 from app.border.score import ScoreField, score_at
 from app.config import AdmittanceConfig
-from app.control.drive import Drive
 from app.control.inputs import largest_command
 from app.robot.bases.car_like import CarLikeBase, nearest_in_cone
 from app.robot.bases.kind import planar
 from app.robot.state import RobotState
 from app.simulation.plants import make_physics
+from app.simulation.plants.interface import Drive
 from tests.admittance import RunningAdmittance
 from tests.bases import KINDS, base_of, robot_on
 from tests.finite_differences import jacobian

@@ -22,8 +22,8 @@ from app.border.cache import (
     unpack,
     write,
 )
-from app.border.config import SamplingConfig
 from app.border.dbb import make_cloud
+from app.border.sampling import SamplingConfig
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel

@@ -11,9 +11,8 @@ import time
 import numpy as np
 import pytest
 
-from app.border.config import SamplingConfig
 from app.border.dbb import quantise_points
-from app.border.sampling import PairReader, Voxels, sample_clouds
+from app.border.sampling import PairReader, SamplingConfig, Voxels, sample_clouds
 from app.errors import DescriptionError
 from app.jobs.pool import Workers
 from app.robot.link_pairs import Pair

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData, kept_border_data
-from app.border.config import SamplingConfig
+from app.border.sampling import SamplingConfig
 from app.config import Config
 from app.dashboard import robots
 from app.dashboard.drag import GIZMO, SCALE

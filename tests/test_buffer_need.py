@@ -20,12 +20,12 @@ from app.control.buffer_watch import (
     buffer_warning,
     needed_text,
 )
-from app.control.drive import Drive
 from app.control.tasks import activation
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import ClosestPoints
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from app.simulation.plants.interface import Drive
 from app.strict import Array
 from tests.admittance import RunningAdmittance
 

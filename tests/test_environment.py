@@ -39,7 +39,7 @@ if "FILES" in os.environ:
     resource.setrlimit(resource.RLIMIT_NOFILE, (int(os.environ["FILES"]),) * 2)
 
 from app.border.cache import border_key, load_border_data
-from app.border.config import SamplingConfig
+from app.border.sampling import SamplingConfig
 from app.cli.common import load_model
 from app.simulation.case import RunSpec
 from app.simulation.plants import default_plant

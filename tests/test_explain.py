@@ -12,9 +12,8 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.control.active_bounds import Bound
 from app.control.controller import CONTROLLERS
-from app.control.explanation import Explanation, ForceSplit, Level, NearPair
+from app.control.explanation import Bound, Explanation, ForceSplit, Level, NearPair
 from app.dashboard import phrases as words
 from app.dashboard.panels import why as why_panel
 from app.dashboard.panels.why import sentence

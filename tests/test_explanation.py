@@ -13,9 +13,19 @@ from hypothesis import strategies as st
 from app.border.cache import BorderData
 from app.border.score import ScoreField
 from app.config import Config
-from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
 from app.control.controller import CONTROLLERS, Controller
-from app.control.explanation import Explanation, Level, NearPair, explain, level_readings, split
+from app.control.explanation import (
+    TOLERANCE,
+    Bound,
+    Explanation,
+    Level,
+    NearPair,
+    admittance_bounds,
+    explain,
+    level_readings,
+    met,
+    split,
+)
 from app.control.limits import barrier_bound
 from app.control.quantities import ControlStep
 from app.control.tasks import Reference, free_arm_torque, reaction_torque

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 
 from app.border import cache
 from app.border.cache import BorderData
-from app.border.config import QUICK, SamplingConfig
+from app.border.sampling import QUICK, SamplingConfig
 from app.cli import serve
 from app.control.buffer_watch import BufferReading
 from app.dashboard import job

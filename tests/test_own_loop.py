@@ -24,8 +24,8 @@ from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
-from app.simulation.load import PointLoad
 from app.simulation.people import Hold
+from app.simulation.plants.interface import PointLoad
 from app.simulation.plants.kinematic import Kinematic
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES

@@ -13,7 +13,7 @@ from zipfile import ZipFile
 import pytest
 
 from app.border.cache import border_key
-from app.border.config import SamplingConfig
+from app.border.sampling import SamplingConfig
 from tests.robots import husky_panda
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -88,7 +88,7 @@ def test_sampled_border_is_cached_for_the_user_and_found_again(
 from pathlib import Path
 import app
 from app.border.cache import load_border_data
-from app.border.config import SamplingConfig
+from app.border.sampling import SamplingConfig
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 tiny = SamplingConfig(pair_samples=2000, cloud_samples=1000, voxel_plan=0.1, voxel_height=0.1,

@@ -9,8 +9,7 @@ from scipy.optimize import nnls
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller
-from app.control.qp import solve_qp, solve_qp_step
-from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
+from app.control.qp import OpenQP, changed_by_proxqp, solve_qp, solve_qp_step, solved_by_proxqp
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from tests.qps import NONE, Limits, NoSolutionError, Objective, solved

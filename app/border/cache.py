@@ -21,8 +21,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
-from app.border.config import SamplingConfig
 from app.border.dbb import Cloud, make_cloud
+from app.border.sampling import SamplingConfig
 from app.errors import OutputError
 from app.robot import assets
 from app.robot.assets import read_urdf, resolve_package_uri

@@ -76,8 +76,8 @@ def border(
     options.check_seed(seed)
     options.make_folder(out)
     from app.border.cache import load_border_data
-    from app.border.config import SamplingConfig
     from app.border.dbb import construct_dbb
+    from app.border.sampling import SamplingConfig
 
     begin = perf_counter()
     model = load_model(robot)

@@ -85,7 +85,7 @@ def check_robot(
         quick: Sample a coarse border in seconds, as `dbb new-robot --quick` does, instead of the
             complete border.
     """
-    from app.border.config import QUICK
+    from app.border.sampling import QUICK
     from app.robot.description import load_robot
 
     config = options.configured(name, None, parameters, _OF_CHECK)
@@ -130,7 +130,7 @@ def new_robot(
 
     begin = perf_counter()
     whole = None if asked.zipped else whole_robot(asked)  # refuses a wrong file before slow imports
-    from app.border.config import QUICK
+    from app.border.sampling import QUICK
     from app.onboarding.new_robot import finish
 
     sampling = QUICK if quick else None

@@ -171,7 +171,7 @@ def _opened(first: _First) -> DashboardServer:
 def _border(model: RobotModel) -> BorderData:
     """The robot's border; a background process refines a coarse one for the next start."""
     from app.border.cache import kept_border_data, load_border_data
-    from app.border.config import QUICK
+    from app.border.sampling import QUICK
     from app.dashboard.job import Job, sample_border
 
     if (kept := kept_border_data(model)) is not None:

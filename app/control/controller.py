@@ -40,10 +40,10 @@ from app.control.contract import (
 )
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
+from app.control.qp import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.quantities import QUANTITIES, ControlStep
 from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD
 from app.control.references import take_reference
-from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
 from app.errors import ConfigError, check_name
 from app.robot.bases.kind import BaseKind

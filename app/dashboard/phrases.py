@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from app.control.active_bounds import Bound, BoundKind
+from app.control.explanation import Bound, BoundKind
 from app.robot.bases.kind import Planar
 from app.simulation.trace.words import body as body
 from app.simulation.trace.words import pair as pair

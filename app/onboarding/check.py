@@ -12,9 +12,9 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.cache import BorderData, load_border_data
-from app.border.config import SamplingConfig
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
+from app.border.sampling import SamplingConfig
 from app.errors import DbbError, UnreachableError
 from app.onboarding import SIDES
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches

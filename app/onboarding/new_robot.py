@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.border.cache import BorderData, load_border_data
-from app.border.config import SamplingConfig
+from app.border.sampling import SamplingConfig
 from app.errors import RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers

@@ -21,11 +21,10 @@ from app.control.tasks import Reference
 from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.load import PointLoad
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import DoorView, OpenDoor
-from app.simulation.plants.interface import Contacts, Physics
+from app.simulation.plants.interface import Contacts, Physics, PointLoad
 from app.strict import Array, Vector3
 
 DT = 0.001  # [s] control step, the paper's 1 kHz

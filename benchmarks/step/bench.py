@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from app.border.cache import BorderData
-from app.border.config import SamplingConfig
-from app.border.sampling import sample_clouds
+from app.border.sampling import SamplingConfig, sample_clouds
 from app.config import Config
 from app.control.controller import Controller, ControlLoop
 from app.control.quantities import ControlStep

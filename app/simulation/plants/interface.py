@@ -1,12 +1,15 @@
-"""The common interface of all plants."""
+"""The common interface of all plants, and their common parts: the drive of the base, and a load."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 from typing_extensions import Self
 
-from app.robot.state import Measurement
+from app.robot.bases.kind import BaseKind
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
 from app.strict import Array
 
 
@@ -99,3 +102,62 @@ class Physics(ABC):
 
     def close(self) -> None:  # noqa: B027 - most plants have no resources
         """Release the plant's resources."""
+
+
+class PointLoad:
+    """A point mass fixed to the end-effector; its weight and inertia act on the arm as a force.
+
+    A force m (g - a) with the last acceleration a would be unstable for a load heavier than the
+    arm's effective mass. Therefore the computation includes the effect of the force on a.
+    """
+
+    def __init__(self, model: RobotModel, mass: float, centre: Array, dt: float) -> None:
+        """A mass [kg] at `centre` (3,) [m] in the end-effector's frame; `dt` [s] is the step."""
+        self._model, self._mass, self._centre, self._dt = model, mass, centre, dt
+        self._joint = model.pin.njoints - 1
+        self._at = model.pin.frames[model.ee_frame].placement.act(centre)
+        self._data = model.pin.createData()
+        self._effect, self._v = np.zeros(3), np.full(3, np.nan)
+
+    def push(self, state: RobotState) -> Push:
+        """The load's force on the arm in the next step, from the true state; call once a step."""
+        model, n_b = self._model, self._model.n_b
+        p = state.p_ee + state.R_ee @ self._centre
+        q = model.configuration(state.base_pose, state.q_m)
+        M = model.mass_matrix(q, self._data)[3:, 3:]
+        J = state.point_jacobian(self._joint, p)[:, n_b:]
+        mobility = J @ np.linalg.solve(M, J.T)  # [1/kg] of the arm without the load
+        v = state.point_velocity(self._joint, p)
+        a = (v - self._v) / self._dt if np.isfinite(self._v).all() else self._effect
+        free = a - self._effect  # [m/s²] acceleration without the load
+        gravity = model.pin.gravity.linear
+        force = np.linalg.solve(np.eye(3) / self._mass + mobility, gravity - free)
+        self._effect, self._v = mobility @ force, v
+        return Push(model.pin.names[self._joint], self._at, force)
+
+
+class Drive:
+    """The drive of a base; the kind of base defines the response to commands.
+
+    The drive of a differential base has a first-order response to the commanded (v, ω), with limits
+    of velocity and acceleration.
+    """
+
+    def __init__(self, base: BaseKind, dt: float) -> None:
+        """A drive at rest; `dt` [s] is the duration of one `step`."""
+        self._base, self._follow = base, base.follower(dt)
+        self._at_rest = base.drive_at_rest()
+        self.reset()
+
+    def reset(self) -> None:
+        """Set the drive to rest."""
+        self.velocity = [0.0] * self._base.n_b
+        """[m/s or rad/s] the n_b present velocities of the drive, along the base's axes."""
+        self.state = self._at_rest
+        """(n_d,) further states of the drive, such as a steering angle [rad]."""
+
+    def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
+        """(n_b,) [m/s or rad/s] the velocity after one step with the velocity command (n_b,)."""
+        command = np.asarray(v_cmd).tolist()
+        self.velocity, self.state = self._follow(self.velocity, self.state, command)
+        return self.velocity

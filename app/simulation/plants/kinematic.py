@@ -15,12 +15,11 @@ import numpy as np
 import pinocchio as pin
 
 from app.compiled import compiled, direct
-from app.control.drive import Drive
 from app.control.qp import fill
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, distance_view
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
-from app.simulation.plants.interface import NO_CONTACTS, Contacts, Physics, Push
+from app.simulation.plants.interface import NO_CONTACTS, Contacts, Drive, Physics, Push
 from app.simulation.plants.planar import world_twist
 from app.strict import Array
 

@@ -17,7 +17,6 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.mobile import MobileBody
-from app.control.drive import Drive
 from app.robot.assets import bare_urdf
 from app.robot.bases.differential import DifferentialBase, mobile_jacobian
 from app.robot.description import differential
@@ -25,7 +24,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Physics, Push
+from app.simulation.plants.interface import Contacts, Drive, Physics, Push
 from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
 from app.strict import Array

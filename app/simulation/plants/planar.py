@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from app.control.drive import Drive
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Physics, Push
+from app.simulation.plants.interface import Contacts, Drive, Physics, Push
 from app.strict import Array
 
 if TYPE_CHECKING:
