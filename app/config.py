@@ -163,8 +163,8 @@ class EstimateConfig(Strict):
     """[s] time window in which the noise of positions and velocities is estimated."""
     delay: float = number(0.0, 0.0, 0.03, "Known reading age", advanced=True)
     """[s] known age of the readings at the start of a control step, or the part of it that their
-    time stamps do not show; above 24 control periods, 24 of them count. The controller also detects
-    and compensates a larger age, up to the same limit."""
+    time stamps do not show. A value above 24 control periods counts as 24 control periods. The
+    controller also detects and compensates a larger age, up to the same limit."""
 
 
 class PayloadConfig(Strict):

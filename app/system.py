@@ -108,7 +108,7 @@ ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Block Ctrl-C during the `with`, in this thread and in processes that it starts."""
+    """Block Ctrl-C in this thread during the `with`; processes started in it keep the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

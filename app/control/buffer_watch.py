@@ -24,7 +24,7 @@ _FARTHEST = parameter("border.d_b").high  # [m] largest distance of an approach
 
 
 class BufferReading(NamedTuple):
-    """Whether d_b is sufficient."""
+    """Approach speeds, the d_b that they require, and whether d_b is too small."""
 
     approach_speed: float
     """[m/s] speed of the approach in the last 3 s that requires the largest d_b; 0 without one."""

@@ -56,7 +56,7 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 
     ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
     that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
-    because h is limited to −2 max_speed/λ. It is the second-order form of the barriers
+    because a smaller h counts as −2 max_speed/λ. It is the second-order form of the barriers
     ḣ + λ h ≥ 0 of libraries at velocity level. `Jdqd` [m/s²] is the acceleration of the distance at
     q̈ = 0, `d_dot` [m/s] its speed, `h` [m] is d − d_min, `rate` [1/s] λ, and `max_speed` [m/s] the
     largest speed of separation.

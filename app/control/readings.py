@@ -324,11 +324,11 @@ def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
 
 @compiled()
 def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> Array:
-    """(lags + 1,) [rad²] squared residuals of one joint for each lag, and without a prediction.
+    """(lags + 1,) [rad²] sums of squared residuals of one joint: each lag, then no prediction.
 
-    q (n,) [rad] and `ages` (n,) are the mean positions and ages [control periods] of the groups,
-    `ways` (count,) [rad] the predicted motion until 0, 1, ... control periods ago. The best fit of
-    `basis` (m, n), orthonormal polynomials, is subtracted.
+    q (n,) [rad] and `ages` (n,) are the mean positions and ages [control periods] of the groups.
+    `ways` (count,) [rad] is the predicted motion from a fixed start until 0, 1, ... control periods
+    ago. The best fit of `basis` (m, n), orthonormal polynomials, is subtracted.
     """
     found, fitted, rest = np.zeros(lags + 1), np.zeros((len(basis), lags + 1)), np.empty(lags + 1)
     for k in range(len(q)):

@@ -2,8 +2,8 @@
 
 viser has no hook for these checks. Therefore this module wraps the functions that viser passes to
 `websockets` when its server starts. `is_allowed` checks requests. Headers of each answer forbid
-frames of the page in other websites. `checked` checks each message before viser reads it, against
-viser's type annotations, which viser itself does not check.
+every website to show the page in a frame. `checked` checks each message before viser reads it,
+against viser's type annotations, which viser itself does not check.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release a pull older than `PATIENCE` of a viewer whose browser does not answer."""
+        """Release a pull without a motion for `PATIENCE`, of a browser that does not answer."""
         page = self.pages.get(number)
         if page is not None:
             page.grip.release_if_still(PATIENCE)

@@ -139,7 +139,7 @@ class PairDistances(ShapeDistances):
         return with_parts(*found)
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
-        """The collision library's record of the i-th pair; the next update overwrites it."""
+        """The result for the two nearest shapes of the i-th pair; the next update overwrites it."""
         return _nearest(self._results[i][0])
 
 

@@ -93,7 +93,7 @@ class Moment(NamedTuple):
 
     @property
     def live(self) -> bool:
-        """Whether the newest snapshot is shown; the shown one can be newer than `newest`."""
+        """Whether the present is shown; `shown` is read after `newest`, and can be newer."""
         return self.shown.t >= self.newest.t
 
 

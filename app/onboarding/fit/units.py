@@ -227,7 +227,7 @@ def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
 
 
 def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
-    """Spheres around shapes: joints (K,), centres (K, 3) [m] in their frames, radii (K,) [m]."""
+    """Spheres around shapes: joints (K,), centres (K, 3) [m] in joint frames, radii (K,) [m]."""
     centres, radii = [], []
     for shape in geometry.geometryObjects:
         shape.geometry.computeLocalAABB()

@@ -143,7 +143,8 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     `file` is the path of the URDF in the zip, or None for the only URDF.
 
     Raises:
-        RobotFileError: As for `unpack`, or the URDF or one of its meshes is not in the zip.
+        RobotFileError: As for `unpack`; the URDF or one of its meshes is not in the zip, or is
+            refused; or `file` is None and the zip has several URDFs.
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):
@@ -216,7 +217,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _encoded(name: str) -> Iterator[bytes]:
-    """The bytes of a non-ASCII name in each of Python's encodings, because a zip may state none."""
+    """The bytes of a non-ASCII name in each of Python's encodings: a zip may not state its own."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield name.encode(code)

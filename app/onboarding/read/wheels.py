@@ -227,7 +227,7 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
 
 
 def _driven(pairs: list[tuple[_Wheel, _Wheel]]) -> tuple[_Wheel, _Wheel]:
-    """The lowest pair of wheels; pairs of the same height must have equal radii."""
+    """The first of the lowest pairs of wheels; all pairs at this level must have equal radii."""
     lowest = min(left.bottom for left, _ in pairs)
     pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
     radii = [left.r for left, _ in pairs]

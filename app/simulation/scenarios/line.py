@@ -31,7 +31,8 @@ class LineScenario(Scenario):
     """
 
     duration: float
-    """[s] duration of the run. The motion along the line takes a fixed share of it."""
+    """[s] duration of the run. Without a release, the motion along the line takes a fixed share of
+    it."""
     mode: Literal["guiding", "tracking"]
     """"guiding": a person pulls the end-effector; "tracking": the end-effector tracks the line."""
     start: Point

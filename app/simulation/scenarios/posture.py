@@ -206,7 +206,7 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
 
 
 def _with_floor(model: RobotModel) -> tuple[pin.GeometryModel, pin.GeometryData]:
-    """The robot's bodies and the floor, with the pairs of each body of the arm and the floor."""
+    """The robot's bodies and the floor; the only pairs are a body of the arm and the floor."""
     geometry, slab = model.geometry.copy(), coal.Box(20.0, 20.0, 1.0)
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
     floor = geometry.addGeometryObject(pin.GeometryObject("floor", 0, 0, place, slab))

@@ -156,7 +156,7 @@ class Trace:
 
     @property
     def buffer(self) -> BufferReading:
-        """Whether d_b is sufficient for the approach speed, at the last row."""
+        """Reading of the buffer watch at the last row."""
         return BufferReading(*self.of("buffer")[-1].tolist())
 
     @property
