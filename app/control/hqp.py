@@ -15,14 +15,12 @@ u is not an unknown here: (26) defines it as M q̈ + C q̇ + g, without a constr
 from typing import NamedTuple
 
 import numpy as np
-from proxsuite import proxqp
 
 from app.config import TaskConfig
 from app.control.quantities import ControlStep
 from app.strict import Array
 
-_EPS = 1e-10  # desired accuracy of ProxQP
-_ENOUGH = 1e-6  # required accuracy of its solution
+_DEPENDENT = 1e-9  # [-] singular value, relative to the level's norm, that counts as 0
 
 
 class Task(NamedTuple):
@@ -34,19 +32,15 @@ class Task(NamedTuple):
     """(m,)"""
 
 
-class NoSolutionError(ArithmeticError):
-    """ProxQP has found no solution of a level."""
-
-
 def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
-    """q̈ (n,) of a control step by the paper's hierarchy; NaN if ProxQP finds no solution."""
+    """q̈ (n,) of a control step by the paper's hierarchy; NaN if an input is not finite."""
     below = tasks_below(w, gains)
     active = w.B > 0.0
     T_sca = Task(w.J_sca[active], w.b_sca[active])
     try:
         qdd_2 = cascade(below)
         return inserted(T_sca, w.B[active], below, qdd_2) if active.any() else qdd_2
-    except NoSolutionError:
+    except np.linalg.LinAlgError:
         return np.full(len(w.qdd), np.nan)
 
 
@@ -97,34 +91,18 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 def cascade(levels: list[Task]) -> Array:
     """q̈ (n,): min ‖w‖ level by level, without changing the slacks of higher levels.
 
-    The first level has the highest priority. Raises the errors of `least_slack`.
+    The first level has the highest priority. (26) and (29) have no inequality, so each level is a
+    least-squares problem in the null space of the higher levels.
+
+    Raises:
+        LinAlgError: An entry of a level is not finite.
 
     Paper: Eq. (26), (29).
     """
-    qdd = np.zeros(levels[0].J.shape[1])
-    above = np.empty((0, len(qdd)))
-    for level in levels:
-        qdd = least_slack(level, above, qdd)
-        above = np.vstack([above, level.J])
+    qdd, N = np.zeros(levels[0].J.shape[1]), np.eye(levels[0].J.shape[1])
+    for J, b in levels:
+        U, s, Vt = np.linalg.svd(J @ N)
+        rank = int((s > _DEPENDENT * np.linalg.norm(J)).sum())
+        qdd = qdd + N @ (Vt[:rank].T @ (U[:, :rank].T @ (b - J @ qdd) / s[:rank]))
+        N = N @ Vt[rank:].T
     return qdd
-
-
-def least_slack(level: Task, above: Array, qdd: Array) -> Array:
-    """q̈ (n,) that minimises ‖J q̈ − b‖ without changing the results of higher levels.
-
-    The rows `above` (k, n) of the higher levels have the same product with the result as with the
-    argument `qdd` (n,).
-
-    Raises:
-        NoSolutionError: ProxQP finds no solution.
-    """
-    J, b = level
-    qp = proxqp.dense.QP(len(qdd), len(above), 0)
-    qp.settings.eps_abs, qp.settings.eps_rel, qp.settings.max_iter = _EPS, 0.0, 1000
-    qp.settings.eps_primal_inf, qp.settings.eps_dual_inf = 1e-12, 1e-14  # else feasible ones fail
-    qp.init(J.T @ J, -J.T @ b, above, above @ qdd, None, None, None)
-    qp.solve()
-    info = qp.results.info
-    if not max(info.pri_res, info.dua_res) < _ENOUGH:
-        raise NoSolutionError
-    return np.array(qp.results.x)

@@ -3,7 +3,7 @@
 For matrices of ten rows the overhead of LAPACK exceeds the computation. The QP uses the dual
 active-set method of Goldfarb and Idnani. The search has no solution after ten passes for each row,
 if hard rows seem infeasible, or if the data are not finite; then ProxQP, which takes a millisecond,
-is the rare last resort. The compared method `hqp` uses ProxQP in every step (`app.control.hqp`).
+is the rare last resort.
 """
 
 import math
