@@ -45,8 +45,8 @@ class StartSolver:
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its position limits.
-    If the search finds no such posture, and the arm cannot choose the end-effector's direction
-    freely, any direction is accepted.
+    If the search finds no such posture from which the arm can follow the given path, and the arm
+    cannot choose the end-effector's direction freely, any direction is accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -71,9 +71,10 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        A posture has a better quality if the arm reaches further positions from it, (3,) [m] each
-        in `along`, while the base is at rest and the end-effector keeps its starting orientation.
-        The result can be a posture without this property, because the base can move during a run.
+        With a path, that is further positions `along` of (3,) [m] each, the best posture is the one
+        from which the arm follows most of the path, while the base is at rest and the end-effector
+        keeps its starting orientation. Among equal postures, the one with the largest margins is
+        best. The arm need not reach the end of the path, because the base can move during a run.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -93,10 +94,10 @@ class StartSolver:
         directions = [turned @ self._direction(target, pitch) for pitch in _PITCHES]
         best, flaws = Found(None, 0.0, Counter()), Counter[str]()
         for direction in (*directions, *([] if self._points_anywhere else [None])):
+            if best.quality > len(along) and (direction is None or not along):
+                break
             found = self._try(Target(target, direction), self._guesses(rng, tries), along)
             best = max(best, found, key=lambda each: each.quality)
-            if best.q_m is not None and not along:
-                break
             flaws.update(found.flaws)
         if best.q_m is not None:
             return best.q_m
@@ -169,22 +170,23 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] quality of a posture and path: smallest joint margin plus smallest manipulability.
+        """[-] number of positions of the path that the arm reaches, plus the margins up to there.
 
-        The two terms count up to 0.15 and 0.1. The quality is 0 if the arm cannot follow the path
-        with the base at rest.
+        The arm reaches them in their order, with the base at rest. The margins are the smallest
+        joint margin and the smallest manipulability, which count up to 0.15 and 0.1.
         """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
-        joints, mobility = search.joint_room(q_m), manipulability(search.J_ee)
+        joints, mobility, followed = search.joint_room(q_m), manipulability(search.J_ee), 0
         for p in along:
             target = pin.SE3(R, p)
             q_m = search.reach(target, q_m)
             if np.abs(search.linearised(q_m, target)[0]).max() > _WAY_TOLERANCE:
-                return 0.0
+                break
             joints = min(joints, search.joint_room(q_m))
             mobility = min(mobility, manipulability(search.J_ee))
-        return min(joints, 0.15) + min(mobility, 0.1)
+            followed += 1
+        return followed + min(joints, 0.15) + min(mobility, 0.1)
 
 
 _Place = tuple[float, float, float]
