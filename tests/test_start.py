@@ -184,7 +184,7 @@ def test_every_seed_reaches_the_place(robot, solver):
         ((0.7, 0.1, 0.02), "touch the floor"),
         ((0.9, 0.0, -0.1), "above the floor"),
         ((0.9, 0.0, 0.0), "above the floor"),
-        ((float("nan"), 0.0, 0.5), "start"),
+        ((float("nan"), 0.0, 0.5), "finite position"),
     ],
 )
 def test_an_impossible_start_is_refused_with_its_reason(solver, place, reason):
