@@ -155,7 +155,8 @@ def test_handle_out_of_reach_is_rejected_with_both_positions(
 ):
     far = RefrigeratorScenario().changed(base=(-2.0, 0.0, 0.0))
     with pytest.raises(
-        UnreachableError, match=r"handle at \(0\.92, -0\.44, 1\.10\).*-2\.00, 0\.00"
+        UnreachableError,
+        match=r"handle at \(0\.92, -0\.44, 1\.10\).*-2\.00, 0\.00\) m: out of .* by 1\.59 m",
     ):
         far.setting(robot, border_data, Config(), 0)
 

@@ -111,6 +111,29 @@ def test_only_a_sideways_mounted_arm_may_point_in_any_direction(
     assert [each for each in tried if each is None] == ([None] if any_direction else [])
 
 
+@pytest.mark.parametrize(("followed", "any_direction"), [(0, True), (1, True), (2, False)])
+def test_any_direction_is_tried_only_if_no_posture_follows_the_whole_path(
+    robot, border_data, monkeypatch, followed, any_direction
+):
+    solver, tried = StartSolver(robot, border_data.pairs, D_B), []
+    found = Found(np.zeros(7), followed + 0.3, Counter())
+    monkeypatch.setattr(solver, "_points_anywhere", False)
+    monkeypatch.setattr(solver, "_try", lambda target, *_: tried.append(target.z) or found)
+    solver.solve((0.3, 0.7, 0.3), along=[np.array([0.3, y, 0.3]) for y in (0.6, 0.5)])
+    assert any(each is None for each in tried) == any_direction
+
+
+def test_a_start_from_which_the_arm_follows_more_of_the_path_is_better(robot, border_data, solver):
+    """The best margins are those of a posture from which the arm reaches only one position."""
+    start, move = np.array([0.72, 0.29, 0.65]), np.array([-0.34, -0.20, 0.06])
+    along = [start + share * move for share in np.linspace(0.2, 1.0, 5)]
+    q_m = solver.solve(tuple(start), along=along)
+    R, search = end_effector(robot, q_m).rotation, PostureSearch(robot, border_data.pairs, D_B)
+    for p in along[:4]:
+        q_m = search.reach(pin.SE3(R, p), q_m)
+        np.testing.assert_allclose(end_effector(robot, q_m).translation, p, atol=1e-3)
+
+
 @pytest.mark.slow
 def test_equal_seeds_give_bitwise_equal_starts(robot, border_data, solver):
     again = StartSolver(robot, border_data.pairs, D_B)
@@ -161,7 +184,7 @@ def test_every_seed_reaches_the_place(robot, solver):
         ((0.7, 0.1, 0.02), "touch the floor"),
         ((0.9, 0.0, -0.1), "above the floor"),
         ((0.9, 0.0, 0.0), "above the floor"),
-        ((float("nan"), 0.0, 0.5), "start"),
+        ((float("nan"), 0.0, 0.5), "finite position"),
     ],
 )
 def test_an_impossible_start_is_refused_with_its_reason(solver, place, reason):

@@ -84,6 +84,16 @@ class Step(NamedTuple):
         return 1e6 * self.duration
 
 
+def check_avoidance(model: RobotModel, data: BorderData) -> None:
+    """Raise a DescriptionError if no monitored part of the arm can meet the base."""
+    if not data.pairs.mobile:
+        raise DescriptionError(
+            f"{model.description.name}: no monitored part of the arm can meet the base, so no "
+            "controller can avoid a collision; check the pairs under `unwatched` in "
+            "robot.toml, and in the robot's report that the bodies enclose the links"
+        )
+
+
 class Session:
     """A robot with its controller in a plant."""
 
@@ -107,12 +117,7 @@ class Session:
         Besides the errors of `ControlLoop` and `make_physics`, this raises a DescriptionError if no
         monitored part of the arm can meet the base.
         """
-        if not data.pairs.mobile:
-            raise DescriptionError(
-                f"{model.description.name}: no monitored part of the arm can meet the base, so no "
-                "controller can avoid a collision; check the pairs under `unwatched` in "
-                "robot.toml, and in the robot's report that the bodies enclose the links"
-            )
+        check_avoidance(model, data)
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         self._stated = config.disturbance.stated_period

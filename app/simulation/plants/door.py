@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from app.border.cache import BorderData
 from app.border.dbb import make_cloud
+from app.errors import DescriptionError
 from app.robot.description import BodyDescription
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
@@ -194,6 +195,8 @@ def with_door(
     The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
     grasp is rigid. The door has the reachability coefficients of the last body that has any, and no
     sampled border; the acting point is found on the exact offset surface of l_m.
+
+    If no body has these coefficients, this raises a DescriptionError.
     """
     description = model.description
     link = description.arm.end_effector_link
@@ -208,8 +211,13 @@ def with_door(
         shapes=(door.superquadric(T_link_ee * T_ee_door),),
         covers=(link,),
     )
-    tip = next(b.name for b in reversed(description.bodies) if b.name in description.reachability)
-    reachability = {**description.reachability, BODY: description.reachability[tip]}
+    known = description.reachability
+    if not (tips := [b.name for b in description.bodies if b.name in known]):
+        raise DescriptionError(
+            f"{description.name}/robot.toml: reachability: no body has A, B and C of (9), which a "
+            "held door requires; `dbb reach` computes them"
+        )
+    reachability = {**known, BODY: known[tips[-1]]}
     pair = Pair(description.mobile_body.name, BODY)
     holding = description.model_copy(
         update={"bodies": (*description.bodies, body), "reachability": reachability}

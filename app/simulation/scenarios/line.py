@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from typing_extensions import Self
 
-from app.errors import ConfigError
+from app.errors import ConfigError, TargetError
 from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput, check_point
 from app.strict import Array
 
@@ -59,34 +59,36 @@ class LineScenario(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < self.moving <= (1.0 if self.release_at is None else math.inf):
-            raise ConfigError(f"--moving: {self.moving:g} is not within 0 to 1")
+        release, regrasp = self.release_at, self.regrasp_at
+        if not 0.0 < self.moving < math.inf or (self.moving > 1.0 and release is None):
+            raise ConfigError(
+                f"--moving: {self.moving:g} is not a finite number above 0, or it is above 1 "
+                "without a release"
+            )
         check_point("--start", self.start)
         check_point("--move", self.move)
-        release, regrasp = self.release_at, self.regrasp_at
         if release is None and regrasp is None:
             return
         if self.mode != "guiding":
-            raise ConfigError(
-                f"--release-at: no person pulls in {self.name}; use a guiding scenario"
-            )
+            option = "--regrasp-at" if release is None else "--release-at"
+            raise ConfigError(f"{option}: no person pulls in {self.name}; use a guiding scenario")
         if release is None:
             raise ConfigError("--regrasp-at: there is no release; set --release-at too")
         if not 0.0 < release < self.duration:
             raise ConfigError(
-                f"--release-at: {release} s is not within the run, 0 to {self.duration:g} s"
+                f"--release-at: {release:g} s is not after the run's start, 0 s, and before its "
+                f"end, {self.duration:g} s"
             )
         if regrasp is not None and not release < regrasp < self.duration:
             raise ConfigError(
-                f"--regrasp-at: {regrasp:g} s is not within {release:g} to {self.duration:g} s, "
-                "which are the release and the run's end"
+                f"--regrasp-at: {regrasp:g} s is not after the release, {release:g} s, and before "
+                f"the run's end, {self.duration:g} s"
             )
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        from app.simulation.people import checked_target
-
         q_m = self._posture(model, data, config, seed)
-        checked_target(np.add(self.start, self.move))
+        if (z := self.start[2] + self.move[2]) < 0.0:
+            raise TargetError(f"--move: the line ends at z = {z:.3f} m, below the floor at z = 0")
         return Setting(model, data, np.zeros(3), q_m, config)
 
     def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:

@@ -165,6 +165,10 @@ class PostureSearch:
         """[m] distances of all pairs in the present posture."""
         return self.monitor.distances()
 
+    def beyond_buffer(self) -> float:
+        """[m] smallest distance of a pair beyond its buffer; infinite without pairs."""
+        return min(self.distances(), default=np.inf) - self.d_b
+
     def above_floor(self) -> float:
         """[m] smallest signed distance between the arm and the floor."""
         floor, data = self._floor, self._floor_data
@@ -179,10 +183,11 @@ class PostureSearch:
         """
         if self.above_floor() <= floor:
             return "the arm would touch the floor"
-        distances = self.distances()
-        if min(distances, default=np.inf) > self.d_b + margin:
-            return ""
-        pair = self.names[int(np.argmin(distances))]
+        return "" if self.beyond_buffer() > margin else self.buffer_flaw()
+
+    def buffer_flaw(self) -> str:
+        """The reason why a posture is invalid whose nearest pair is inside its buffer."""
+        pair = self.names[int(np.argmin(self.distances()))]
         return f"{pair} would be inside its buffer of {self.d_b:g} m"
 
     def joint_room(self, q_m: Array) -> float:

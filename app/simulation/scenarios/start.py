@@ -45,8 +45,8 @@ class StartSolver:
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its position limits.
-    If the search finds no such posture, and the arm cannot choose the end-effector's direction
-    freely, any direction is accepted.
+    If the search finds no such posture from which the arm can follow the given path, and the arm
+    cannot choose the end-effector's direction freely, any direction is accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -71,9 +71,10 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        A posture has a better quality if the arm reaches further positions from it, (3,) [m] each
-        in `along`, while the base is at rest and the end-effector keeps its starting orientation.
-        The result can be a posture without this property, because the base can move during a run.
+        With a path, that is further positions `along` of (3,) [m] each, the best posture is the one
+        from which the arm follows most of the path, while the base is at rest and the end-effector
+        keeps its starting orientation. Among equal postures, the one with the largest margins is
+        best. The arm need not reach the end of the path, because the base can move during a run.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -82,7 +83,8 @@ class StartSolver:
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
             raise UnreachableError(
-                f"start {point_text(p_ee)}: the end-effector must be above the floor, z = 0"
+                f"start {point_text(p_ee)}: the end-effector must be at a finite position "
+                "above the floor, z = 0"
             )
         if (beyond := self._search.beyond(target)) > 0.0:
             raise UnreachableError(
@@ -93,16 +95,15 @@ class StartSolver:
         directions = [turned @ self._direction(target, pitch) for pitch in _PITCHES]
         best, flaws = Found(None, 0.0, Counter()), Counter[str]()
         for direction in (*directions, *([] if self._points_anywhere else [None])):
+            if best.quality > len(along) and (direction is None or not along):
+                break
             found = self._try(Target(target, direction), self._guesses(rng, tries), along)
             best = max(best, found, key=lambda each: each.quality)
-            if best.q_m is not None and not along:
-                break
             flaws.update(found.flaws)
         if best.q_m is not None:
             return best.q_m
-        reasons = "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
         raise UnreachableError(
-            f"start {point_text(p_ee)}: no posture of the arm reaches it: {reasons}", flaws
+            f"start {point_text(p_ee)}: no posture of the arm reaches it: {_reasons(flaws)}", flaws
         )
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
@@ -165,26 +166,27 @@ class StartSolver:
             return "out of reach with the end-effector pointing away from the mount"
         if flaw := search.flaw(_FLOOR_MARGIN, _BUFFER_MARGIN):
             return flaw
-        beyond_buffer = min(search.distances(), default=np.inf) - search.d_b
+        beyond_buffer = search.beyond_buffer()
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] quality of a posture and path: smallest joint margin plus smallest manipulability.
+        """[-] number of positions of the path that the arm reaches, plus the margins up to there.
 
-        The two terms count up to 0.15 and 0.1. The quality is 0 if the arm cannot follow the path
-        with the base at rest.
+        The arm reaches them in their order, with the base at rest. The margins are the smallest
+        joint margin and the smallest manipulability, which count up to 0.15 and 0.1.
         """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
-        joints, mobility = search.joint_room(q_m), manipulability(search.J_ee)
+        joints, mobility, followed = search.joint_room(q_m), manipulability(search.J_ee), 0
         for p in along:
             target = pin.SE3(R, p)
             q_m = search.reach(target, q_m)
             if np.abs(search.linearised(q_m, target)[0]).max() > _WAY_TOLERANCE:
-                return 0.0
+                break
             joints = min(joints, search.joint_room(q_m))
             mobility = min(mobility, manipulability(search.J_ee))
-        return min(joints, 0.15) + min(mobility, 0.1)
+            followed += 1
+        return followed + min(joints, 0.15) + min(mobility, 0.1)
 
 
 _Place = tuple[float, float, float]
@@ -246,21 +248,24 @@ class _GraspSearch:
         rng = np.random.default_rng(seed)
         best, target = Found(None, 0.0, Counter()), pin.SE3.Identity()
         self._search.stand(self._base_pose)
-        far = self._search.beyond(self._door.handle(self._angle).translation) > 0.0
-        for roll in () if far else _ROLLS:
+        handle, flaws = self._door.handle(self._angle).translation, Counter[str]()
+        far = self._search.beyond(handle)
+        for roll in () if far > 0.0 else _ROLLS:
             found = self._search.best(
                 self._search.guesses(rng, _ROLL_SEEDS),
                 lambda q, roll=roll: self._judge(roll, q),
                 target=self._grasp(self._angle, roll),
             )
+            flaws.update(found.flaws)
             if found.quality > best.quality:
                 best, target = found, self._grasp(self._angle, roll)
         if best.q_m is None:
-            x, y, z = self._door.handle(self._angle).translation
+            (x, y, z), base = handle, self._base_pose
+            why = f"{OUT_OF_REACH} by {far:.2f} m or more" if far > 0.0 else _reasons(flaws)
             raise UnreachableError(
-                f"no posture of the arm reaches the handle at "
-                f"({x:.2f}, {y:.2f}, {z:.2f}) m from a base at ({self._base_pose[0]:.2f}, "
-                f"{self._base_pose[1]:.2f}) m; place base and handle 0.7 to 1.1 m from each other"
+                f"no posture of the arm reaches the handle at ({x:.2f}, {y:.2f}, {z:.2f}) m from a "
+                f"base at ({base[0]:.2f}, {base[1]:.2f}) m: {why}; --base sets another place",
+                flaws or {OUT_OF_REACH: 1},
             )
         return best.q_m, target
 
@@ -269,10 +274,12 @@ class _GraspSearch:
         turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
         return self._door.handle(angle) * turn
 
-    def _judge(self, roll: float, q_m: Array) -> float:
-        """[-] quality of a posture at the handle: number of reachable door angles, plus margins."""
+    def _judge(self, roll: float, q_m: Array) -> float | str:
+        """[-] quality of a posture at the handle: number of reachable door angles, plus margins; or
+        the reason why the posture is invalid.
+        """
         room = self._room(self._grasp(self._angle, roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
-        if room > 0.0:
+        if not isinstance(room, str):
             room = self._room_ahead(roll, q_m, room)
             self._search.stand(self._base_pose)
         return room
@@ -289,7 +296,8 @@ class _GraspSearch:
             self._search.stand(self._backed_off(angle))
             for _ in range(_CORRECTIONS):
                 q_m = self._corrected(target, q_m, q_start)
-            if (there := self._room(target, q_m, _LOOSE_TOLERANCE, -_MAX_INSIDE)) <= 0.0:
+            there = self._room(target, q_m, _LOOSE_TOLERANCE, -_MAX_INSIDE)
+            if isinstance(there, str):
                 break
             followed, room = followed + 1, min(room, there)
         return followed + room
@@ -310,18 +318,20 @@ class _GraspSearch:
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
-    def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float:
-        """[-] margins of a posture, below one; zero if a pair is not `least` [m] beyond its buffer,
-        or the posture is otherwise invalid.
+    def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float | str:
+        """[-] margins of a posture, below one; or the reason why it is invalid.
+
+        It is invalid too if a pair is not `least` [m] beyond its buffer.
         """
         search = self._search
         search.place(q_m)
         if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:
-            return 0.0
-        beyond_buffer = min(search.distances()) - search.d_b
-        joints = search.joint_room(q_m)
-        if beyond_buffer < least or joints < _GRASP_MARGIN:
-            return 0.0
+            return "out of reach with the end-effector pointing into the door"
+        beyond_buffer, joints = search.beyond_buffer(), search.joint_room(q_m)
+        if beyond_buffer < least:
+            return search.buffer_flaw()
+        if joints < _GRASP_MARGIN:
+            return "a joint would be at its limit"
         bending = manipulability(search.J_ee)
         return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond_buffer - least, 0.1)
 
@@ -329,6 +339,11 @@ class _GraspSearch:
 def _frozen(q_m: Array) -> Array:
     q_m.flags.writeable = False
     return q_m
+
+
+def _reasons(flaws: Counter[str]) -> str:
+    """The three most frequent reasons of failed tries, as a text."""
+    return "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
 
 
 def point_text(point: tuple[float, float, float]) -> str:

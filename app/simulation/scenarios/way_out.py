@@ -48,11 +48,13 @@ class WayOutScenario(Scenario):
         The pair is drawn first. For a pair of arm and base, the direction is drawn too: the arm is
         above the base or beside it. Some of these cases are rare among uniformly random postures.
         After a case without a result, the next one is drawn; without any result, this raises an
-        UnreachableError.
+        UnreachableError. It raises the error of `check_avoidance` too.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
+        from app.simulation.session import check_avoidance
 
+        check_avoidance(model, data)
         pairs, d_b = data.pairs, config.border.d_b
         search, mobile = PostureSearch(model, pairs, d_b), len(pairs.mobile)
         rng = np.random.default_rng([seed, BEGINS.index(self.begin)])
@@ -62,6 +64,11 @@ class WayOutScenario(Scenario):
             kinds += product(range(mobile), (True, False))
         if self.begin != "buffer":
             kinds += [(i, None) for i in range(mobile, len(pairs.all))]
+        if not kinds:
+            raise UnreachableError(
+                f"--begin {self.begin}: no monitored bodies within the arm of "
+                f"{model.description.name} can meet; choose --begin buffer or penetration"
+            )
         for k in rng.permutation(len(kinds)):
             guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
             judge = partial(_judge, search, *kinds[k], depth)
@@ -69,7 +76,7 @@ class WayOutScenario(Scenario):
                 return Setting(model, data, np.zeros(3), q_m, config)
         raise UnreachableError(
             f"no start of the kind {self.begin!r} is among {_TRIES} random postures of the arm "
-            "for each pair"
+            "for each pair; choose another --begin"
         )
 
     def driver(self, session: Session) -> Driver:

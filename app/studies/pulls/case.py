@@ -23,6 +23,7 @@ from app.simulation.case import RunSpec
 from app.simulation.run import run_from_spec
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.start import StartSolver
+from app.simulation.session import check_avoidance
 from app.strict import Array
 from app.studies.pulls.parameters import FAULTS, PARAMETERS, Interval, StudyParameters, StudyRange
 from app.studies.runs import Row, flattened, rounded
@@ -106,10 +107,14 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load the data of a robot, once in each process; raises the errors of `load_robot`."""
+    """Load the data of a robot, once in each process.
+
+    This raises the errors of `load_robot` and `check_avoidance`.
+    """
     model = RobotModel(load_robot(robot))
     body = MobileBody(model)
     lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
+    check_avoidance(model, data)
     return StudySources(model, data, lower, body.upper, *_measure_reach(model))
 
 

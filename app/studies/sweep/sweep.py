@@ -24,6 +24,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.run import run_from_spec
 from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
+from app.simulation.session import check_avoidance
 from app.strict import Array
 from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
@@ -92,7 +93,11 @@ class StartFinder:
     """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
-        """Prepare the search for a buffer distance `d_b` [m]."""
+        """Prepare the search for a buffer distance `d_b` [m].
+
+        If no monitored part of the arm can meet the base, this raises a DescriptionError.
+        """
+        check_avoidance(model, data)
         self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
         self._state = RobotState(model)
