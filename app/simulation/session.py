@@ -119,13 +119,13 @@ class Session:
         self._stated = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
         """The control loop, with the same interface as in a robot's own loop."""
-        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
         self._own_state = RobotState(model)  # the true state, if the sensors have errors
         self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
+        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
