@@ -140,7 +140,7 @@ class _Fuzz:
             "messages": sum(self._kinds.values()),
             **self._tally,
             "kinds": dict(self._kinds),
-            "memory_mib": last,
+            "memory_mb": last,
             "memory_growth": growth,
             "findings": self._findings,
         }
@@ -265,12 +265,12 @@ class _Fuzz:
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:
-        """[MiB] memory of this process and of its child processes, after all work has ended."""
+        """[MB] memory of this process and of its child processes, after all work has ended."""
         for job in self._jobs():
             job.close()
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]
-        return sum(each.memory_info().rss for each in everyone) / 2**20
+        return sum(each.memory_info().rss for each in everyone) / 1e6
 
     def _wait(self, true: Callable[[], Any], otherwise: str, why: Callable[[], str] = str) -> None:
         """Wait until the function `true` returns a true value.
