@@ -105,15 +105,9 @@ class Session:
         `plant` is the plant's robot if the robot `model` of the controller has a held object as an
         additional body. `seed` is that of all random numbers; `door` is held by the end-effector.
 
-        Besides the errors of `ControlLoop` and `make_physics`, this raises a DescriptionError if no
-        monitored part of the arm can meet the base.
+        Besides the errors of `ControlLoop` and `make_physics`, this raises that of `check_pairs`.
         """
-        if not data.pairs.mobile:
-            raise DescriptionError(
-                f"{model.description.name}: no monitored part of the arm can meet the base, so no "
-                "controller can avoid a collision; check the pairs under `unwatched` in "
-                "robot.toml, and in the robot's report that the bodies enclose the links"
-            )
+        check_pairs(model, data)
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         self._stated = config.disturbance.stated_period
@@ -396,6 +390,16 @@ class VelocityTracking:
         self._q = ahead + self._gain_q * error
         self._qd = self._qd + self._gain_v * error
         return self._qd.copy()
+
+
+def check_pairs(model: RobotModel, data: BorderData) -> None:
+    """Raise a DescriptionError if no monitored part of the arm can meet the base."""
+    if not data.pairs.mobile:
+        raise DescriptionError(
+            f"{model.description.name}: no monitored part of the arm can meet the base, so no "
+            "controller can avoid a collision; check the pairs under `unwatched` in "
+            "robot.toml, and in the robot's report that the bodies enclose the links"
+        )
 
 
 def check_posture(model: RobotModel, q_m: Array) -> None:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
+from unittest.mock import patch
 
 import msgspec
 import numpy as np
@@ -93,14 +94,13 @@ def _elsewhere() -> Iterator[None]:
         return _asked[-1]
 
     with tempfile.TemporaryDirectory() as folder:
-        os.environ |= {"DBB_ROBOTS": f"{folder}/robots", VARIABLE: f"{folder}/none"}
-        os.chdir(folder)
-        setattr(_viser, "_make_uuid", remembered)  # noqa: B010
-        try:
-            yield
-        finally:
-            setattr(_viser, "_make_uuid", name)  # noqa: B010
-            os.chdir(before)
+        other = {"DBB_ROBOTS": f"{folder}/robots", VARIABLE: f"{folder}/none"}
+        with patch.dict(os.environ, other), patch.object(_viser, "_make_uuid", remembered):
+            os.chdir(folder)
+            try:
+                yield
+            finally:
+                os.chdir(before)
 
 
 class _Fuzz:
@@ -179,9 +179,10 @@ class _Fuzz:
     def _in_parts(self, data: bytes) -> Iterator[bytes]:
         """A message as the first of few or many fragments; the further ones are empty or large."""
         count, size = int(10 ** self._rng.uniform(0, 4.5)), int(10 ** self._rng.uniform(0, 5))
-        self._tally["parts"] += count
         yield data
-        yield from (b"\0" * (size * (k % 2)) for k in range(min(count, 2**26 // size)))
+        for k in range(min(count, 2**26 // size)):
+            self._tally["parts"] += 1
+            yield b"\0" * (size * (k % 2))
 
     def _verdict(self, data: bytes) -> str:
         """The gate's verdict; messages that are too long for `websockets` do not reach the gate."""

@@ -24,6 +24,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.run import run_from_spec
 from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
+from app.simulation.session import check_pairs
 from app.strict import Array
 from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
@@ -92,7 +93,8 @@ class StartFinder:
     """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
-        """Prepare the search for a buffer distance `d_b` [m]."""
+        """Prepare the search for a buffer distance `d_b` [m]; raises the error of `check_pairs`."""
+        check_pairs(model, data)
         self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
         self._state = RobotState(model)
