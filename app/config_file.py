@@ -15,7 +15,7 @@ from app.errors import ConfigError
 from app.parameters import Parameter
 from app.strict import content_of, from_toml, text_of
 
-MAX_BYTES = 64 * 1024  # [bytes] largest file, eight times as large as a file with all parameters
+MAX_BYTES = 64_000  # [bytes] largest file, eight times as large as a file with all parameters
 LONGEST_NAME = 60  # [-] characters of the longest name
 _NAME = "name"  # key of the file's own name, beside the sections
 _SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller

@@ -360,9 +360,9 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def peak_memory() -> float:
-    """[MiB] peak memory of this process."""
+    """[MB] peak memory of this process."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10  # macOS: bytes; Linux: KiB
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6  # Linux: in KiB
 
 
 def return_freed_memory_early() -> None:

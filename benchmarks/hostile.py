@@ -45,7 +45,6 @@ _PLACES = 31  # [-] number of connections beside the viewer
 _PAGE = 10.0  # [s] timeout for the widgets of a page
 _HALF = 300  # [-] number of simultaneous incomplete requests
 _PATIENCE = 600.0  # [s] timeout for the start and the end of the server
-_MIB = 2**20  # [bytes]
 _BINARY, _PING = 2, 9  # [-] kinds of a websocket's frame
 
 
@@ -80,9 +79,9 @@ def main(seconds: float = 600.0, json: Json = False) -> None:
                 name: _longest(silences, [turn for each, *turn in turns if each == name])
                 for name in _ATTACKS
             },
-            "memory_before_mib": before,
-            "memory_peak_mib": peak,
-            "memory_after_mib": _memory(server),
+            "memory_before_mb": before,
+            "memory_peak_mb": peak,
+            "memory_after_mb": _memory(server),
             "log_bytes": folder_log.stat().st_size - log_before,
             "load": os.getloadavg()[1],
             "serves": server.poll() is None,
@@ -98,8 +97,8 @@ def _findings(result: dict[str, Any]) -> list[str]:
         found.append("the server has ended")
     if result["longest_wait_s"] > _LONGEST_WAIT:
         found.append(f"the viewer waited {result['longest_wait_s']:.1f} s for a picture")
-    if result["memory_after_mib"] > _LARGEST_GROWTH * result["memory_before_mib"]:
-        found.append(f"memory grew to {result['memory_after_mib']:.0f} MiB")
+    if result["memory_after_mb"] > _LARGEST_GROWTH * result["memory_before_mb"]:
+        found.append(f"memory grew to {result['memory_after_mb']:.0f} MB")
     return found
 
 
@@ -162,7 +161,7 @@ def _attack(
 
     Returns:
         The number of items that each attack has sent, the server's processor time [s] during each
-        attack, the largest memory [MiB], and name, start and end [s] of each turn.
+        attack, the largest memory [MB], and name, start and end [s] of each turn.
     """
     done, spent, peak = dict.fromkeys(_ATTACKS, 0), dict.fromkeys(_ATTACKS, 0.0), 0.0
     turns: list[tuple[str, float, float]] = []
@@ -261,7 +260,7 @@ def _raw(port: int) -> socket.socket:
 
 def _parts(port: int, end: float) -> int:
     """Send messages of large fragments without a last one, on all connections at once."""
-    part, sent = _frame(0, b"z" * _MIB, last=False), 0
+    part, sent = _frame(0, b"z" * 2**20, last=False), 0
     with ExitStack() as stack:
         for _ in range(_PLACES):
             each = stack.enter_context(_raw(port))
@@ -381,13 +380,13 @@ items."""
 
 
 def _memory(server: subprocess.Popen[bytes]) -> float:
-    """[MiB] memory of the server and of the processes that it has started."""
+    """[MB] memory of the server and of the processes that it has started."""
     total = 0.0
     with suppress(psutil.NoSuchProcess):
         here = psutil.Process(server.pid)
         for each in (here, *here.children(recursive=True)):
             with suppress(psutil.NoSuchProcess):
-                total += each.memory_info().rss / _MIB
+                total += each.memory_info().rss / 1e6
     return total
 
 

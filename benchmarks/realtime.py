@@ -110,7 +110,7 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
         "pictures_per_s": seen.pictures_per_s,
         "shown_realtime_factor": shown,
         "overruns_since_reset": overruns,
-        "memory_mib": float(np.median(seen.memory[-len(seen.memory) // 4 :])),
+        "memory_mb": float(np.median(seen.memory[-len(seen.memory) // 4 :])),
         "memory_growth": _growth(seen.memory),
         "servers_cpu_percent": seen.servers_cpu,
         "loop_cpu_percent": seen.loop_cpu,
@@ -129,7 +129,7 @@ class Seen(NamedTuple):
         servers_cpu: [%] of a core that the server and the loop used.
         loop_cpu: [%] of a core that the loop used; None if the loop has no separate process.
         pictures_per_s: Number of pictures that the server has drawn in a second.
-        memory: [MiB] memory of the server and the loop, at equal intervals.
+        memory: [MB] memory of the server and the loop, at equal intervals.
     """
 
     begin: float
@@ -198,7 +198,7 @@ def _cpu(processes: list[psutil.Process]) -> list[float]:
 def _pass_time(
     args: Realtime, begin: float, loop: LoopHandle, servers: list[psutil.Process]
 ) -> list[float]:
-    """Wait, and measure the memory [MiB].
+    """Wait, and measure the memory [MB].
 
     With `--drag` and without a browser, pull the end-effector to the base and back.
     """
@@ -213,7 +213,7 @@ def _pass_time(
             x = loop.latest().base_pose[0] + NEAR + share * (FAR - NEAR)
             loop.send(Pull((float(x), y, z)))
         if t >= len(memory) * args.seconds / LOOKS:
-            memory.append(sum(each.memory_full_info().uss for each in servers) / 2**20)
+            memory.append(sum(each.memory_full_info().uss for each in servers) / 1e6)
         time.sleep(PULL_EVERY)
     return memory
 

@@ -191,14 +191,13 @@ def _print_robots(rows: list[dict[str, Any]]) -> None:
         if "reason" in row:
             shown.append([row["title"], row["case"], "", "", row["reason"]])
             continue
-        clearance = row["clearance_m"]
         shown.append(
             [
                 row["title"],
                 row["case"],
                 f"{row['direction_deg']:g}°, {row['height_m']:.2f} m",
                 row["controller"],
-                "–" if clearance is None else f"{clearance:.3f} m",
+                f"{row['clearance_m']:.3f} m",
                 f"{1000 * row['hand_error_m']:.3g} mm",
                 f"{row['base_path_m']:.2f} m",
                 str(row["contacts"]),

@@ -32,7 +32,6 @@ def main(duration: float = 8.0) -> dict[str, object]:
     register_base_kind(RailBase)  # robot.toml may now have: kind = "rail"
     base = {
         "kind": "rail",
-        "link": "base_link",
         "mass_kg": 60.0,
         "inertia_kgm2": 16.0,
         "max_linear_velocity_mps": 1.0,

@@ -12,7 +12,6 @@ from app.robot.model import RobotModel
 from tests.robots import husky_panda
 
 _COMMON: dict[str, Any] = {
-    "link": "base_link",
     "mass_kg": 60.0,
     "inertia_kgm2": 16.0,
     "max_linear_velocity_mps": 1.0,

@@ -509,6 +509,13 @@ def test_invalid_address_is_rejected_at_once(host, port):
     assert time.monotonic() - begin < 5.0
 
 
+def test_a_failed_start_leaves_no_drawing_thread(loop, clouds, monkeypatch):
+    monkeypatch.setattr("app.dashboard.server.Watchdog", None)
+    with pytest.raises(TypeError):
+        serve_dashboard(loop, husky_panda(), clouds, port=0, parts=parts())
+    assert "dashboard" not in {thread.name for thread in threading.enumerate()}
+
+
 def test_serving_prints_nothing(loop, clouds, capfd):
     server = serve_dashboard(loop, husky_panda(), clouds, port=0, parts=parts())
     server.stop()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import count
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from app.config import Config
 from app.control import contract
 from app.errors import ConfigError, TargetError
 from app.robot.model import RobotModel
+from app.simulation.loop import ensemble as module
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.loop.ensemble import MAX_PULLS, Ensemble
 from app.simulation.loop.pacing import Pacer
@@ -174,6 +176,53 @@ def test_a_refused_scenario_changes_nothing(make):
         ensemble.play(LATERAL.changed(move=(0.0, 0.0, -2.0)))
     assert (ensemble.main, ensemble.main.t, ensemble.leading) == (main, t, "guiding-lateral")
     assert ensemble.step().t == t
+
+
+def second_fails(function: Callable) -> Callable:
+    """The function, whose second call raises an error."""
+    calls = count(1)
+
+    def counted(*args: object) -> object:
+        if next(calls) == 2:
+            raise TargetError("the second call fails")
+        return function(*args)
+
+    return counted
+
+
+@pytest.mark.parametrize(("fails", "leads"), [("begin", 0), ("begin", 1), ("driver", 1)])
+def test_a_failed_start_of_a_later_robot_changes_nothing(make, monkeypatch, fails, leads):
+    ensemble, other = make(), make()
+    for each in (ensemble, other):
+        each.play(LATERAL)
+        steps(each, 0.1)
+        if not leads:
+            each.pull(Pull((0.5, 0.5, 0.6)))
+    begun: list[Session] = []
+    closed: list[Session] = []
+    monkeypatch.setattr(Session, "close", lambda session: closed.append(session))
+    monkeypatch.setattr(module, "begin", lambda *args: begun.append(begin(*args)) or begun[-1])
+    of = {"begin": module, "driver": type(LATERAL)}[fails]
+    monkeypatch.setattr(of, fails, second_fails(getattr(of, fails)))
+    with pytest.raises(TargetError, match="the second call fails"):
+        ensemble.compare(Compare(("none", "barrier")))
+    assert begun
+    assert closed == begun[::-1]
+    np.testing.assert_array_equal(steps(ensemble, 0.1), steps(other, 0.1))
+    assert (ensemble.comparison, ensemble.ghosts) == (other.comparison, [])
+
+
+@pytest.mark.parametrize("began", [False, True])
+def test_a_scenario_whose_driver_fails_changes_nothing(make, monkeypatch, began):
+    ensemble, other = make(), make()
+    for each in (ensemble, other):
+        if began:
+            each.play(TRACKING)
+        steps(each, 0.1)
+    monkeypatch.setattr(type(LATERAL), "driver", None)
+    with pytest.raises(TypeError):
+        ensemble.play(LATERAL)
+    np.testing.assert_array_equal(steps(ensemble, 0.1), steps(other, 0.1))
 
 
 def test_refused_parameters_change_nothing(make, monkeypatch):

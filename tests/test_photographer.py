@@ -74,6 +74,8 @@ def test_solids_do_not_stay_for_the_next_picture(photographer, ready):
     box = trimesh.creation.box((0.4, 0.4, 0.4)).apply_translation([0.9, 0.4, 0.2])
     with_box = photographer.take(ORIGIN, ready, CAMERA, [Solid(box, RED)])
     assert red(with_box).sum() > 100
+    with pytest.raises(AttributeError):
+        photographer.take(ORIGIN, ready, CAMERA, [Solid(box, RED), Solid(None, RED)])
     assert red(photographer.take(ORIGIN, ready, CAMERA)).sum() == 0
 
 

@@ -10,9 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from app.config import Config
 from app.errors import AssetError
 from app.simulation.plants import PLANTS, make_physics
-from app.simulation.plants.bullet_world import BulletWorld
+from app.simulation.plants.bullet_world import BulletWorld, pybullet
+from app.simulation.plants.planar import Planar
+from app.simulation.session import Session
 from tests.robots import husky_panda, needs_pybullet
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -108,3 +111,18 @@ def test_closed_clients_of_pybullet_are_released():
     with pytest.raises(AssetError):
         BulletWorld("", 0.001)
     make_physics("planar", husky_panda()).close()
+
+
+@pytest.mark.parametrize(
+    ("part", "step"),
+    [(BulletWorld, "allow_contacts"), (Planar, "reset"), (Session, "reset")],
+)
+def test_a_failed_setup_leaves_no_client_of_pybullet(border_data, monkeypatch, part, step):
+    def clients() -> int:
+        return sum(pybullet.getConnectionInfo(i)["isConnected"] for i in range(50))
+
+    before = clients()
+    monkeypatch.setattr(part, step, None)
+    with pytest.raises(TypeError):
+        Session(husky_panda(), border_data, Config(), physics="planar")
+    assert clients() == before

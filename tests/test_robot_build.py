@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -153,7 +154,12 @@ def chain(links: int, joints: int) -> str:
 
 
 @pytest.mark.usefixtures("made_here")
-def test_zip_is_stored_until_the_next_upload(making: RobotBuild, tmp_path: Path) -> None:
+def test_zip_is_stored_until_the_next_upload(
+    making: RobotBuild, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    upload_folder = tmp_path / "uploads"
+    upload_folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(upload_folder))
     content = zipped(tmp_path, {"toy.urdf": TOY}).read_bytes()
     making.receive("../My Robot (2).ZIP", content)
     ended(making)
@@ -167,6 +173,7 @@ def test_zip_is_stored_until_the_next_upload(making: RobotBuild, tmp_path: Path)
     assert "not a zip" in making.problem
     assert "not a zip" in outcome_html(making)
     assert not first.exists()
+    assert list(upload_folder.iterdir()) == []  # of the second zip too
 
 
 def test_only_one_job_runs_and_it_can_be_cancelled(

@@ -12,6 +12,7 @@ import pytest
 from app.errors import AssetError, DescriptionError, UnknownNameError
 from app.robot import assets
 from app.robot.assets import resolve_package_uri, resolved_urdf, robot_names
+from app.robot.bases import kind
 from app.robot.description import load_description, load_robot
 from app.robot.model import RobotModel
 from app.strict import from_toml
@@ -44,6 +45,14 @@ def write(tmp_path):
 
 def test_rewritten_description_equals_the_original(write):
     assert load_description(write()) == load_robot("husky_panda")
+
+
+def test_the_former_link_of_the_base_is_accepted_with_one_line(write, caplog):
+    kind._tell_of_link.cache_clear()
+    path = write(lambda d: d["base"].update(link="anything"))
+    for _ in range(2):
+        assert load_description(path) == load_robot("husky_panda")
+    assert caplog.messages == ["base.link of robot.toml has no effect; remove this line"]
 
 
 REFUSED = {
@@ -189,7 +198,6 @@ UNFIT = {
         ["arm.end_effector_link", "'hand'", "panda_hand"],
     ),
     "mount": (lambda d: d["arm"].update(mount_link="m"), ["arm.mount_link", "'m'", "panda_link0"]),
-    "base link": (lambda d: d["base"].update(link="b"), ["base.link", "'b'", "base_link"]),
     "frame of a body": (
         lambda d: d["bodies"][3].update(frame="elbow"),
         ["bodies.l3.frame", "'elbow'", "panda_link5"],

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import tyro
 
+from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.cli.common import print_table
 from app.errors import UnknownNameError
 from app.robot import assets
+from app.robot.model import RobotModel
+from app.studies.sweep.sweep import StartFinder
 from benchmarks import robots as table
 from benchmarks.robots import CASES, Case
 from tests.robots import husky_panda
@@ -47,6 +52,15 @@ def test_robot_that_cannot_be_loaded_has_a_row_with_the_reason(monkeypatch: pyte
     (row,) = table.robot_table(["tiago"], cases=[SHORT])["rows"]
     assert row["robot"] == "tiago"
     assert "pip install" in row["reason"]
+
+
+def test_robot_without_a_pair_of_arm_and_base_has_a_row_with_the_reason(
+    robot: RobotModel, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+):
+    data = replace(border_data, pairs=replace(border_data.pairs, mobile=()))
+    monkeypatch.setattr(table, "load", lambda _, d_b: StartFinder(robot, data, d_b))
+    (row,) = table.robot_table(["husky_panda"], cases=[SHORT])["rows"]
+    assert "no monitored part of the arm can meet the base" in row["reason"]
 
 
 @pytest.mark.parametrize("words", [["--robots", "r2d2"], ["--case", "dancing"]])

@@ -197,9 +197,9 @@ def test_peak_memory_considers_the_unit_of_the_system(monkeypatch) -> None:
     monkeypatch.setattr(
         system.resource, "getrusage", lambda _: SimpleNamespace(ru_maxrss=3 * 2**20)
     )
-    assert system.peak_memory() == 3 * 2**10
+    assert system.peak_memory() == pytest.approx(3 * 2**30 / 1e6)
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert system.peak_memory() == 3
+    assert system.peak_memory() == pytest.approx(3 * 2**20 / 1e6)
 
 
 def test_missing_permission_for_priorities_is_no_error(monkeypatch) -> None:

@@ -26,6 +26,7 @@ from app.cli.serve import _is_loopback
 from app.dashboard import job, notifications, server, viser_compat
 from app.dashboard.gate import _TAKEN, RefusedError, Uploads, checked
 from app.dashboard.viser_compat import Channel, _Buffer, close_server, open_server
+from app.errors import ServerError
 from tests.browser import wait_for
 from tests.raw_client import RawClient, link, served
 
@@ -128,6 +129,16 @@ def test_invalid_messages_of_a_page_are_ignored() -> None:
         event: Any = SimpleNamespace(client=client, target=SimpleNamespace(value=text))
         channel._hear(event)
     assert heard == [2.0, "now"]
+
+
+def test_a_server_without_a_gate_is_closed(monkeypatch) -> None:
+    closed = []
+    monkeypatch.setattr(viser_compat, "close_server", lambda each: closed.append(each.stop()))
+    # As if viser had another way to start its server.
+    monkeypatch.setattr("app.dashboard.gate.websockets_server", SimpleNamespace(serve=None))
+    with pytest.raises(ServerError, match="unknown way"):
+        open_server("127.0.0.1", 0)
+    assert len(closed) == 1
 
 
 def test_errors_caused_by_clients_are_logged_once_a_minute(caplog, monkeypatch) -> None:

@@ -544,9 +544,9 @@ def trust_table(found: Figures) -> str:
         often = counts["tries"] or sum(counts[key] for key in shown)
         rows.append([what, f"{often:,}", ", ".join(outcomes)])
     if hostile := found.get("hostile"):
-        before, after = hostile["memory_before_mib"], hostile["memory_after_mib"]
+        before, after = hostile["memory_before_mb"], hostile["memory_after_mb"]
         outcome = f"longest wait of a viewer {number(hostile['longest_wait_s'], 's', 2)}, memory "
-        outcome += f"{before:,.0f} MiB before and {after:,.0f} MiB after"
+        outcome += f"{before:,.0f} MB before and {after:,.0f} MB after"
         rows.append(["hostile clients", f"{hostile['seconds']:,.0f} s", outcome])
     return grid(["input", "count", "outcome"], rows)
 

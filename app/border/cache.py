@@ -211,7 +211,7 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     content = {
         "format": FORMAT,
         "sampling": sampling.model_dump(),
-        "base": description.base.link,
+        "base": description.mobile_body.frame,  # also in `bodies`; existing keys have it twice
         "mount": arm.mount_link,
         "joints": [arm.joints, arm.position_lower, arm.position_upper],
         "bodies": [

@@ -218,9 +218,11 @@ class RobotBuild(Job):
         def work() -> None:
             self.built = ""
             self._forget()
-            archive = self._folder.enter_context(temporary_folder()) / _file_name(name)
-            archive.write_bytes(content)
-            self.package = Package(archive, self.run(look_into_package, archive))
+            with ExitStack() as stack:
+                archive = stack.enter_context(temporary_folder()) / _file_name(name)
+                archive.write_bytes(content)
+                self.package = Package(archive, self.run(look_into_package, archive))
+                self._folder = stack.pop_all()
 
         self.start(_file_name(name), "reading", work)
 

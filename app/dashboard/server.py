@@ -60,9 +60,9 @@ class DashboardServer:
         self._thread = threading.Thread(
             target=self._draw_until_stopped, name="dashboard", daemon=True
         )
-        self._thread.start()
         viser_server.on_client_disconnect(self._part)
         self.watchdog = Watchdog(viser_server, self._silent)
+        self._thread.start()  # last, because only `stop` ends it
 
     def run_forever(self) -> None:
         """Serve until another thread calls `stop`, or until Ctrl-C; the caller then calls `stop`.

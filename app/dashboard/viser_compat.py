@@ -102,8 +102,11 @@ def open_server(
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # normal at its end
     _replace_parts_of_viser()
     gate = Gate(host, allowed, largest_upload)
-    with _silence(), gate.closed():
-        server = viser.ViserServer(host=host, port=port, verbose=False)
+    with contextlib.ExitStack() as started:
+        with _silence(), gate.closed():
+            server = viser.ViserServer(host=host, port=port, verbose=False)
+            started.callback(close_server, server)
+        started.pop_all()
     notifier = Notifier(server)
 
     def client_of(connection: Any) -> viser.ClientHandle | None:

@@ -18,7 +18,7 @@ from app.system import limited
 
 Read = TypeVar("Read")
 
-SMALL = 16 * 2**10  # [bytes] largest size of data that this process reads itself
+SMALL = 16_000  # [bytes] largest size of data that this process reads itself
 _AT_ONCE = threading.BoundedSemaphore(2)  # largest number of reading child processes
 _limited = threading.Event()  # set in a reading child, which starts no further child
 

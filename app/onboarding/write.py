@@ -316,7 +316,7 @@ def description(
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)
     if moving is None:
-        fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *wheels}
+        fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", *wheels}
         middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
         limits = limits._replace(effort=tuple(e or 1.0 for e in limits.effort))
         free = (0.0,) * len(middle)
@@ -334,7 +334,7 @@ def description(
         "title": request.title or request.name.replace("_", " "),
         "urdf": "robot.urdf",
         "licence": request.licence or "Of the files that the URDF refers to: see SOURCES.md.",
-        "base": with_source({"kind": request.kind, "link": ROOT}, moving[0], wheels),
+        "base": with_source({"kind": request.kind}, moving[0], wheels),
         "arm": with_source(chain, {**at, **limits.numbers, **moving[1]}),
         "bodies": [_body(body) for body in bodies] or [{"name": n, **dot} for n in ("lm", "l1")],
         "reachability": {},

@@ -41,8 +41,8 @@ class RobotModel:
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
         shape_ids: Indices of a body's shapes in `geometry`, by the name of the body.
         body_joints: Pinocchio's index of the joint that moves a body, by the name of the body.
-        ee_frame, mount_frame, base_frame: Pinocchio's indices of the frames of the end-effector, of
-            the arm's mount and of the base's link.
+        ee_frame, mount_frame: Pinocchio's indices of the frames of the end-effector and of the
+            arm's mount.
         n: Degrees of freedom of the reduced velocity, n_b + n_m.
         n_b: Degrees of freedom of the base.
         n_d: Number of states of the base's drive besides its velocity.
@@ -89,7 +89,6 @@ class RobotModel:
         self._read_limits()
         self._add_end_effector()
         self.mount_frame = self._frame(description.arm.mount_link, "arm.mount_link")
-        self.base_frame = self._frame(description.base.link, "base.link")
         self.geometry = pin.GeometryModel()
         self.shape_ids: dict[str, list[int]] = {}
         self.body_joints: dict[str, int] = {}

@@ -144,8 +144,9 @@ class Photographer:
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, positions, strict=True):
             self._client.resetJointState(self._world.robot, joint, float(position))
-        bodies = [self._add(solid) for solid in solids]
+        bodies: list[int] = []
         try:
+            bodies.extend(map(self._add, solids))
             return self._render(camera)
         finally:
             for body in bodies:

@@ -114,8 +114,7 @@ class Session:
         `plant` is the plant's robot if the robot `model` of the controller has a held object as an
         additional body. `seed` is that of all random numbers; `door` is held by the end-effector.
 
-        Besides the errors of `ControlLoop` and `make_physics`, this raises a DescriptionError if no
-        monitored part of the arm can meet the base.
+        This raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
         check_avoidance(model, data)
         self.model, self.data, self.config = model, data, config
@@ -123,13 +122,13 @@ class Session:
         self._stated = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
         """The control loop, with the same interface as in a robot's own loop."""
-        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
         self._own_state = RobotState(model)  # the true state, if the sensors have errors
         self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
+        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable
 
 import numpy as np
@@ -27,9 +27,9 @@ _TOML: tuple[Callable[[int], str], ...] = (
 )
 _JSON: tuple[Callable[[int], str], ...] = (
     lambda n: "[" * n + "]" * n,
-    lambda n: f'{{"dbb_case": 1, "options": {"{" * n}',
+    lambda n: '{"dbb_case": 1, "options": ' + '{"a": ' * n + "0" + "}" * (n + 1),
     lambda n: f'{{"dbb_case": 1, "options": {{"q_m": [{"[]," * n}0]}}}}',
-    lambda n: '{"dbb_case": 1, "parameters": {' + "".join(map('"p{}": 1,'.format, range(n))) + "}}",
+    lambda n: json.dumps({"dbb_case": 1, "parameters": {f"p{k}": 1 for k in range(n)}}),
     lambda n: f'{{"dbb_case": 1, "seed": {"9" * n}}}',
     lambda n: f'{{"dbb_case": 1, "robot": "{"n" * n}"}}',
 )
@@ -53,15 +53,15 @@ def _joint(k: int) -> str:
 
 
 def _csv(right: bytes, n: int, rng: np.random.Generator) -> bytes:
-    """The valid table `right` with n columns, n/10 empty rows, or a name of n characters."""
-    head, names, *rest = right.split(b"\n")
+    """A table of n columns, or the valid table `right` with n/10 empty rows or a long name."""
+    head, names, *rows = right.splitlines()
     match int(rng.integers(3)):
         case 0:
-            return b"\n".join([head, b",".join([b"c"] * n), b"," * n])
+            return b"\n".join([head, b",".join([b"c"] * n), b",".join([b"1"] * n)])
         case 1:
-            return b"\n".join([head, names, *[b"," * names.count(b",")] * (n // 10)])
+            return b"\n".join([head, names, *rows, *[b"," * names.count(b",")] * (n // 10)])
         case _:
-            return b"\n".join([head, names + b"," + b"n" * n, *rest])
+            return b"\n".join([head, names + b"," + b"n" * n, *(row + b"," for row in rows)])
 
 
 def _parquet(right: bytes, n: int, _: np.random.Generator) -> bytes:
@@ -74,7 +74,8 @@ def _parquet(right: bytes, n: int, _: np.random.Generator) -> bytes:
         empty = column.null_count
         same = None if empty else pa.DictionaryArray.from_arrays(once, column)
         columns[name] = pa.nulls(n, column.type) if same is None else same
-    pq.write_table(pa.table(columns, metadata=table.schema.metadata), sink)
+    header = json.loads(table.schema.metadata[b"dbb_log"]) | {"rows": n}
+    pq.write_table(pa.table(columns, metadata={"dbb_log": json.dumps(header)}), sink)
     return sink.getvalue()
 
 
@@ -101,18 +102,6 @@ def _zip(_: bytes, n: int, rng: np.random.Generator) -> bytes:
     return sink.getvalue()
 
 
-def _png(_: bytes, n: int, __: np.random.Generator) -> bytes:
-    """A picture of many pixels of one colour."""
-
-    def chunk(name: bytes, data: bytes) -> bytes:
-        check = struct.pack(">I", zlib.crc32(name + data))
-        return struct.pack(">I", len(data)) + name + data + check
-
-    head = struct.pack(">IIBBBBB", n, n, 1, 0, 0, 0, 0)
-    data = zlib.compress(b"\0" * (n * 100))
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-
-
 def _stl(_: bytes, n: int, rng: np.random.Generator) -> bytes:
     """A number of triangles that the file does not contain, or the same triangle many times."""
     one = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)
@@ -126,7 +115,6 @@ _MAKERS: dict[str, Callable[[bytes, int, np.random.Generator], bytes]] = {
     "log parquet": _parquet,
     "border": _npz,
     "zip": _zip,
-    "map": _png,
     "mesh": _stl,
 }
 _TEXTS = {

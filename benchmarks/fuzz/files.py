@@ -63,7 +63,7 @@ _LONGEST = 20.0  # [s] processor time after which the reading of a file is abort
 _SILENT = 300.0  # [s] time without an answer after which the reading process counts as hanging
 _SECONDS = 2.0  # [s] largest accepted processor time for a file
 _READER = 4.0  # [s] largest accepted further time of child processes, which import libraries
-_GROWTH = 300.0  # [MiB] largest accepted growth of the process
+_GROWTH = 300.0  # [MB] largest accepted growth of the process
 _OWN_CHILD = 0.01  # [-] share of files that are read in a child of the project, not in a fork
 _EXPANDED = 0.1  # [-] share of files from `expanded`
 _MEMORY = 6 * 2**30  # [bytes] limit of the address space; the libraries need half of it
@@ -432,7 +432,7 @@ def _within_budget(kind: Kind, path: Path) -> Outcome:
     if own > _SECONDS or of_children > _SECONDS + _READER:
         return Outcome("finding", f"more than {_SECONDS:g} s of a core")
     if peak_memory() - before > _GROWTH:
-        return Outcome("finding", f"more than {_GROWTH:g} MiB", lost=True)
+        return Outcome("finding", f"more than {_GROWTH:g} MB", lost=True)
     return outcome
 
 

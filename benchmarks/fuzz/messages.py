@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
+from unittest.mock import patch
 
 import msgspec
 import numpy as np
@@ -93,14 +94,13 @@ def _elsewhere() -> Iterator[None]:
         return _asked[-1]
 
     with tempfile.TemporaryDirectory() as folder:
-        os.environ |= {"DBB_ROBOTS": f"{folder}/robots", VARIABLE: f"{folder}/none"}
-        os.chdir(folder)
-        setattr(_viser, "_make_uuid", remembered)  # noqa: B010
-        try:
-            yield
-        finally:
-            setattr(_viser, "_make_uuid", name)  # noqa: B010
-            os.chdir(before)
+        other = {"DBB_ROBOTS": f"{folder}/robots", VARIABLE: f"{folder}/none"}
+        with patch.dict(os.environ, other), patch.object(_viser, "_make_uuid", remembered):
+            os.chdir(folder)
+            try:
+                yield
+            finally:
+                os.chdir(before)
 
 
 class _Fuzz:
@@ -140,7 +140,7 @@ class _Fuzz:
             "messages": sum(self._kinds.values()),
             **self._tally,
             "kinds": dict(self._kinds),
-            "memory_mib": last,
+            "memory_mb": last,
             "memory_growth": growth,
             "findings": self._findings,
         }
@@ -179,9 +179,10 @@ class _Fuzz:
     def _in_parts(self, data: bytes) -> Iterator[bytes]:
         """A message as the first of few or many fragments; the further ones are empty or large."""
         count, size = int(10 ** self._rng.uniform(0, 4.5)), int(10 ** self._rng.uniform(0, 5))
-        self._tally["parts"] += count
         yield data
-        yield from (b"\0" * (size * (k % 2)) for k in range(min(count, 2**26 // size)))
+        for k in range(min(count, 2**26 // size)):
+            self._tally["parts"] += 1
+            yield b"\0" * (size * (k % 2))
 
     def _verdict(self, data: bytes) -> str:
         """The gate's verdict; messages that are too long for `websockets` do not reach the gate."""
@@ -265,12 +266,12 @@ class _Fuzz:
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:
-        """[MiB] memory of this process and of its child processes, after all work has ended."""
+        """[MB] memory of this process and of its child processes, after all work has ended."""
         for job in self._jobs():
             job.close()
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]
-        return sum(each.memory_info().rss for each in everyone) / 2**20
+        return sum(each.memory_info().rss for each in everyone) / 1e6
 
     def _wait(self, true: Callable[[], Any], otherwise: str, why: Callable[[], str] = str) -> None:
         """Wait until the function `true` returns a true value.

@@ -7,10 +7,13 @@ wheels' speeds, to ν. The method does not distinguish kinds.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import ClassVar, Literal, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from logging import getLogger
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import model_validator
 
 from app.strict import Array, Positive, Sourced
 
@@ -100,6 +103,11 @@ velocity command (n_b,) to the velocity and the drive one step later. It does no
 arguments."""
 
 
+@cache
+def _tell_of_link() -> None:
+    getLogger(__name__).warning("base.link of robot.toml has no effect; remove this line")
+
+
 class BaseKind(Sourced, ABC):
     """A base: its numbers, its limits and its drive; a kind derives from this class.
 
@@ -112,8 +120,6 @@ class BaseKind(Sourced, ABC):
 
     kind: str
     """Name of the kind."""
-    link: str
-    """URDF link of the base; the base's frame is the root link's: on the floor, x forward."""
     mass_kg: Positive
     """[kg] m of (17)."""
     inertia_kgm2: Positive
@@ -126,6 +132,14 @@ class BaseKind(Sourced, ABC):
     """[N] largest force of the wheels on the floor."""
     drive_time_constant_s: Positive
     """[s] time constant of the drive's first-order response to a velocity command."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _ignore_former_link(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or "link" not in data or "link" in cls.model_fields:
+            return data
+        _tell_of_link()
+        return {key: value for key, value in data.items() if key != "link"}
 
     @property
     def n_b(self) -> int:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import ExitStack
 
 import numpy as np
 
 from app.config import Config
+from app.control.contract import check_gains
 from app.errors import TargetError
 from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Compare, Pull
@@ -51,7 +53,7 @@ class Ensemble:
 
     @property
     def main(self) -> Session:
-        """The session of the main robot: `free`, or another one while the robot holds a door."""
+        """The session of the main robot: `free`, or a new one from a scenario's start on."""
         return self._led.session
 
     @property
@@ -184,28 +186,34 @@ class Ensemble:
         Without `comparison`, the controllers of the last comparison are compared again.
         """
         comparison = comparison or self.comparison
-        check_posture(setting.model, setting.q_m)  # before any session changes
         config = scenario.adapted(self._config) if scenario else self._config
         setting, free = setting._replace(config=config), self._free
         names = (self.main.controller.name, *comparison.controllers)
-        # A session with a door is not used again, because pybullet's reset does not remove the
-        # whole state of the grasp.
+        # A scenario has new sessions, because its driver can fail. A session with a door is not
+        # used again, because pybullet's reset does not remove the whole state of the grasp.
         usable = [free, *(g.session for g in self.ghosts if g.session.door is None)]
-        old = usable[: len(names)] if setting.door is None else []
-        new = [begin(setting, free.model, name, free.kind, free.seed) for name in names[len(old) :]]
+        old = [] if scenario else usable[: len(names)]
+        check_posture(setting.model, setting.q_m)
+        check_gains(config, config.disturbance.stated_period)
+        runners = [Runner(session, None) for session in old]
+        with ExitStack() as new:
+            for name in names[len(old) :]:
+                session = begin(setting, free.model, name, free.kind, free.seed)
+                new.callback(session.close)
+                runners.append(Runner(session, scenario and scenario.driver(session)))
+            run = self._config, names[0], free.kind, free.seed
+            case = scenario and RunCase.of(RunSpec(free.model.description.name, scenario, *run))
+            new.pop_all()
+        # Nothing below can fail, so the present run continues unchanged after an error.
         for session, name in zip(old, names, strict=False):
             session.controller.use(name)
-            session.restart(setting.config, setting.q_m, setting.base_pose)
-        led, *ghosts = [Runner(each, scenario and scenario.driver(each)) for each in (*old, *new)]
+            session.restart(config, setting.q_m, setting.base_pose)
+        led, *ghosts = runners
         if led.session is not self.main and self.main is not free:
             self.main.close()
-        # Nothing below can fail, so the name and the end always belong to the same scenario.
         self._led, self.scenario, self.comparison = led, scenario, comparison
-        self.ends = scenario and scenario.duration
+        self.ends, self._case = scenario and scenario.duration, case
         self._holds.clear()
-        run = names[0], free.kind, free.seed
-        robot = free.model.description.name
-        self._case = scenario and RunCase.of(RunSpec(robot, scenario, self._config, *run))
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
+from weakref import finalize
 
 import numpy as np
 
@@ -77,6 +78,9 @@ class Client:
 
     def __init__(self) -> None:
         self.id = pybullet.connect(pybullet.DIRECT)
+        self.close = finalize(self, pybullet.disconnect, self.id)
+        """Ends the client, once; a client without references ends too, as after a failed setup."""
+        self.close.atexit = False  # a thread may still use it
 
     def __getattr__(self, name: str) -> Any:
         function = partial(getattr(pybullet, name), physicsClientId=self.id)
@@ -92,7 +96,7 @@ class BulletWorld:
 
         An error of pybullet raises an AssetError; a missing pybullet raises a ConfigError.
         """
-        self.client, self._open = Client(), True
+        self.client = Client()
         # pybullet caches a file by its descriptor, which the system can give to a later file.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
@@ -192,9 +196,7 @@ class BulletWorld:
 
     def close(self) -> None:
         """End the client; a second call has no effect."""
-        if self._open:
-            self.client.disconnect()
-            self._open = False
+        self.client.close()
 
 
 def touches(contact: tuple[Any, ...]) -> bool:

@@ -1,5 +1,6 @@
 """Comparison of pybullet and MuJoCo for one robot: depth images and contacts."""
 
+from contextlib import closing
 from itertools import product
 from typing import NamedTuple
 
@@ -45,11 +46,12 @@ def compare_engines(
     Each of the first `pictures` postures has pictures from three sides. This raises the errors of
     `make_physics`.
     """
-    plants = planar_plant("pybullet", model), planar_plant("mujoco", model)
     state, rng = RobotState(model), np.random.default_rng(seed)
     picture = depth = 0.0
     both = 0
-    try:
+    bullet = planar_plant("pybullet", model)
+    with closing(bullet), closing(planar_plant("mujoco", model)) as mujoco:
+        plants = bullet, mujoco
         for k, q_m in enumerate(sample_joints(model, postures, rng)):
             base = np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)])
             for plant in plants:
@@ -65,9 +67,6 @@ def compare_engines(
                 both += a and b
                 if a != b:
                     depth = max(depth, one.get(group, 0.0), other.get(group, 0.0))
-    finally:
-        for plant in plants:
-            plant.close()
     return Difference(picture, depth, both, postures)
 
 
