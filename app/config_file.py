@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 import tomlkit
 
-from app.config import Config, make_config, sections
+from app.config import Config, Parameter, make_config, sections
 from app.errors import ConfigError
-from app.parameters import Parameter
 from app.strict import content_of, from_toml, text_of
 
 MAX_BYTES = 64_000  # [bytes] largest file, eight times as large as a file with all parameters

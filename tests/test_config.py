@@ -7,7 +7,9 @@ from pydantic import ValidationError
 
 from app.config import (
     FORMER_NAMES,
+    Choice,
     Config,
+    Parameter,
     make_config,
     parameter,
     present_name,
@@ -16,7 +18,6 @@ from app.config import (
     tunable,
 )
 from app.errors import ConfigError
-from app.parameters import Choice, Parameter
 
 TUNABLES = [each for section in sections() for each in section.tunables]
 PATHS = [each.path for each in TUNABLES if isinstance(each, Parameter)]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.config import Config, make_config, sections
+from app.config import Config, Parameter, Tunable, make_config, sections
 from app.config_file import (
     LONGEST_NAME,
     MAX_BYTES,
@@ -16,7 +16,6 @@ from app.config_file import (
     save_config,
 )
 from app.errors import ConfigError
-from app.parameters import Parameter, Tunable
 from app.strict import LARGEST_TEXT
 
 

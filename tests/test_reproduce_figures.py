@@ -23,8 +23,8 @@ from app.studies.paper.experiments import (
     DOOR,
     DOOR_NONE,
     LATERAL,
+    PAST_BASE,
     TRACKING,
-    TRACKING_NONE,
     TRACKING_REPULSIVE,
     WHEEL_AXIS,
     Sources,
@@ -38,7 +38,7 @@ from tests.reproduction import every, short_run, sources_of
 def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     """Two seconds of guiding into the buffer, used for every experiment on a line."""
     run = short_run(robot, border_data, LATERAL, 2.0)
-    tracking = [TRACKING, TRACKING_REPULSIVE, TRACKING_NONE, WHEEL_AXIS]
+    tracking = [TRACKING, TRACKING_REPULSIVE, WHEEL_AXIS, PAST_BASE]
     return sources_of(robot, border_data, every([*tracking, *COMPARED, *AS_PRINTED], run))
 
 

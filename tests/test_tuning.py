@@ -14,7 +14,7 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.config import Config, parameter, sections, tunable, tunables
+from app.config import Choice, Config, Parameter, parameter, sections, tunable, tunables
 from app.config_file import MAX_BYTES, decode_config, save_config
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels.tuning import (
@@ -26,7 +26,6 @@ from app.dashboard.panels.tuning import (
 )
 from app.dashboard.shared import BURST, MOST_STEPS, Tuning
 from app.errors import ConfigError
-from app.parameters import Choice, Parameter
 from app.simulation.loop.commands import Configure
 from tests.robots import husky_panda
 

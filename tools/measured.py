@@ -15,8 +15,8 @@ from benchmarks.peers.table import markdown as peers_table
 Figures = Mapping[str, Any]
 
 LINES = ("guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking")
-COMPARED = ("none", "repulsive", "barrier", "dbb")
-"""Methods of the tables; `dbb reproduce departures` compares `hqp` with `dbb`."""
+COMPARED = ("none", "repulsive", "barrier", "hqp", "dbb")
+"""Methods of the tables."""
 PLANTS = {"planar": "pybullet", "mujoco": "MuJoCo", "mujoco-contact": "MuJoCo, wheels"}
 ENGINE_RUNS = {
     "husky_panda": (*LINES, "refrigerator"),
@@ -510,6 +510,15 @@ def claims_table(found: Figures) -> str:
     return grid(["§", "figure", "the paper says", "here", "holds"], rows)
 
 
+def departures_table(found: Figures) -> str:
+    """A row per departure: its number with the printed form and with ours."""
+    rows = [
+        [f"`{key}`", *(f"{numbers[form]:.2g}" for form in ("printed", "here"))]
+        for key, numbers in found["departures"].items()
+    ]
+    return grid(["number", "printed", "here"], rows)
+
+
 def house_table(found: Figures) -> str:
     """A row per measure with its limit."""
     return grid(
@@ -588,7 +597,8 @@ SETS: dict[str, ResultSet] = {
         {
             **{f"{s} {c}": run(s, "--controller", c) for s, c in product(LINES, COMPARED)},
             **{
-                f"refrigerator {c}": run("refrigerator", "--controller", c) for c in ("none", "dbb")
+                f"refrigerator {c}": run("refrigerator", "--controller", c)
+                for c in ("none", "hqp", "dbb")
             },
         },
         keep_run,
@@ -607,6 +617,16 @@ SETS: dict[str, ResultSet] = {
         {"claims": ("app", "reproduce", "--out", "out/results/reproduction", "--json")},
         lambda printed: {"claims": printed["claims"]},
         claims_table,
+    ),
+    "departures": ResultSet(
+        {
+            "departures": (
+                *("app", "reproduce", "departures", "--out", "out/results/departures"),
+                *("--json",),
+            )
+        },
+        lambda printed: printed["figures"]["departures"]["measured"],
+        departures_table,
     ),
     "buffer": ResultSet({"rows": law("buffer")}, keep_all, buffer_table),
     "law": ResultSet(
@@ -716,4 +736,4 @@ SETS: dict[str, ResultSet] = {
 }
 """The sets by their names, which files, tables in pages and the command line use."""
 
-assert {*COMPARED, "hqp"} == set(CONTROLLERS)
+assert set(COMPARED) == set(CONTROLLERS)

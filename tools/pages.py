@@ -23,9 +23,8 @@ from unittest import mock
 
 from app.cli.main import main as dbb
 from app.cli.options import fields_of
-from app.config import sections
+from app.config import Parameter, sections
 from app.control.quantities import DIMENSIONS, QUANTITIES
-from app.parameters import Parameter
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.metrics import DOOR, FIGURES
 from app.studies.pulls.parameters import LOGARITHMIC, StudyRange

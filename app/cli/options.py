@@ -14,11 +14,10 @@ import tyro
 from pydantic import BaseModel
 from typing_extensions import Required, TypedDict
 
-from app.config import Config, DisturbanceConfig, tunable
+from app.config import Config, DisturbanceConfig, Parameter, tunable
 from app.config_file import NamedConfig, read_config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
-from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range, field_docs
 from app.system import home_expanded, is_no_file, own_path, unfinished_folder, usable_cores

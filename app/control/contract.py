@@ -8,12 +8,11 @@ from numbers import Real
 import numpy as np
 import pinocchio as pin
 
-from app.config import Config, sections
+from app.config import Config, Parameter, sections
 from app.control.readings import HISTORY, MAX_AGE
 from app.control.references import FASTEST, HARDEST
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, did_you_mean
-from app.parameters import Parameter
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, numbers, velocities
 from app.strict import Array

@@ -8,12 +8,11 @@ from typing import Any
 
 import viser
 
-from app.config import sections, tunable
+from app.config import Choice, sections, tunable
 from app.config_file import decode_config, save_config
 from app.dashboard.markup import banner
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
-from app.parameters import Choice
 from app.simulation.trace.snapshot import Snapshot
 
 DECIMALS = 6  # [-] decimals of a number box

@@ -18,7 +18,7 @@ from app.robot.state import at_rest
 from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
-from app.studies.paper.experiments import AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS, Sources
+from app.studies.paper.experiments import AS_PRINTED, LATERAL, PAST_BASE, TRACKING, Sources
 
 _STATES = 40  # [-] number of postures of the lateral guiding
 _ENTERS = 1e-9  # [-] β of a newly inserted row
@@ -33,7 +33,7 @@ Departure = tuple[Any, ...]
 
 
 @style.picture(
-    "departures", "(26) to (29) as printed and here", *AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS
+    "departures", "(26) to (29) as printed and here", *AS_PRINTED, LATERAL, PAST_BASE, TRACKING
 )
 def figure_departures(sources: Sources) -> drawing.Drawing:
     """A number for each departure from (26) to (29): for the printed form, and for the form here.
@@ -120,6 +120,13 @@ def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
     return float(np.linalg.norm(literal - qdd_2))
 
 
+def inserted_at_zero(w: ControlStep, gains: TaskConfig) -> float:
+    """[rad/s²] the same difference for the arm in the project's form: rows at B = 0 and no rows."""
+    with_rows, n_b = here(w, np.zeros(len(w.B)), gains), w.n_b
+    without = np.linalg.solve(w.H[n_b:, n_b:], -w.c[n_b:])
+    return float(np.linalg.norm(with_rows[n_b:] - without))
+
+
 def _of_states(sources: Sources) -> Iterator[Departure]:
     gains = sources.config.task
     controller = Controller(sources.model, sources.data, sources.config, name="hqp")
@@ -130,14 +137,15 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
         absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, _ENTERS))
         changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
         enters.append([float(np.abs(w.M[w.n_b :] @ change).max()) for change in changes])  # [N m]
-        left.append(left_as_printed(step_at_rest(controller, q_m, 0.001), gains))
+        w = step_at_rest(controller, q_m, 0.001)
+        left.append([left_as_printed(w, gains), inserted_at_zero(w, gains)])
     w = step_at_rest(controller, postures(sources)[0], _FAR)
     demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
     jumps = [jump(sources, controller, solve) for solve in SOLVERS]
     yield "(26) strict levels", "jump_radps2", *jumps
     yield "(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *demands
-    yield "(29) reference on the left", "off_at_zero_radps2", max(left), 0.0
-    yield "(29) a row enters", "torque_jump_nm", *np.nanmax(enters, axis=0).tolist()
+    yield "(29) reference on the left", "off_at_zero_radps2", *np.max(left, axis=0).tolist()
+    yield "(29) a row enters", "torque_jump_nm", *np.max(enters, axis=0).tolist()
 
 
 def postures(sources: Sources) -> list[Array]:
@@ -151,8 +159,8 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
     The base's rows and the row of a pair within the arm are fully active, so that with T_2 there
-    are as many rows as degrees of freedom. The step with the largest change of q̈ is halved
-    repeatedly, so that only a jump remains. If there is no solution, q̈ counts as 0.
+    are as many rows as degrees of freedom, although this pair is outside its buffer. The step with
+    the largest change of q̈ is halved repeatedly, so that only a jump remains.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
@@ -160,7 +168,7 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
 
     def at(share: float) -> Array:
         w = step_at_rest(controller, first + share * (last - first))
-        return np.nan_to_num(solve(w, activations(w, 1.0, 1.0, pair), gains))
+        return solve(w, activations(w, 1.0, 1.0, pair), gains)
 
     shares = np.linspace(0.0, 1.0, _LINE)
     found = [at(share) for share in shares]
@@ -179,6 +187,6 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
 def _of_runs(sources: Sources) -> Iterator[Departure]:
     for place, key, pair in (
         ("(29) base as commanded", "ee_error_max_m", (AS_PRINTED[0], TRACKING)),
-        ("(29) the base's rows fix its motion", "ee_error_final_m", (AS_PRINTED[1], WHEEL_AXIS)),
+        ("(29) the base's rows fix its motion", "ee_error_final_m", (AS_PRINTED[1], PAST_BASE)),
     ):
         yield place, key, *(sources.runs[run].figures[key] for run in pair)

@@ -57,9 +57,10 @@ class Experiment(RunSpec):
 
 TRACKING = Experiment.of("tracking", "dbb")
 TRACKING_REPULSIVE = Experiment.of("tracking", "repulsive")
-TRACKING_NONE = Experiment.of("tracking", "none")
 WHEEL_AXIS = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.30))
 """An approach along the wheel axis. In this direction the base cannot move immediately."""
+PAST_BASE = Experiment.of("tracking", "dbb", start=(0.08, 0.65, 0.5), move=(-0.08, -0.36, -0.02))
+"""A path over the edge of the base: the base must not retreat farther than the arm can reach."""
 WHEEL_AXIS_RIGHT = Experiment.of("tracking", "dbb", start=(0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
 LATERAL = Experiment.of("guiding-lateral", "dbb")
 FRONT = Experiment.of("guiding-front", "dbb")
@@ -73,7 +74,7 @@ GUIDING = {
 """The guiding runs, by the method and the direction; `points` is `dbb` on a border of points."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
 """The runs of Figure 15."""
-AS_PRINTED = tuple(e._replace(controller="hqp") for e in (TRACKING, WHEEL_AXIS, LATERAL, FRONT))
+AS_PRINTED = tuple(e._replace(controller="hqp") for e in (TRACKING, PAST_BASE, LATERAL, FRONT))
 """Runs of the controller as printed in the paper."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
