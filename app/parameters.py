@@ -11,13 +11,20 @@ _DECADES = 1000  # [-] smallest ratio of highest to lowest value of a logarithmi
 
 
 def number(
-    default: float, low: float, high: float, label: str = "", *, advanced: bool = False
+    default: float,
+    low: float,
+    high: float,
+    label: str = "",
+    *,
+    advanced: bool = False,
+    source: str = "",
 ) -> Any:
     """A field of a section: a number from `low` to `high`; `label` replaces the field's name.
 
-    An `advanced` parameter is hidden until the user displays all parameters.
+    An `advanced` parameter is hidden until the user displays all parameters. `source` is the source
+    of the default, or a reason for it; a default without a source is this project's choice.
     """
-    extra: dict[str, Any] = {"advanced": advanced}
+    extra: dict[str, Any] = {"advanced": advanced, "source": source}
     return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
 
 
@@ -28,6 +35,8 @@ class _Tuned(Strict):
     label: str
     """Displayed name, followed by the symbol if there is one, without the unit."""
     advanced: bool
+    source: str
+    """Source of the default, or a reason for it; empty if it is this project's choice."""
 
     @property
     def title(self) -> str:
@@ -90,12 +99,14 @@ def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
     The field's docstring starts with the unit in brackets. A number must have both bounds.
     """
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     common: dict[str, Any] = {
         "path": f"{section}.{name}",
         "default": field.default,
         "help": " ".join(text.split()),
         "label": field.title or name.replace("_", " ").capitalize(),
-        "advanced": isinstance(extra := field.json_schema_extra, dict) and extra["advanced"],
+        "advanced": extra.get("advanced", False),
+        "source": extra.get("source", ""),
     }
     if get_origin(field.annotation) is Literal:
         return Choice(choices=get_args(field.annotation), **common)
