@@ -21,13 +21,20 @@ _DECADES = 1000  # [-] smallest ratio of highest to lowest value of a logarithmi
 
 
 def number(
-    default: float, low: float, high: float, label: str = "", *, advanced: bool = False
+    default: float,
+    low: float,
+    high: float,
+    label: str = "",
+    *,
+    advanced: bool = False,
+    source: str = "",
 ) -> Any:
     """A field of a section: a number from `low` to `high`; `label` replaces the field's name.
 
-    An `advanced` parameter is hidden until the user displays all parameters.
+    An `advanced` parameter is hidden until the user displays all parameters. `source` is the source
+    of the default, or a reason for it; a default without a source is this project's choice.
     """
-    extra: dict[str, Any] = {"advanced": advanced}
+    extra: dict[str, Any] = {"advanced": advanced, "source": source}
     return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
 
 
@@ -38,6 +45,8 @@ class _Tuned(Strict):
     label: str
     """Displayed name, followed by the symbol if there is one, without the unit."""
     advanced: bool
+    source: str
+    """Source of the default, or a reason for it; empty if it is this project's choice."""
 
     @property
     def title(self) -> str:
@@ -100,12 +109,14 @@ def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
     The field's docstring starts with the unit in brackets. A number must have both bounds.
     """
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     common: dict[str, Any] = {
         "path": f"{section}.{name}",
         "default": field.default,
         "help": " ".join(text.split()),
         "label": field.title or name.replace("_", " ").capitalize(),
-        "advanced": isinstance(extra := field.json_schema_extra, dict) and extra["advanced"],
+        "advanced": extra.get("advanced", False),
+        "source": extra.get("source", ""),
     }
     if get_origin(field.annotation) is Literal:
         return Choice(choices=get_args(field.annotation), **common)
@@ -130,9 +141,9 @@ FORMER_NAMES = {
 class BorderConfig(Strict):
     """§2.2: the distance buffer border."""
 
-    d_b: float = number(0.15, 0.05, 0.30, "Buffer distance d_b")
+    d_b: float = number(0.15, 0.05, 0.30, "Buffer distance d_b", source="paper, Figure 3, §3.4")
     """[m] buffer distance."""
-    eps: float = number(0.01, 0.002, 0.02, "Border tolerance ε")
+    eps: float = number(0.01, 0.002, 0.02, "Border tolerance ε", source="paper, Figure 3")
     """[m] ε of (3): tolerance of the distance of border points from d_b."""
     kind: Literal["surface", "points"] = Field(default="surface", title="Acting point on")
     """[-] the acting point is on the border's continuous surface, or on the paper's sampled points
@@ -142,14 +153,28 @@ class BorderConfig(Strict):
 class ForceConfig(Strict):
     """§3.1: acting point and force."""
 
-    f_max: float = number(300.0, 0.0, 600.0, "Force at contact f_max")
+    f_max: float = number(
+        300.0,
+        0.0,
+        600.0,
+        "Force at contact f_max",
+        source="equal to the assumed traction limit of the paper's robot",
+    )
     """[N] f_max of (14): force of a pair on the base at contact, for a horizontal normal."""
     f_arm: float = number(5.0, 0.0, 50.0, "Force on the arm f_arm")
     """[N] reaction force on a guided arm at contact; it moves a released arm out of the buffer."""
-    alpha_gain: float = number(0.001, 0.0, 0.1, "Step gain S_0", advanced=True)
-    """[-] S_0 of (13), a gain of the step size α. With the distance d of a pair and the score S, α
-    is 2 d on the wheel axis (S = 0) and about S_0 d / |S| far from this axis, but between
-    `alpha_min` and `alpha_max`."""
+    alpha_gain: float = number(
+        0.001,
+        0.0,
+        0.1,
+        "Step gain S_0",
+        advanced=True,
+        source="on the paper's robot α exceeds `alpha_min` up to 0.28 m from the wheel axis, at "
+        "d = 0.1 m and R = 80",
+    )
+    """[m⁴/rad⁴] S_0 of (13), a gain of the step size α. With the distance d of a pair and the score
+    S, α is 2 d on the wheel axis (S = 0) and about S_0 d / |S| far from this axis, but between
+    `alpha_min` and `alpha_max`. On a holonomic base it has no effect: α is `alpha_min`."""
     alpha_min: float = number(0.02, 0.0, 0.10, "Smallest step α_min")
     """[m] lower bound of α of (13), the size of the step from p_n along the border's tangent."""
     alpha_max: float = number(0.15, 0.10, 0.40, "Largest step α_max")
@@ -159,7 +184,9 @@ class ForceConfig(Strict):
 class ActivationConfig(Strict):
     """§3.4: activation β of a pair, a cubic from 0 at d_b to 1 at d_full, over at least 20 mm."""
 
-    d_full: float = number(0.05, 0.0, 0.05, "Full activation at d_full")
+    d_full: float = number(
+        0.05, 0.0, 0.05, "Full activation at d_full", source="paper, Figure 10, §3.4"
+    )
     """[m] the avoidance task is fully active up to this distance, or d_b − 0.02 m if smaller."""
     closest_point_smoothing: float = number(
         0.005, 0.001, 0.05, "Closest-point smoothing", advanced=True
@@ -171,7 +198,14 @@ class ActivationConfig(Strict):
 class RepulsionConfig(Strict):
     """§3.2: acceleration that separates two links of the arm."""
 
-    k_p: float = number(60.0, 0.0, 200.0, "Repulsion k_p")
+    k_p: float = number(
+        60.0,
+        0.0,
+        200.0,
+        "Repulsion k_p",
+        source="more than `hand.f_max` divided by a Panda's effective mass at the end-effector, "
+        "about 0.9 kg or more",
+    )
     """[m/s²] k_p of (20): constant part of the acceleration that separates the two links."""
     k_v: float = number(30.0, 0.0, 200.0, "Repulsion damping k_v")
     """[1/s] k_v of (20): factor of the damping by the relative speed of the two links."""
@@ -239,7 +273,9 @@ class LimitConfig(Strict):
     velocity_rate: float = number(70.0, 1.0, 200.0, "Speed-limit rate", advanced=True)
     """[1/s] approach rate of speed limits: permitted joint acceleration divided by the remaining
     speed."""
-    torque_rate: float = number(1000.0, 50.0, 1e6, "Torque slew rate")
+    torque_rate: float = number(
+        1000.0, 50.0, 1e6, "Torque slew rate", source="limit of a Panda (Franka Emika)"
+    )
     """[N m/s] slew rate limit of the arm's torques; N/s for a prismatic joint. A Panda allows
     1000 N m/s."""
 
@@ -279,9 +315,9 @@ class PayloadConfig(Strict):
 class AdmittanceConfig(Strict):
     """§4.1: velocity command of the base, M_a v̇ + D_a v = F."""
 
-    mass: float = number(60.0, 5.0, 300.0, "Virtual mass")
+    mass: float = number(60.0, 5.0, 300.0, "Virtual mass", source="m of the paper's robot")
     """[kg] M_a, virtual mass of the base's translation."""
-    inertia: float = number(16.0, 0.5, 60.0, "Virtual inertia")
+    inertia: float = number(16.0, 0.5, 60.0, "Virtual inertia", source="I of the paper's robot")
     """[kg m²] M_a, virtual inertia of the base's rotation."""
     damping: float = number(180.0, 0.0, 600.0, "Linear damping")
     """[N s/m] D_a, damping of the base's translation."""
@@ -292,7 +328,7 @@ class AdmittanceConfig(Strict):
     applies."""
     omega_max: float = number(1.0, 0.1, 4.0, "Top turn rate ω_max")
     """[rad/s] largest commanded turn rate; if the base's own limit is lower, it applies."""
-    period: float = number(0.1, 0.001, 0.5, "Command period")
+    period: float = number(0.1, 0.001, 0.5, "Command period", source="paper, §4.1: 10 Hz")
     """[s] time between two velocity commands."""
 
 
@@ -331,7 +367,7 @@ class DisturbanceConfig(Strict):
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = number(0.0, 0.0, 10.0)
     """[kg] mass of a load at the end-effector that the controller does not include."""
-    stated_period: float = number(0.001, 0.0005, 0.008)
+    stated_period: float = number(0.001, 0.0005, 0.008, source="paper, §4.1: 1 kHz")
     """[s] control period that the controller assumes from the start of a run on; the true period
     is 0.001 s."""
     time_stamps: Literal["no", "yes"] = "no"

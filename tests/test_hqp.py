@@ -1,4 +1,4 @@
-"""The controller as printed in the paper: its levels, transition, behaviour and jumps."""
+"""The method `hqp`, with (26) to (29) as printed: its levels, transition, behaviour and jumps."""
 
 import numpy as np
 import pytest

@@ -505,7 +505,7 @@ def test_file_is_read_outside_the_receiving_thread(desk):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"#" * (MAX_BYTES + 1), "at most 65536"),
+        (b"#" * (MAX_BYTES + 1), "at most 64000"),
         (b"\xff\xff", "UTF-8"),
         (b"[border]\nd_b = 1", "border.d_b: must be within 0.05 to 0.3 m"),
         (b"[border]\nd_bb = 1", "did you mean 'd_b'"),

@@ -78,10 +78,13 @@ def parameters() -> str:
                 else " or ".join(f"`{choice}`" for choice in each.choices),
                 each.unit if isinstance(each, Parameter) else "-",
                 each.help.replace("|", "\\|"),
+                each.source,
             ]
             for each in section.tunables
         ]
-        table = grid(["name", "default", "range", "unit", "meaning"], rows)
+        header = ["name", "default", "range", "unit", "meaning", "source of the default"]
+        used = slice(None) if any(each.source for each in section.tunables) else slice(-1)
+        table = grid(header[used], [row[used] for row in rows])
         parts.append(f"## `[{section.name}]`\n\n{section.about}\n\n{table}")
     return "\n\n".join(parts)
 

@@ -28,8 +28,8 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
     Args:
         d: [m] distance of the pair.
-        score: S(p_n), divided by `BaseKind.score_unit`.
-        gain: [-] S_0.
+        score: [m⁴/rad⁴] S(p_n), divided by `BaseKind.score_unit`.
+        gain: [m⁴/rad⁴] S_0.
         alpha_min: [m] lower bound.
         alpha_max: [m] upper bound.
     """
@@ -74,7 +74,7 @@ def find_acting_point(
         score: (9,) `ScoreField.coefficients` of the pair's body.
         p_b: (3,) [m] closest point on the arm, in the base's frame.
         d: [m] distance of the pair.
-        gain: [-] S_0 of `step_size`.
+        gain: [m⁴/rad⁴] S_0 of `step_size`.
         alpha_min: [m] lower bound of α.
         alpha_max: [m] upper bound of α.
 

@@ -1,5 +1,5 @@
 """Tasks, their QP, the controller (Algorithm 2) and the base's admittance law."""
 
 CONTROLLERS = ("dbb", "hqp", "repulsive", "barrier", "none")
-"""Our law (`dbb`), the paper's controller as printed (`hqp`), the compared methods (`repulsive`,
-`barrier`), and our law without avoidance (`none`)."""
+"""Our law (`dbb`), its step with (26) to (29) as printed (`hqp`), the compared methods
+(`repulsive`, `barrier`), and our law without avoidance (`none`)."""

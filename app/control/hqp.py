@@ -1,6 +1,7 @@
-"""The paper's controller as printed (§3.4): strict levels, (26), and their transition, (29).
+"""(26) to (29) as printed in the paper (§3.4): strict levels and their transition.
 
-This is the compared method `hqp`. The cascade below follows the paper, with only the necessary
+This is the compared method `hqp`; the other parts of its step are those of `dbb`
+(docs/comparison.md lists them). The cascade below follows the paper, with only the necessary
 corrections:
 
 - (29) has (I − B) (J_sca q̈_2* + J̇_sca q̇) on its right: only then does it become (26) at B = 0.

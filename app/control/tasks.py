@@ -89,8 +89,10 @@ def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) ->
 
     n (3,) is the unit normal from the base to the arm, ṗ (3,) [m/s] the velocity of the closest
     point relative to the base; k_p is in m/s², k_v in 1/s. The compared method `repulsive` realises
-    this by the arm alone. §4.2.1 names the method; its force on the closest point and its damping
-    are Dietrich's (2011, 2012).
+    this by the arm alone. It is a simplified form of the method that §4.2.1 names, by Dietrich et
+    al. (2011, 2012): k_p and k_v are constant, and the activation β fades the task in and out. In
+    Dietrich's method the force is the gradient of a potential of the distance, and the damping
+    depends on the configuration.
     """
     return k_p * n - k_v * velocity
 

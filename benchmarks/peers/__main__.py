@@ -31,7 +31,7 @@ class Peers:
     """Compare with pink, mink, placo and roboplan, each in a separate environment."""
 
     only: tuple[str, ...] = ()
-    """Names among pink, mink, placo, roboplan, dbb, barrier and repulsive; default: all."""
+    """Names among pink, mink, placo, roboplan, dbb, barrier, repulsive and none; default: all."""
     out: Path = Path("out/peers")
     """Folder for table.json, table.csv, table.md and peers.png, and for the environments."""
     physics: str = "planar"

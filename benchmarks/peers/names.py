@@ -43,6 +43,7 @@ PEERS: dict[str, Peer] = {
     "dbb": _own("proposed (DBB)"),
     "barrier": _own("our barrier rows"),
     "repulsive": _own("our repulsive force"),
+    "none": _own("ours, no avoidance"),
 }
 """The libraries by their names, then our controllers by the names of `--controller`."""
 

@@ -40,7 +40,8 @@ def draw(rows: Sequence[Row]) -> bytes:
         for axes, weight in zip(panels[1:], weights, strict=True):
             here = {(r["peer"], r["path"]): r for r in rows if r["base_weight"] == weight}
             _cells(axes, names, paths, here)
-            axes.set_title(weight_title(weight), fontsize=11)
+            title = weight_title(weight).replace("`", "").replace("; ", ";\n")
+            axes.set_title(title, fontsize=11)
         figure.suptitle(
             "Same robot and paths: final error of the end-effector, smallest distance of the arm\n"
             "Libraries: velocities every 5 ms, no plant. Our own controllers: torques every 1 ms, "

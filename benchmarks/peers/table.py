@@ -50,9 +50,11 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def weight_title(weight: float) -> str:
-    """The title of a cost of the base."""
-    times = f"{weight:g}² times that" if weight != 1 else "equal to that"
-    return f"Cost of base motion in the objective: {times} of arm motion"
+    """The title of a cost of the base relative to the arm; only the libraries square the cost."""
+    cost = f"{weight:g}"
+    squared = f"{cost}²" if weight != 1 else cost
+    libraries = f"libraries {squared} (a cost of {cost})"
+    return f"Weight of base motion: {libraries}; ours `task.base_weight` = {cost}"
 
 
 def _one(rows: Sequence[Row]) -> str:

@@ -71,8 +71,8 @@ class RunPanel(Panel):
             "Controller",
             METHOD_TITLES,
             lambda name: sink.send(Choose(name)),
-            hint="dbb: the base gives way, as in the paper. hqp: the paper's hierarchy as printed, "
-            "slower than real time. repulsive: a repulsive acceleration moves the arm only. "
+            hint="dbb: the base gives way, as in the paper. hqp: the same with the paper's "
+            "hierarchy as printed, slower. repulsive: a repulsive acceleration moves the arm only. "
             "barrier: a minimum distance as a constraint. none: no avoidance.",
         )
         self._pause = self.button(PAUSE, lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)

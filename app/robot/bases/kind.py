@@ -178,7 +178,11 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """Divisor of the score in (13), because S_0 is tuned for the paper's measure."""
+        """Divisor of the score in (13): the unit of `measure`, divided by m⁴/rad⁴.
+
+        S_0 [m⁴/rad⁴] is chosen for the measure (7) of the paper's robot. A measure of another
+        magnitude needs a divisor; for the measure (7) of every differential base it is 1.
+        """
         return 1.0
 
     @property
