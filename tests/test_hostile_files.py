@@ -254,11 +254,12 @@ def equal(path: Path) -> Path:
 
 
 BUDGET = "to read, more than any valid file"
+DEEP = f"{BUDGET}|nest too deeply"  # the first limit that is reached depends on Python's version
 EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a key of many parts": (lambda _: from_toml("a" + ".b" * 30_000 + " = 1"), BUDGET),
+    "a key of many parts": (lambda _: from_toml("a" + ".b" * 30_000 + " = 1"), DEEP),
     "long tables": (
-        lambda _: from_toml("".join(f"[a{'.b' * 4000}{k}]\n" for k in range(99))),
-        "nest too deeply",
+        lambda _: from_toml("".join(f"[a{'.b' * 30_000}{k}]\n" for k in range(9))),
+        DEEP,
     ),
     "rows of a log": (lambda at: read_trace(expanding(at / "a.parquet", 300_000)), BUDGET),
     "many equal rows": (lambda at: read_trace(equal(at / "a.parquet")), BUDGET),

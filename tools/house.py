@@ -1,7 +1,7 @@
 """Measures of the code's structure, with their limits: `python -m tools.house [--json]`.
 
-The status is 1 if a binding measure exceeds its limit; binding measures count faults that can be
-corrected locally. The limits of the other measures are aims.
+The status is 1 if a measure exceeds its limit. The limit of the lines of `app` is near their
+present number, so that a change that adds many lines must remove others.
 """
 
 from __future__ import annotations
@@ -33,13 +33,11 @@ class Measure(NamedTuple):
         what: The counted items.
         value: The present count.
         limit: The largest accepted count.
-        binds: Whether a larger value fails the check.
     """
 
     what: str
     value: int
     limit: int
-    binds: bool = True
 
     @property
     def beyond(self) -> bool:
@@ -225,9 +223,9 @@ def measures(step: list[str]) -> list[Measure]:
     )
     return [
         Measure("files that one control step enters", len(step), 14),
-        Measure("modules of `app`", len(code), 200, binds=False),
-        Measure("lines of `app`", sum(map(_lines, code)), 30_000, binds=False),
-        Measure("modules with a single user", len(single_users(graph, packages)), 40, binds=False),
+        Measure("modules of `app`", len(code), 200),
+        Measure("lines of `app`", sum(map(_lines, code)), 45_300),
+        Measure("modules with a single user", len(single_users(graph, packages)), 40),
         Measure(f"functions over {LONG} lines", sum(lines_of(f) > LONG for _, f in functions()), 0),
         Measure(
             f"functions over {MANY} parameters",
@@ -245,7 +243,7 @@ def _lines(path: Path) -> int:
 
 
 def offenders() -> Iterator[str]:
-    """The functions and circles that binding measures count."""
+    """The functions and circles that the measures count."""
     for name, function in functions():
         if lines_of(function) > LONG:
             yield f"{name}: {lines_of(function)} lines"
@@ -256,7 +254,7 @@ def offenders() -> Iterator[str]:
 
 
 def main() -> int:
-    """Print the measures; returns 1 if a binding one exceeds its limit."""
+    """Print the measures; returns 1 if one exceeds its limit."""
     parser = argparse.ArgumentParser(prog="python -m tools.house", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object; status 0")
     parser.add_argument("--names", action="store_true", help="also list the functions and circles")
@@ -268,11 +266,11 @@ def main() -> int:
         print(json.dumps({"measures": table, "step": step}))
         return 0
     for measure in found:
-        mark = " " if not measure.beyond else "!" if measure.binds else "+"
+        mark = "!" if measure.beyond else " "
         print(f"{mark} {measure.value:>7,} of {measure.limit:>7,}  {measure.what}")
     if options.names:
         print(*offenders(), sep="\n")
-    return int(any(measure.beyond and measure.binds for measure in found))
+    return int(any(measure.beyond for measure in found))
 
 
 if __name__ == "__main__":
