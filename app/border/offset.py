@@ -216,7 +216,8 @@ class _Tracer:
     def _inside(self, centre: Array, z: float) -> Array | None:
         """A point (2,) [m] inside the slice at height z [m], or None if the slice is empty.
 
-        For a start outside, the mean of the rays' far ends is inside, because the slice is convex.
+        Rays that start outside of the slice end at its far side. The mean of these ends is inside,
+        because the slice is convex.
         """
         d, normal = self._part.distance_and_normal(np.array([*centre, z]))
         nearest = centre - d * normal[:2]

@@ -190,8 +190,8 @@ class Setup:
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb; hqp ((26) to (29) as printed, the rest as in dbb; slower); repulsive or barrier (methods
-    for comparison); or none (dbb without avoidance)."""
+    """dbb; hqp (equations (26) to (29) of the paper, the rest as in dbb; slower); repulsive or
+    barrier (methods for comparison); or none (dbb without avoidance)."""
     physics: str = field(default_factory=default_plant)
     """planar (pybullet; three velocity-controlled joints move the base), mujoco (the same model in
     MuJoCo), mujoco-contact (MuJoCo, base on wheels in contact) or kinematic (no physics engine)."""

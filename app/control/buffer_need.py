@@ -56,9 +56,9 @@ _SIZES = np.geomspace(0.05, 2.0, 25)  # [m] sampled d_b
 
 @compiled()
 def _gain(v: float, a: float, T: float) -> float:
-    """[m] approach of a point of speed v to a second point, until both have the same speed.
+    """[m] distance that a point of speed v gains on a second point, until their speeds are equal.
 
-    The second point starts at rest with the acceleration a and approaches the speed a T.
+    The second point starts at rest; its speed in the same direction is a T (1 - e^(-t/T)).
     """
     final = max(a * T, 1e-12)
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
@@ -79,8 +79,8 @@ def _bound(
 
     Args:
         d_b: [m] buffer distance.
-        channels: (c, 6) J_k(n) and J_k(t), with the horizontal part of n and the perpendicular t of
-            the same length, m_k [kg or kg m²], upper bounds of a_k and w_k along n, and T_k [s].
+        channels: (c, 6) J_k(n), J_k(t), m_k [kg or kg m²], upper bounds of a_k and w_k along n, and
+            T_k [s]. t is the horizontal part of n, turned by 90°.
         v: [m/s] approach speed.
         late: [s] t_0.
         traction: [-] share of a speed that is not lost to slip.

@@ -389,7 +389,8 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
 
     - `failed` after a contact, an unsolved QP, or a distance to the base below 0.03 m;
     - "nothing to show" if the arm without avoidance stays d_b/2 or more away from the base;
-    - `warned` if the base moves by less than d_b/3, and the arm cannot hold its end-effector;
+    - `warned` if the base moves by less than d_b/3, and the arm cannot hold its end-effector
+      in place while the base moves;
     - `failed` if the base moves by less than d_b/3;
     - `warned` if d_b is too small for the speed of the run;
     - `passed`.

@@ -258,9 +258,9 @@ def _link(
 def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
     """A joint of the new URDF, whose zero is its position in `rest`, or its old zero.
 
-    Libraries place a joint that does not move at zero, which can be outside of its limits: a finger
-    would be inside of the gripper. The relation of a mimic joint to its leader stays the same; if
-    the new URDF has no such leader, the joint becomes independent.
+    Libraries put an unmoved joint at zero, which can be outside of its limits: a finger would be
+    inside of the gripper. The relation of a mimic joint to its leader stays the same; if the new
+    URDF has no such leader, the joint becomes independent.
     """
     kind = "fixed" if joint.kind in FREE else joint.kind
     at = rest.get(joint.name, 0.0)

@@ -597,7 +597,7 @@ class RobotState:
         return q, v
 
     def _update_motion(self, v: Array) -> None:
-        """Placements, velocities and accelerations at pinocchio's velocity v (3 + n_m,)."""
+        """Update `twists`, `biases` and the end-effector's arrays for pinocchio's v (3 + n_m,)."""
         T_ee = pin.updateFramePlacement(self.pin, self.data, self.model.ee_frame)
         R_ee, p_ee = T_ee.rotation.copy(), T_ee.translation.copy()
         twists, biases, J_ee, v_ee, Jdqd_ee = _motion(self._J, self._B, v, p_ee)

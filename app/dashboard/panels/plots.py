@@ -52,7 +52,7 @@ class Plots(Panel):
 
     @property
     def hints(self) -> dict[str, dict[str, str]]:
-        """Explanations of curves under the pointer, by the plot's title and the curve's label."""
+        """Tooltip of each curve in the legends, by the plot's title and the curve's label."""
         return {
             title: {curve.label: curve.hint for curve in (*plan.curves, _INSTANT)}
             for title, plan in self._plans.items()
