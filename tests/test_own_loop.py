@@ -68,7 +68,7 @@ def starts(robot: RobotModel, border_data: BorderData) -> dict[tuple[float, ...]
 def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run]:
     """Return a function that runs a loop.
 
-    `degrade` changes the readings, and `driven` changes the base's commands.
+    `degrade` changes the readings, `driven` the base's commands; in a stall there is no step.
     """
 
     def run(
@@ -81,6 +81,7 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
         pull: Array | Callable[[int], Array] = PULL,
         reference: Callable[[float, pin.SE3], Reference] | None = None,
         driven: Callable[[Array], Array] = lambda v: v,
+        stalls: Callable[[int], bool] = lambda k: False,
         created: Callable[[ControlLoop], None] = lambda loop: None,
         **options: Any,
     ) -> Run:
@@ -94,7 +95,8 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
             sent = plant.measure()
             share = max(share, float((np.abs(sent.qd_m) / robot.qd_max).max()))
             wanted = reference(k * real, origin) if reference else None
-            command = loop.step(degrade(k, sent), wanted)
+            if not stalls(k):
+                command = loop.step(degrade(k, sent), wanted)
             nearest = min(nearest, float(command.step.d.min()))
             for name in command.faults:
                 faults.setdefault(name, k * real)
@@ -595,12 +597,57 @@ def test_velocities_in_another_unit_are_no_wrong_period_if_a_clock_is_known(run)
     assert set(found.faults) == {"velocity"}
 
 
+def stall(every: int, duration: int) -> Callable[[int], bool]:
+    """Each `every`-th period, the next step comes `duration` periods later."""
+    return lambda k: 0 < k % every < duration
+
+
+@pytest.mark.parametrize(("every", "duration"), [(49, 30), (29, 10), (7, 3), (229, 30)])
+@pytest.mark.parametrize("stamp", [True, False], ids=["time stamps", "only a clock"])
+def test_stalls_of_the_loop_are_reported_and_change_the_motion_little(
+    run, plain: Run, every: int, duration: int, stamp: bool
+) -> None:
+    """With the mean interval as the period, or with 1 ms in each step, the arm seems to jump."""
+    loops: list[ControlLoop] = []
+    found = run(
+        stamped(lambda k, m: m if stamp else m._replace(time=np.nan)),
+        stalls=stall(every, duration),
+        created=loops.append,
+    )
+    assert set(found.faults) == {"stall"}
+    assert loops[0].controller.dt == 0.001
+    assert found.share < 1.05
+    assert found.nearest > 0.02
+    np.testing.assert_allclose(found.base, plain.base, atol=0.03)
+
+
+def test_reference_at_the_true_time_is_no_sample_of_a_planner_after_a_stall(run) -> None:
+    """The end-effector was 85 mm behind the reference."""
+    rest = {"start": SIDE, "pull": np.zeros(3), "time": 1.0, "reference": wobbling}
+    exact = run(stamped(lambda k, m: m), **rest)
+    found = run(stamped(lambda k, m: m), stalls=stall(229, 30), **rest)
+    assert np.linalg.norm(found.ee - exact.ee, axis=1).max() < 0.005
+
+
+@pytest.mark.parametrize(
+    ("stated", "real", "delay"),
+    [(0.001, 0.005, 2), (0.001, 0.008, 1), (0.005, 0.001, 50), (0.008, 0.001, 24)],
+)
+def test_late_readings_cause_no_jump_while_the_period_is_corrected(
+    run, stated: float, real: float, delay: int
+) -> None:
+    options = {"start": SIDE, "pull": LATERAL / 2.0, "time": 0.5}
+    found = run(stamped(late(delay), real), stated=stated, real=real, **options)
+    assert "period" in found.faults
+    assert "jump" not in found.faults
+
+
 def test_pause_of_the_loop_is_no_wrong_period(run) -> None:
     def paused(k: int, m: Measurement) -> Measurement:
         later = 0.05 * (k // 100)  # [s] a pause of 50 ms each 0.1 s
         return m._replace(now=EPOCH + 0.001 * k + later, time=EPOCH + 0.001 * k + later)
 
-    assert run(paused).faults == {}
+    assert set(run(paused).faults) == {"stall"}
 
 
 def with_age(age: Callable[[int], float]) -> Degradation:
@@ -674,6 +721,8 @@ def test_a_coarse_or_resting_clock_does_not_hide_a_wrong_period(run, clock: Any)
     found = run(lambda k, m: m._replace(now=float(clock(0.001 * k))), stated=0.004)
     assert found.faults["period"] < 0.5
     assert found.share < 1.05
+    found = run(lambda k, m: m._replace(now=float(clock(0.001 * k))))
+    assert found.faults == {}
 
 
 def test_driver_that_ends_at_rest_is_reported_by_its_time_stamps(run) -> None:
@@ -1206,7 +1255,8 @@ def test_only_a_sudden_weight_is_a_load(case: str, monkeypatch: pytest.MonkeyPat
     w.load, w.loaded, w.torques_age = np.zeros(()), np.zeros(()), np.zeros(())
     w.samples, w.torques, w.P_est = np.array(100.0), np.zeros((8, 7)), np.zeros((7, 3, 3))
     w.lifts, w.blind_time, w.known = np.zeros((8, 7)), np.array(0.001), np.array(100.0)
-    w.unstated, gains = np.zeros(()), SimpleNamespace(dt=0.001, payload_mass=max(-mass, 0.0))
+    w.elapsed, w.unstated = np.array(0.001), np.zeros(())
+    gains = SimpleNamespace(dt=0.001, payload_mass=max(-mass, 0.0))
     w.corrected = w.lag = w.stated_lag = np.zeros(())
     judge = estimate._judge_load
     monkeypatch.setattr(estimate, "_judge_load", getattr(judge, "py_func", judge))

@@ -255,13 +255,16 @@ class Controller:
         if reference is not None:
             pose, v, a = reference = checked_reference(reference)
             R, p = pose.rotation, pose.translation
-            if not _take(gains, w.struct, R, p, v, a, self._interpolate):
+            if not _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate):
                 raise no_motion(reference)
         self.faulty = _estimate(robot, gains, w.struct, *measurement)
         if self.faulty and w.faults[PERIOD]:
             ratio = float(w.clock_ratio or w.ratio)
             self._dt = min(max(self._dt * ratio, SHORTEST), LONGEST)
             self._set_gains()
+            if w.stamp == w.stamp:  # its age is now a different number of periods
+                hidden = w.hidden_lag - w.stated_lag
+                w.lag[...] = np.rint((w.lag - hidden) / ratio) + hidden
         if self.faulty and np.isnan(w.q_posture[0]):
             if w.faults[IMPLAUSIBLE]:
                 raise implausible(self._model, measurement.q_m)

@@ -65,11 +65,13 @@ FAULTS = {
     "contradictory": "the arm's motion does not agree with the commanded torques: brake the drives "
     "and check the order, the signs and the age of the joints' readings; the step returns the "
     "fallback command until `reset`",
+    "stall": "by the clock, the loop has missed control periods: the motion by its last commands "
+    "is predicted; after a pause of more than 0.1 s the estimate restarts",
 }
 """The possible faults of readings, by name, in the order of `ControlStep.faults`."""
 
 INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD = range(8)
-LOCALISATION, LOAD, BASE, CONTRADICTORY = range(8, 12)
+LOCALISATION, LOAD, BASE, CONTRADICTORY, STALL = range(8, 13)
 
 HISTORY = 128
 """Largest age of a reading, in control periods, over which the motion can be predicted."""
@@ -85,7 +87,8 @@ _RIGHT_BY_CLOCK = 1.05  # [-] the same for a control period that a clock shows
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 EARLY = 0.01
 """[s] largest difference by which a time stamp can be later than the control step."""
-_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag
+_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag, and
+# of an interval of the clock from a control period
 _MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
 # periods, for a measurement of the period by the clock
 _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
@@ -266,6 +269,27 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
     w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
     row = w.history[int(w.periods[()])]
     put(row, predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, qdd_b))
+
+
+@compiled()
+def _catch_up(w: Any, missed: float, dt: float) -> None:
+    """Predict the motion in the control periods that the loop has missed; too many are a gap.
+
+    Meanwhile the last commands have acted, and the law has used no velocity.
+    """
+    if missed >= HISTORY:
+        w.known[()] = 0.0
+        fill(w.v_last, math.nan)
+    if missed == 0.0 or w.known[()] == 0.0:
+        return
+    for _ in range(int(missed)):
+        row = int(w.periods[()])
+        put(w.qd_used[row], w.x_est[1])
+        w.periods[()] = (w.periods[()] + 1.0) % HISTORY
+        w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
+        put(w.history[int(w.periods[()])], w.history[row])
+        advance(w.x_est, _recall(w, 0, 1), dt)
+    w.blind_time[()] = max(w.blind_time[()], w.elapsed[()])
 
 
 @compiled()
@@ -491,7 +515,7 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     `w.no_velocity` instead.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
-    if gap or w.faults[PERIOD] != 0.0:
+    if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:
         _measure_from(w, q, qd)
         return
     right, precisely = _RIGHT, 1.0
@@ -541,30 +565,62 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
 
 @compiled()
-def _watch_clock(w: Any, now: float, dt: float) -> None:
-    """Measure the control period by the caller's clock; `now` [s] is NaN without one.
+def missed_periods(w: Any, now: float, dt: float) -> float:
+    """Number of control periods dt [s] without a step before this one, which begins at `now` [s].
 
-    Two successive measurements that differ from the stated period, and agree, set the fault
-    `period`; then `w.clock_ratio` is the ratio of the true period to `dt`. A pause does not count.
+    It is 0 without a clock, and infinite after a pause of more than 0.1 s. A coarse clock rests for
+    some steps, and then its jitter is larger.
+    """
+    steps, interval = 1.0 + w.clock_rest[()], now - w.clock[()]
+    if interval >= steps * dt + MAX_AGE:
+        return math.inf
+    missed = round(interval / dt) - steps
+    return missed if interval > (1.0 + _JITTER) * steps * dt else 0.0
+
+
+@compiled()
+def _watch_clock(w: Any, now: float, missed: float, dt: float) -> None:
+    """Compare the control period dt [s] with the caller's clock; `now` [s] is NaN without one.
+
+    The fault `stall` is an interval that is too long for a period that the clock has confirmed.
     """
     interval = now - w.clock[()]
-    w.clock[()] = now
-    if not 0.0 <= interval < MAX_AGE:  # NaN too
-        fill(w.clock_span, 0.0)
+    w.clock[()], usual = now, missed == 0.0
+    w.clock_rest[()] = w.clock_rest[()] + 1.0 if interval == 0.0 else 0.0
+    w.faults[STALL] = 0.0 if usual or (w.clock_ratio[()] != 1.0 and missed < math.inf) else 1.0
+    if not (interval >= 0.0 and missed < math.inf):  # NaN too
+        for row in w.clock_span:
+            fill(row, 0.0)
         if math.isnan(now):
             w.clock_ratio[()] = 0.0
         return
-    w.clock_span[0] += interval
-    w.clock_span[1] += 1.0
-    if w.clock_span[0] < _MEASURED or w.clock_span[1] < _FEWEST_PERIODS:
-        return
-    found = w.clock_span[0] / (w.clock_span[1] * dt)
-    if 1.0 / _RIGHT_BY_CLOCK < found < _RIGHT_BY_CLOCK:
+    for row in w.clock_span[: 2 if usual else 1]:
+        row[0] += interval
+        row[1] += 1.0
+    if w.clock_span[0, 0] >= _MEASURED and w.clock_span[0, 1] >= _FEWEST_PERIODS:
+        _measure_period(w, dt)
+
+
+@compiled()
+def _measure_period(w: Any, dt: float) -> None:
+    """Measure the control period, stated as dt [s], by the intervals of the clock.
+
+    It is right if it is the mean of all intervals, as in a loop that catches up after a stall, or
+    the mean of those that are no stalls. Two successive measurements that differ from it, and
+    agree, set the fault `period`; then `w.clock_ratio` is the ratio of the true period to dt.
+    """
+    time, number = w.clock_span[0]
+    usual_time, usual = w.clock_span[1]
+    mean = found = time / (number * dt)
+    if 2.0 * usual > number:
+        found = usual_time / (usual * dt)
+    if min(abs(mean - 1.0), abs(found - 1.0)) < _RIGHT_BY_CLOCK - 1.0:
         found = 1.0
     elif abs(found - w.clock_ratio[()]) < _ALIKE_PERIODS * found:
         w.faults[PERIOD] = 1.0
     w.clock_ratio[()] = found
-    fill(w.clock_span, 0.0)
+    for row in w.clock_span:
+        fill(row, 0.0)
 
 
 @compiled()
@@ -884,7 +940,10 @@ def take_readings(
     _use_stated_lag(gains, w)
     first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
-    _watch_clock(w, now, gains.dt)
+    missed = missed_periods(w, now, gains.dt)
+    _watch_clock(w, now, missed, gains.dt)
+    w.elapsed[()] = (1.0 + missed) * gains.dt if missed < HISTORY else gains.dt
+    w.age[()] += 0.0 if first else min(missed, 1.0 * HISTORY)
     age, stamped = now - time, math.isfinite(time)
     if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, time, gains.dt):
         lost, w.faults[REPEATED] = True, 1.0
@@ -896,6 +955,7 @@ def take_readings(
         velocity = _usable_velocity(robot, gains, w, base_velocity, first)
     _remember(robot, gains, w, velocity, not lost)
     advance(w.x_est, _recall(w, 0, 1), gains.dt)
+    _catch_up(w, missed, gains.dt)
     unseen = not lost
     if unseen and stamped:
         lost = _use_stamp(w, age, gains.dt, first)
