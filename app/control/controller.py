@@ -41,7 +41,7 @@ from app.control.contract import (
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
 from app.control.quantities import QUANTITIES, ControlStep
-from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD
+from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, later_base
 from app.control.references import take_reference
 from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
@@ -61,7 +61,7 @@ from app.strict import Array
 logger = logging.getLogger(__name__)
 
 _take = direct(take_reference)
-_estimate, _law = direct(update_estimate), direct(run_algorithm_2)
+_estimate, _later, _law = direct(update_estimate), direct(later_base), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
 _UNKNOWN = (
@@ -257,7 +257,10 @@ class Controller:
             R, p = pose.rotation, pose.translation
             if not _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate):
                 raise no_motion(reference)
-        self.faulty = _estimate(robot, gains, w.struct, *measurement)
+        base, velocity, q, qd, drive, now, time, base_time = measurement
+        if base_time == base_time:
+            base, velocity = self._later_base(measurement)
+        self.faulty = _estimate(robot, gains, w.struct, base, velocity, q, qd, drive, now, time)
         if self.faulty and w.faults[PERIOD]:
             ratio = float(w.clock_ratio or w.ratio)
             self._dt = min(max(self._dt * ratio, SHORTEST), LONGEST)
@@ -280,6 +283,13 @@ class Controller:
         if self._own_commands and w.command_due:
             w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
         return w
+
+    def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
+        """The base's pose and velocity, advanced to the time at which the joints were measured."""
+        pose, v, _, _, _, now, time, base_time = measurement
+        until = time if time == time else now - float(self.last.lag) * self._dt
+        age = np.inf if base_time - now > EARLY else until - base_time
+        return _later(self._robot, self._gains, self.last.struct, pose, v, age)
 
     def _rescue(self, which: int) -> None:
         """Solve the open problem `which`, from 0, by ProxQP; write `qp_x` and `qp_tried`."""

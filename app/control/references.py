@@ -30,7 +30,7 @@ from app.compiled import compiled
 from app.control.inputs import GAINS
 from app.control.qp import fill, put, put_rows
 from app.control.quantities import STEP
-from app.control.readings import missed_periods
+from app.control.readings import MAX_AGE
 from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
 
@@ -87,11 +87,11 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
 
 
 @compiled()
-def _leaps(way: Array, v: Array, dt: float) -> bool:
-    """Whether v (6,) does not explain the motion `way` (6,) in the time dt [s]."""
+def _leaps(way: Array, v: Array, time: float, dt: float) -> bool:
+    """Whether v (6,) does not explain a motion `way` (6,) in a time; dt is the period; both [s]."""
     leaps = False
     for i in range(6):
-        leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2
+        leaps = leaps or abs(way[i] - time * v[i]) > _LEAP * max(time, dt) ** 2
     return leaps
 
 
@@ -276,13 +276,15 @@ def take_reference(
     """
     if not _is_motion(R, p, v, a):
         return False
-    way, is_sample, missed = np.zeros(6), False, missed_periods(w, now, gains.dt)
-    time = gains.dt * (1.0 + missed if missed < math.inf else 1.0)
+    way, is_sample, interval, dt = np.zeros(6), False, now - w.clock[()], gains.dt
+    if not 0.0 < interval < MAX_AGE:  # NaN too
+        interval = dt
+    time = max(interval - w.clock_rest[()] * dt, dt)  # short intervals follow a stall
     follows = interpolate and not math.isnan(w.x_sent[3, 0])
     rests = follows and not _differs(w, R, p, v, a)
     if follows and not rests:
         way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
-        is_sample = _leaps(way, v, time)
+        is_sample = _leaps(way, v, dt, dt) and _leaps(way, v, interval, dt)
     if is_sample and w.way_duration[()] == 0.0:  # a polynomial continues the last reference
         put_rows(w.x_origin, w.x_sent)
     put_rows(w.x_sent, R.T)
