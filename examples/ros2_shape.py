@@ -30,7 +30,8 @@ class AvoidanceNode:
         """One control step, once both sensors have sent a message."""
         if (joints := self.joints) and (odom := self.odom):
             readings = odom.pose, odom.velocity, joints.position, joints.velocity
-            measured = Measurement(*readings, now=self.now(), time=joints.stamp)
+            stamps = {"time": joints.stamp, "base_time": odom.stamp}
+            measured = Measurement(*readings, now=self.now(), **stamps)
             self.send_effort(Message(effort=self.loop.step(measured).u_a))
 
     def drive(self) -> None:
@@ -48,7 +49,8 @@ def main(steps: int = 300) -> dict[str, Any]:
     for k in range(steps):
         now, time[0] = robot.measure(), 0.001 * k
         callbacks["/joint_states"](Message(position=now.q_m, velocity=now.qd_m, stamp=time[0]))
-        callbacks["/odom"](Message(pose=now.base_pose, velocity=now.base_velocity))
+        odom = Message(pose=now.base_pose, velocity=now.base_velocity, stamp=time[0])
+        callbacks["/odom"](odom)
         for callback in (timers[s] for s in timers if k % round(1000 * s) == 0):
             callback()
         robot.step(sent["/arm/effort"].effort, sent["/cmd_vel"].velocity, np.zeros(3))

@@ -698,8 +698,8 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
     For a kind of base whose axes depend on each other, `Controller` then replaces the command by an
     admissible one.
     """
-    put(w.a_sum, w.a_sum + w.a_base_cmd * gains.dt)
-    w.t_sum[()] += gains.dt
+    put(w.a_sum, w.a_sum + w.a_base_cmd * w.elapsed[()])
+    w.t_sum[()] += w.elapsed[()]
     w.command_due[()] = w.t_sum[()] >= gains.command_period - gains.dt / 2
     if w.command_due[()] != 0.0:
         put(w.v_before, w.v_cmd)

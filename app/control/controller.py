@@ -42,7 +42,7 @@ from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
 from app.control.qp import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.quantities import QUANTITIES, ControlStep
-from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD
+from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, later_base
 from app.control.references import take_reference
 from app.control.tasks import Reference
 from app.errors import ConfigError, check_name
@@ -61,7 +61,7 @@ from app.strict import Array
 logger = logging.getLogger(__name__)
 
 _take = direct(take_reference)
-_estimate, _law = direct(update_estimate), direct(run_algorithm_2)
+_estimate, _later, _law = direct(update_estimate), direct(later_base), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
 _UNKNOWN = (
@@ -255,13 +255,19 @@ class Controller:
         if reference is not None:
             pose, v, a = reference = checked_reference(reference)
             R, p = pose.rotation, pose.translation
-            if not _take(gains, w.struct, R, p, v, a, self._interpolate):
+            if not _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate):
                 raise no_motion(reference)
-        self.faulty = _estimate(robot, gains, w.struct, *measurement)
+        base, velocity, q, qd, drive, now, time, base_time = measurement
+        if base_time == base_time:
+            base, velocity = self._later_base(measurement)
+        self.faulty = _estimate(robot, gains, w.struct, base, velocity, q, qd, drive, now, time)
         if self.faulty and w.faults[PERIOD]:
             ratio = float(w.clock_ratio or w.ratio)
             self._dt = min(max(self._dt * ratio, SHORTEST), LONGEST)
             self._set_gains()
+            if w.stamp == w.stamp:  # its age is now a different number of periods
+                hidden = w.hidden_lag - w.stated_lag
+                w.lag[...] = np.rint((w.lag - hidden) / ratio) + hidden
         if self.faulty and np.isnan(w.q_posture[0]):
             if w.faults[IMPLAUSIBLE]:
                 raise implausible(self._model, measurement.q_m)
@@ -277,6 +283,13 @@ class Controller:
         if self._own_commands and w.command_due:
             w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
         return w
+
+    def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
+        """The base's pose and velocity, advanced to the time at which the joints were measured."""
+        pose, v, _, _, _, now, time, base_time = measurement
+        until = time if time == time else now - float(self.last.lag) * self._dt
+        age = np.inf if base_time - now > EARLY else until - base_time
+        return _later(self._robot, self._gains, self.last.struct, pose, v, age)
 
     def _rescue(self, which: int) -> None:
         """Solve the open problem `which`, from 0, by ProxQP; write `qp_x` and `qp_tried`."""

@@ -401,7 +401,7 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
     restarted = jumped or w.known[()] == 0.0 or (begins and (late or corrected))
     M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
     for k in range(3):
-        a = 0.0 if begins or restarted else (w.v_ee[k] - w.v_tip[k]) / dt
+        a = 0.0 if begins or restarted else (w.v_ee[k] - w.v_tip[k]) / w.elapsed[()]
         if k == 2:
             a += _GRAVITY
         for i in range(len(lift)):

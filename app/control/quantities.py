@@ -91,17 +91,23 @@ biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings |
     1 if a reading of the last 0.1 s is usable and no contradiction was found, else 0
-faults | | 12 | 1 | | readings |
+faults | | 13 | 1 | | readings |
     1 for each fault of this step's readings, in the order of `readings.FAULTS`
 contradiction | | | 1 | | readings |
     memory: evidence that the readings contradict the commanded torques
 age | | | 1 | | readings | memory: control periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in control periods
 clock | | | s | | readings | memory: `Measurement.now` of the last step; NaN without a clock
-clock_span | | 2 | s, 1 | | readings |
-    memory: duration and number of the control periods since the last measurement by the clock
+clock_ahead | | | 1 | | readings |
+    memory: control periods by which the clock is ahead of the number of steps; the mean is removed
+clock_rest | | | 1 | | readings | memory: number of steps since the clock has changed
+clock_span | | 3 2 | s, 1 | | readings |
+    memory: duration and number of the clock's intervals since the last measurement by the clock,
+    then of those without a stall, and of those that last one period
 clock_ratio | | | 1 | | readings |
     memory: ratio of the control period by the clock to `dt`; 0 before a measurement
+elapsed | | | s | | readings |
+    time since the last step: a control period, or several after a stall of up to 0.1 s
 stamp | | | s | | readings | memory: time stamp of the newest reading; NaN without one
 hidden_lag | | | 1 | | readings |
     memory: the part of `lag` that time stamps do not show, in control periods
@@ -132,6 +138,10 @@ astray | | n_b | m/s, rad/s | axes | readings |
     memory: recent changes of the base's velocity that the model of its drive does not explain
 history | | 128 n_m | rad/s² | joints | readings |
     memory: predicted joint accelerations of the last control periods, as a ring buffer
+base_history | | 128 n_b | m/s², rad/s² | axes | readings |
+    memory: assumed accelerations of the base in the periods of `history`
+base_late | | | 1 | | readings |
+    memory: 1 if the base's readings have a time stamp, and are advanced to the time of the joints'
 periods | | | 1 | | readings | memory: index of the newest row of `history`
 known | | | 1 | | readings | memory: number of rows of `history` since the last gap
 group | | 16 n_m | rad | joints | readings | memory: mean positions of the last groups of readings

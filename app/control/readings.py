@@ -27,6 +27,8 @@ import math
 from typing import Any
 
 import numpy as np
+from numba import types
+from numba.core.typing.templates import Signature
 
 from app.compiled import compiled
 from app.control.estimate import (
@@ -39,7 +41,9 @@ from app.control.estimate import (
     predicted_joint_acceleration,
     process_noise,
 )
+from app.control.inputs import GAINS, ROBOT
 from app.control.qp import backward, dot, fill, forward, put, put_rows, times
+from app.control.quantities import STEP
 from app.strict import Array
 
 FAULTS = {
@@ -65,11 +69,13 @@ FAULTS = {
     "contradictory": "the arm's motion does not agree with the commanded torques: brake the drives "
     "and check the order, the signs and the age of the joints' readings; the step returns the "
     "fallback command until `reset`",
+    "stall": "by the clock, the loop has missed control periods: the motion by its last commands "
+    "is predicted; after a pause of more than 0.1 s the estimate restarts",
 }
 """The possible faults of readings, by name, in the order of `ControlStep.faults`."""
 
 INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD = range(8)
-LOCALISATION, LOAD, BASE, CONTRADICTORY = range(8, 12)
+LOCALISATION, LOAD, BASE, CONTRADICTORY, STALL = range(8, 13)
 
 HISTORY = 128
 """Largest age of a reading, in control periods, over which the motion can be predicted."""
@@ -85,7 +91,9 @@ _RIGHT_BY_CLOCK = 1.05  # [-] the same for a control period that a clock shows
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 EARLY = 0.01
 """[s] largest difference by which a time stamp can be later than the control step."""
-_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag
+_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag, and
+# of a step from its expected time
+_KEPT = 0.9  # [-] share of this difference that the next step keeps: the mean delay does not count
 _MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
 # periods, for a measurement of the period by the clock
 _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
@@ -257,15 +265,38 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
     if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
         w.known[()] = 0.0  # a gap
         return
-    if fresh and w.age[()] == 0.0 and w.lag[()] == 0.0:
+    if fresh and w.age[()] == 0.0 and w.lag[()] == 0.0 and w.base_late[()] == 0.0:
         a_base = (base_velocity - w.v_last) / gains.dt
     else:
         a_base = w.a_base_meas
     qdd_b = times(robot.J_m_inv, a_base)
     w.periods[()] = (w.periods[()] + 1.0) % HISTORY
     w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
+    put(w.base_history[int(w.periods[()])], a_base)
     row = w.history[int(w.periods[()])]
     put(row, predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, qdd_b))
+
+
+@compiled()
+def _catch_up(w: Any, missed: float, dt: float) -> None:
+    """Predict the motion in the control periods that the loop has missed; too many are a gap.
+
+    Meanwhile the last commands have acted, and the law has used no velocity.
+    """
+    if missed >= HISTORY:
+        w.known[()] = 0.0
+        fill(w.v_last, math.nan)
+    if missed <= 0.0 or w.known[()] == 0.0:
+        return
+    for _ in range(int(missed)):
+        row = int(w.periods[()])
+        put(w.qd_used[row], w.x_est[1])
+        w.periods[()] = (w.periods[()] + 1.0) % HISTORY
+        w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
+        put(w.history[int(w.periods[()])], w.history[row])
+        put(w.base_history[int(w.periods[()])], w.base_history[row])
+        advance(w.x_est, _recall(w, 0, 1), dt)
+    w.blind_time[()] = max(w.blind_time[()], w.elapsed[()])
 
 
 @compiled()
@@ -491,7 +522,7 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     `w.no_velocity` instead.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
-    if gap or w.faults[PERIOD] != 0.0:
+    if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:
         _measure_from(w, q, qd)
         return
     right, precisely = _RIGHT, 1.0
@@ -541,30 +572,75 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
 
 @compiled()
-def _watch_clock(w: Any, now: float, dt: float) -> None:
-    """Measure the control period by the caller's clock; `now` [s] is NaN without one.
+def _count_periods(w: Any, now: float, dt: float) -> float:
+    """Number of missed steps, one for each control period dt [s], before this step at `now` [s].
 
-    Two successive measurements that differ from the stated period, and agree, set the fault
-    `period`; then `w.clock_ratio` is the ratio of the true period to `dt`. A pause does not count.
+    It is 0 without a clock, infinite after a pause of more than 0.1 s, and −1 for a second step in
+    the same period: after a stall, some loops catch up. Delays of up to 0.9 periods do
+    not count. A coarse clock rests for some steps, and then its jitter is larger.
     """
-    interval = now - w.clock[()]
-    w.clock[()] = now
-    if not 0.0 <= interval < MAX_AGE:  # NaN too
-        fill(w.clock_span, 0.0)
+    interval, steps = now - w.clock[()], 1.0 + w.clock_rest[()]
+    w.clock_rest[()] = steps if interval == 0.0 else 0.0
+    if interval >= steps * dt + MAX_AGE:
+        w.clock_ahead[()] = 0.0
+        return math.inf
+    if not interval > 0.0:  # NaN too
+        return 0.0
+    ahead = _KEPT * w.clock_ahead[()] + interval / dt - steps
+    missed = 1.0 * max(round(ahead), -1) if abs(ahead) > _JITTER * steps else 0.0
+    w.clock_ahead[()] = ahead - missed
+    return missed
+
+
+@compiled()
+def _watch_clock(w: Any, now: float, dt: float) -> float:
+    """Compare the control period dt [s] with the caller's clock; `now` [s] is NaN without one.
+
+    The fault `stall` is a step that is too late for a period that the clock has confirmed. Returns
+    the result of `_count_periods`.
+    """
+    interval, missed = now - w.clock[()], _count_periods(w, now, dt)
+    w.clock[()], usual = now, missed == 0.0
+    late = missed > 0.0 and (w.clock_ratio[()] == 1.0 or missed == math.inf)
+    w.faults[STALL] = 1.0 if late else 0.0
+    if not (interval >= 0.0 and missed < math.inf):  # NaN too
+        for row in w.clock_span:
+            fill(row, 0.0)
         if math.isnan(now):
             w.clock_ratio[()] = 0.0
-        return
-    w.clock_span[0] += interval
-    w.clock_span[1] += 1.0
-    if w.clock_span[0] < _MEASURED or w.clock_span[1] < _FEWEST_PERIODS:
-        return
-    found = w.clock_span[0] / (w.clock_span[1] * dt)
-    if 1.0 / _RIGHT_BY_CLOCK < found < _RIGHT_BY_CLOCK:
+        return missed
+    near = abs(interval - dt) < (_RIGHT_BY_CLOCK - 1.0) * dt
+    counted = True, usual, near
+    for k in range(3):
+        w.clock_span[k, 0] += interval if counted[k] else 0.0
+        w.clock_span[k, 1] += 1.0 if counted[k] else 0.0
+    if w.clock_span[0, 0] >= _MEASURED and w.clock_span[0, 1] >= _FEWEST_PERIODS:
+        _measure_period(w, dt)
+    return missed
+
+
+@compiled()
+def _measure_period(w: Any, dt: float) -> None:
+    """Measure the control period, stated as dt [s], by the intervals of the clock.
+
+    It is right if it is the mean of all intervals, the mean of the usual ones, or the length of
+    most of them: a loop can catch up after a stall. Two successive measurements that differ from
+    it, and agree, set the fault `period`; then `w.clock_ratio` is the ratio of the true period to
+    dt.
+    """
+    time, number = w.clock_span[0]
+    usual_time, usual = w.clock_span[1]
+    mean = found = time / (number * dt)
+    if 2.0 * usual > number:
+        found = usual_time / (usual * dt)
+    right = min(abs(mean - 1.0), abs(found - 1.0)) < _RIGHT_BY_CLOCK - 1.0
+    if right or 2.0 * w.clock_span[2, 1] > number:
         found = 1.0
     elif abs(found - w.clock_ratio[()]) < _ALIKE_PERIODS * found:
         w.faults[PERIOD] = 1.0
     w.clock_ratio[()] = found
-    fill(w.clock_span, 0.0)
+    for row in w.clock_span:
+        fill(row, 0.0)
 
 
 @compiled()
@@ -650,6 +726,46 @@ def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
     moved = _motion_of_base(robot, w, time)
     for i in range(3):
         pose[i] += moved[i]
+
+
+_READING = types.Array(types.f8, 1, "A")
+
+
+@compiled(
+    Signature(
+        types.UniTuple(types.f8[::1], 2),
+        (ROBOT.type, GAINS.type, STEP.type, _READING, _READING, types.f8),
+        None,
+    )
+)
+def later_base(
+    robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, age: float
+) -> tuple[Array, Array]:
+    """The pose (3,) and the velocity (n_b,) of the base, `age` [s] after their readings.
+
+    The velocity changes by the assumed accelerations of the last control periods. A missing one is
+    replaced by the present velocity, and stays missing. Readings that are too old, or later than
+    the control step, are lost. If the age is negative, the velocity is assumed to be constant.
+    """
+    w.base_late[()] = 1.0
+    if not age <= _SELDOM:
+        return np.full(3, math.nan), np.full(len(velocity), math.nan)
+    x, v, dt = pose.copy(), velocity.copy(), gains.dt
+    for i in range(len(v)):
+        v[i] = w.base_velocity[i] if math.isnan(v[i]) else v[i]
+    known, newest = int(max(min(round(age / dt), w.known[()]), 0.0)), int(w.periods[()])
+    time = age - known * dt
+    for k in range(known, -1, -1):  # k further periods
+        twist, c, s = times(robot.T_J_m, times(robot.J_m_inv, v)), math.cos(x[2]), math.sin(x[2])
+        x[0] += time * (c * twist[0] - s * twist[1])
+        x[1] += time * (s * twist[0] + c * twist[1])
+        x[2] += time * twist[2]
+        time = dt
+        if k == 1:
+            v += dt * w.a_base_meas
+        elif k > 1:
+            v += dt * w.base_history[(newest - k + 2) % HISTORY]
+    return x, v + 0.0 * velocity
 
 
 @compiled()
@@ -884,7 +1000,9 @@ def take_readings(
     _use_stated_lag(gains, w)
     first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
-    _watch_clock(w, now, gains.dt)
+    missed = _watch_clock(w, now, gains.dt)
+    w.elapsed[()] = (1.0 + missed if 0.0 < missed < HISTORY else 1.0) * gains.dt
+    w.age[()] += 0.0 if first else min(missed, 1.0 * HISTORY)
     age, stamped = now - time, math.isfinite(time)
     if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, time, gains.dt):
         lost, w.faults[REPEATED] = True, 1.0
@@ -894,8 +1012,11 @@ def take_readings(
         return
     if not lost:
         velocity = _usable_velocity(robot, gains, w, base_velocity, first)
-    _remember(robot, gains, w, velocity, not lost)
-    advance(w.x_est, _recall(w, 0, 1), gains.dt)
+    if missed >= 0.0:
+        _remember(robot, gains, w, velocity, not lost)
+        advance(w.x_est, _recall(w, 0, 1), gains.dt)
+    _catch_up(w, missed, gains.dt)
+    w.base_late[()] = 0.0
     unseen = not lost
     if unseen and stamped:
         lost = _use_stamp(w, age, gains.dt, first)

@@ -30,6 +30,7 @@ from app.compiled import compiled
 from app.control.inputs import GAINS
 from app.control.qp import fill, put, put_rows
 from app.control.quantities import STEP
+from app.control.readings import MAX_AGE
 from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
 
@@ -86,11 +87,11 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
 
 
 @compiled()
-def _leaps(way: Array, v: Array, dt: float) -> bool:
-    """Whether v (6,) does not explain the motion `way` (6,) in the control period dt [s]."""
+def _leaps(way: Array, v: Array, time: float, dt: float) -> bool:
+    """Whether v (6,) does not explain a motion `way` (6,) in a time; dt is the period; both [s]."""
     leaps = False
     for i in range(6):
-        leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2
+        leaps = leaps or abs(way[i] - time * v[i]) > _LEAP * max(time, dt) ** 2
     return leaps
 
 
@@ -151,8 +152,8 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
 
 
 @compiled()
-def _continue_way(gains: Any, w: Any) -> None:
-    """Evaluate the polynomial at this step, and write the result as the reference.
+def _continue_way(gains: Any, w: Any, time: float) -> None:
+    """Evaluate the polynomial `time` [s] later, and write the result as the reference.
 
     If no further sample arrives in time, a new polynomial comes to rest at the last sample. At the
     end of the polynomial, its duration becomes 0, and no reference is written.
@@ -160,7 +161,7 @@ def _continue_way(gains: Any, w: Any) -> None:
     late = w.since_sample[()] > _OVERDUE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
         _aim(gains, w, np.zeros(6))
-    w.way_time[()] += gains.dt
+    w.way_time[()] += time
     if w.way_time[()] > w.way_duration[()]:
         w.way_time[()] = w.way_duration[()] = w.sample_interval[()] = 0.0
         return
@@ -260,36 +261,41 @@ def _add_shift(gains: Any, w: Any) -> None:
     w.a_ref += a
 
 
-@compiled(Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.b1), None))
+@compiled(
+    Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.f8, types.b1), None)
+)
 def take_reference(
-    gains: Any, w: Any, R: Array, p: Array, v: Array, a: Array, interpolate: bool
+    gains: Any, w: Any, R: Array, p: Array, v: Array, a: Array, now: float, interpolate: bool
 ) -> bool:
     """Write the reference of this step into x_ref, v_ref and a_ref.
 
     The fields of the caller's `Reference` are R (3, 3) and p (3,) [m], v (6,) [m/s, rad/s] and
-    a (6,) [m/s², rad/s²], linear above angular, in the world. `interpolate` states whether to
-    interpolate references that jump. Returns whether the reference is a possible motion
-    (`_is_motion`); if it is not, nothing is written.
+    a (6,) [m/s², rad/s²], linear above angular, in the world. `now` [s] is the time of the step, or
+    NaN. `interpolate` states whether to interpolate references that jump. Returns whether the
+    reference is a possible motion (`_is_motion`); if it is not, nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False
-    way, is_sample = np.zeros(6), False
+    way, is_sample, interval, dt = np.zeros(6), False, now - w.clock[()], gains.dt
+    if not 0.0 < interval < MAX_AGE:  # NaN too
+        interval = dt
+    time = max(interval - w.clock_rest[()] * dt, dt)  # short intervals follow a stall
     follows = interpolate and not math.isnan(w.x_sent[3, 0])
     rests = follows and not _differs(w, R, p, v, a)
     if follows and not rests:
         way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
-        is_sample = _leaps(way, v, gains.dt)
+        is_sample = _leaps(way, v, dt, dt) and _leaps(way, v, interval, dt)
     if is_sample and w.way_duration[()] == 0.0:  # a polynomial continues the last reference
         put_rows(w.x_origin, w.x_sent)
     put_rows(w.x_sent, R.T)
     put(w.x_sent[3], p)
     put(w.v_sent, v)
     put(w.a_sent, a)
-    w.since_sample[()] += gains.dt
+    w.since_sample[()] += time
     if is_sample:
         _take_sample(gains, w, way)
     if w.way_duration[()] > 0.0:
-        _continue_way(gains, w)
+        _continue_way(gains, w, time)
     if w.way_duration[()] == 0.0:
         for k in range(6):
             fill(w.way[k], 0.0)

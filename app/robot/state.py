@@ -47,6 +47,8 @@ class Measurement(NamedTuple):
     """[s] time of this control step, by any clock that does not jump; NaN without a clock."""
     time: float = np.nan
     """[s] time at which the joints were measured, by the same clock; NaN without a time stamp."""
+    base_time: float = np.nan
+    """[s] the same for the base's pose and velocity; if NaN, they are as old as the joints."""
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
@@ -80,29 +82,32 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
     Raises:
         MeasurementError: The value is not a `Measurement`, a field has a wrong type or number of
-            values, a time is not in seconds, or `time` lacks `now`; the message names the field.
+            values, a time is not in seconds, or a time stamp lacks `now`; the message names it.
     """
     if not isinstance(measurement, Measurement):
         raise MeasurementError(
             f"measured must be a Measurement({', '.join(Measurement._fields)}), was "
             f"{type(measurement).__name__}"
         )
-    pose, v, q, qd, drive, now, time = measurement
+    pose, v, q, qd, drive, now, time, base_time = measurement
     if type(pose) is type(v) is type(q) is type(qd) is type(drive) is Array:
         shapes = pose.shape, v.shape, q.shape, qd.shape, drive.shape
         floats = pose.dtype is v.dtype is q.dtype is qd.dtype is drive.dtype is _FLOAT
-        no_times = now is time is np.nan  # the defaults
+        no_times = now is time is base_time is np.nan  # the defaults
         times = no_times or (
-            type(now) is type(time) is float
-            and -_LATEST < min(now, time) <= max(now, time) < _LATEST
+            type(now) is type(time) is type(base_time) is float
+            and -_LATEST < min(now, time, base_time) <= max(now, time, base_time) < _LATEST
         )
         if floats and times and shapes in model.reading_shapes:
             return measurement
-    now, time = _seconds("measurement.now", now), _seconds("measurement.time", time)
-    if time == time and now != now:
-        raise MeasurementError(
-            "measurement.time needs measurement.now, the time of the control step by the same clock"
-        )
+    times = (now, time, base_time)
+    now, *stamps = map(_seconds, ("now", "time", "base_time"), times)
+    for name, stamp in zip(("time", "base_time"), stamps, strict=True):
+        if stamp == stamp and now != now:
+            raise MeasurementError(
+                f"measurement.{name} needs measurement.now, the time of the control step by the "
+                "same clock"
+            )
     return Measurement(
         numbers("measurement.base_pose", pose, 3),
         velocities("measurement.base_velocity", v, model.n_b),
@@ -110,7 +115,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         velocities("measurement.qd_m", qd, model.n_m),
         numbers("measurement.drive", drive, *dict.fromkeys((model.n_d, 0))),
         now,
-        time,
+        *stamps,
     )
 
 
@@ -120,7 +125,9 @@ def _seconds(name: str, value: Any) -> float:
         return np.nan
     found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
     if abs(found) >= _LATEST:
-        raise MeasurementError(f"{name} must be seconds (not nanoseconds), was {value!r}")
+        raise MeasurementError(
+            f"measurement.{name} must be seconds (not nanoseconds), was {value!r}"
+        )
     return found
 
 
