@@ -1,8 +1,8 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-`publisher`, `subscribe` and `timer` of `ros` stand for create_publisher(…).publish,
-create_subscription and create_timer of rclpy; `now` and `stamp` for get_clock().now() and
-header.stamp, both in seconds. Run it: python examples/ros2_shape.py
+`publisher`, `subscribe`, `timer` and `now` of `ros` stand for create_publisher(…).publish,
+create_subscription, create_timer and get_clock().now() of rclpy, `stamp` for header.stamp, both
+in seconds. Run it: python examples/ros2_shape.py
 """
 
 from functools import partial
@@ -28,10 +28,9 @@ class AvoidanceNode:
 
     def control(self) -> None:
         """One control step, once both sensors have sent a message."""
-        if (joints := self.joints) and (odom := self.odom):
-            readings = odom.pose, odom.velocity, joints.position, joints.velocity
-            stamps = {"time": joints.stamp, "base_time": odom.stamp}
-            measured = Measurement(*readings, now=self.now(), **stamps)
+        if (arm := self.joints) and (base := self.odom):
+            readings = base.pose, base.velocity, arm.position, arm.velocity
+            measured = Measurement(*readings, (), self.now(), arm.stamp, base.stamp)
             self.send_effort(Message(effort=self.loop.step(measured).u_a))
 
     def drive(self) -> None:
@@ -49,8 +48,8 @@ def main(steps: int = 300) -> dict[str, Any]:
     for k in range(steps):
         now, time[0] = robot.measure(), 0.001 * k
         callbacks["/joint_states"](Message(position=now.q_m, velocity=now.qd_m, stamp=time[0]))
-        odom = Message(pose=now.base_pose, velocity=now.base_velocity, stamp=time[0])
-        callbacks["/odom"](odom)
+        base = {"pose": now.base_pose, "velocity": now.base_velocity}
+        callbacks["/odom"](Message(**base, stamp=time[0]))
         for callback in (timers[s] for s in timers if k % round(1000 * s) == 0):
             callback()
         robot.step(sent["/arm/effort"].effort, sent["/cmd_vel"].velocity, np.zeros(3))
