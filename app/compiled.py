@@ -18,6 +18,7 @@ import numba
 from numba import types
 from numba.core import config, sigutils
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.dispatcher import Dispatcher
 from numba.core.typed_passes import NativeLowering
@@ -66,12 +67,13 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
 @contextmanager
 def _rare_collections() -> Iterator[None]:
     """Collect garbage less often: numba's many live objects make each collection slow."""
-    before = gc.get_threshold()
-    gc.set_threshold(100_000, *before[1:])
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
+    with global_compiler_lock:  # one thread at a time changes and restores the thresholds
+        before = gc.get_threshold()
+        gc.set_threshold(before[0] and max(before[0], 100_000), *before[1:])
+        try:
+            yield
+        finally:
+            gc.set_threshold(*before)
 
 
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:

@@ -41,7 +41,7 @@ def played(robot, border_data):
     ensemble.play(PULL)
     for _ in range(900):
         ensemble.step()
-    state, case = state_of(ensemble.main), ensemble.case
+    state, case = state_of(session), ensemble.case
     ensemble.close()
     assert case is not None
     return state, case

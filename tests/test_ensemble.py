@@ -213,15 +213,16 @@ def test_a_failed_start_of_a_later_robot_changes_nothing(make, monkeypatch, fail
 
 
 @pytest.mark.parametrize("began", [False, True])
+@pytest.mark.usefixtures("known_fridge")
 def test_a_scenario_whose_driver_fails_changes_nothing(make, monkeypatch, began):
-    ensemble, other = make(), make()
+    ensemble, other = make("planar"), make("planar")
     for each in (ensemble, other):
         if began:
             each.play(TRACKING)
         steps(each, 0.1)
-    monkeypatch.setattr(type(LATERAL), "driver", None)
+    monkeypatch.setattr(type(FRIDGE), "driver", None)
     with pytest.raises(TypeError):
-        ensemble.play(LATERAL)
+        ensemble.play(FRIDGE)
     np.testing.assert_array_equal(steps(ensemble, 0.1), steps(other, 0.1))
 
 

@@ -513,8 +513,8 @@ def claims_table(found: Figures) -> str:
 def departures_table(found: Figures) -> str:
     """A row per departure: its number with the printed form and with ours."""
     rows = [
-        [f"`{key}`", *(f"{numbers[form]:.2g}" for form in ("printed", "here"))]
-        for key, numbers in found["departures"].items()
+        [f"`{key}`", *("" if x is None else f"{x:.2g}".replace("-", "−") for x in both.values())]
+        for key, both in found["departures"].items()
     ]
     return grid(["number", "printed", "here"], rows)
 

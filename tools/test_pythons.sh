@@ -44,7 +44,7 @@ while read -r python <&3; do
         began=$SECONDS
         OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 "$venv/bin/python" -m pytest -q \
             -m 'not slow and not browser' -n logical --dist loadfile --color no >>"$log" 2>&1 || status=1
-        result=$(grep -E '^=* ?[0-9]+ (passed|failed)' "$log" | tail -n 1 | tr -d '=' | sed 's/ in [0-9].*//; s/^ *//')
+        result=$(grep -E '^=* ?[0-9]+ (passed|failed|error|skipped)' "$log" | tail -n 1 | tr -d '=' | sed 's/ in [0-9].*//; s/^ *//')
     else
         status=1 installed=$((SECONDS - began)) began=$SECONDS
         result="not installed: $(tail -n 1 "$log")"

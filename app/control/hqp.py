@@ -34,7 +34,7 @@ class Task(NamedTuple):
 
 
 def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
-    """q̈ (n,) of a control step by the paper's hierarchy; NaN if an input is not finite."""
+    """q̈ (n,) of a control step by the paper's hierarchy; NaN if a Jacobian is not finite."""
     below = tasks_below(w, gains)
     active = w.B > 0.0
     T_sca = Task(w.J_sca[active], w.b_sca[active])
@@ -96,7 +96,7 @@ def cascade(levels: list[Task]) -> Array:
     least-squares problem in the null space of the higher levels.
 
     Raises:
-        LinAlgError: An entry of a level is not finite.
+        LinAlgError: A Jacobian is not finite.
 
     Paper: Eq. (26), (29).
     """

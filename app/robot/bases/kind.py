@@ -139,7 +139,10 @@ class BaseKind(Sourced, ABC):
         if not isinstance(data, Mapping) or "link" not in data or "link" in cls.model_fields:
             return data
         _tell_of_link()
-        return {key: value for key, value in data.items() if key != "link"}
+        found = {key: value for key, value in data.items() if key != "link"}
+        if isinstance(source := data.get("source"), Mapping):
+            found["source"] = {key: value for key, value in source.items() if key != "link"}
+        return found
 
     @property
     def n_b(self) -> int:

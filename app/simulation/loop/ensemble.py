@@ -189,13 +189,13 @@ class Ensemble:
         config = scenario.adapted(self._config) if scenario else self._config
         setting, free = setting._replace(config=config), self._free
         names = (self.main.controller.name, *comparison.controllers)
-        # A scenario has new sessions, because its driver can fail. A session with a door is not
-        # used again, because pybullet's reset does not remove the whole state of the grasp.
+        # A session with a door is not used again, because pybullet's reset does not remove the
+        # whole state of the grasp.
         usable = [free, *(g.session for g in self.ghosts if g.session.door is None)]
-        old = [] if scenario else usable[: len(names)]
+        old = usable[: len(names)] if setting.door is None else []
         check_posture(setting.model, setting.q_m)
         check_gains(config, config.disturbance.stated_period)
-        runners = [Runner(session, None) for session in old]
+        runners: list[Runner] = []
         with ExitStack() as new:
             for name in names[len(old) :]:
                 session = begin(setting, free.model, name, free.kind, free.seed)
@@ -205,9 +205,10 @@ class Ensemble:
             case = scenario and RunCase.of(RunSpec(free.model.description.name, scenario, *run))
             new.pop_all()
         # Nothing below can fail, so the present run continues unchanged after an error.
-        for session, name in zip(old, names, strict=False):
-            session.controller.use(name)
+        for k, session in enumerate(old):
+            session.controller.use(names[k])
             session.restart(config, setting.q_m, setting.base_pose)
+            runners.insert(k, Runner(session, scenario and scenario.driver(session)))
         led, *ghosts = runners
         if led.session is not self.main and self.main is not free:
             self.main.close()

@@ -94,7 +94,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def driver(self, session: Session) -> Driver:
-        """The driver for a session that is at the start."""
+        """The driver for a session at the start; only with a door, this can raise an error."""
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some fields changed; a value of None changes nothing.

@@ -327,10 +327,10 @@ def smoother_than_repulsive(_: Sources, *runs: RunResult) -> Findings:
     """The joint torques do not chatter; those of the repulsive method do."""
     key, text = "torque_jump_max_nm", "largest change of a torque in a control step"
     for run, of, bound in zip(runs, ("", "repulsive_"), ("high", "low"), strict=True):
-        yield _figure(run, of.replace("_", " method: ") + text, key, of, **{bound: TORQUE_STEP})
-        signs = run.figures["torque_rate_sign_changes"]
+        method, signs = of.replace("_", " method: "), run.figures["torque_rate_sign_changes"]
+        yield _figure(run, method + text, key, of, **{bound: TORQUE_STEP})
         values = {of + "torque_rate_sign_changes": signs}
-        yield Finding(f"sign changes of a torque's rate {signs}", True, values)
+        yield Finding(f"{method}sign changes of a torque's rate {signs}", True, values)
 
 
 @claim("4.3", "density", paper.LATERAL)
