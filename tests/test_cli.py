@@ -296,11 +296,11 @@ REFUSED = {
     "duration inf": ([*QUICK[:4], "--duration", "inf"], ["--duration", "inf"]),
     "release after the end": (
         ["run", "guiding-front", "--release-at", "9"],
-        ["--release-at", "9.0 s", "0 to 8 s"],
+        ["--release-at", "9 s", "before its end, 8 s"],
     ),
     "release before the start": (
         ["run", "guiding-front", "--release-at", "-1"],
-        ["--release-at", "-1.0 s", "0 to 8 s"],
+        ["--release-at", "-1 s", "before its end, 8 s"],
     ),
     "release of nobody": (
         ["run", "tracking", "--release-at", "1"],

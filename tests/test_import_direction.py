@@ -20,7 +20,6 @@ LAYERS = (
     "kernel_store",
     "compiled",
     "structs",
-    "parameters",
     "config",
     "config_file",
     "robot",

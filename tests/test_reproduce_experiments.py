@@ -72,7 +72,7 @@ def test_experiment_sets_border_kind_and_start():
 def test_figures_request_exactly_the_experiments_that_they_need():
     assert report.experiments_for(["fig10"]) == []
     twelve = report.experiments_for(["fig12"])
-    assert {e.controller for e in twelve} == {"dbb", "repulsive", "none"}
+    assert {e.controller for e in twelve} == {"dbb", "repulsive"}
     assert {e.scenario.name for e in twelve} == {"tracking"}
     everything = report.experiments_for(list(FIGURES))
     assert len(everything) == len(set(everything))
