@@ -84,7 +84,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 
 
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
-    """The run of a scenario, by its name, or of a case, by its file."""
+    """The run that `word` names: a scenario by its name, or a case by its file."""
     if is_case(word):
         return spec_of_case(home_expanded(word), setup, word, config=config)
     return spec_of_scenario(word, setup, config)
@@ -154,7 +154,7 @@ def check_no_others(options: Mapping[str, object], case: str = "--case") -> None
     """Check that the user has set none of the options that a case already sets.
 
     None means that an option is not set. `border` and `buffer_distance` are ignored, because they
-    override the case. `case` is its origin for the message: the option `--case`, or the file.
+    override the case. `case` names the case in the message: the option `--case`, or the file.
 
     Raises:
         ConfigError: An option is set; the message names the first such option.

@@ -179,8 +179,8 @@ def algorithm_2(
     """Self-collision avoidance: one control step.
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
-    `put_commands` writes the fallback command. After ProxQP has solved a QP of the step, the step
-    is repeated: before `put_commands`, a second pass writes the same values.
+    `put_commands` writes the fallback command. If Python has to solve a QP (ProxQP, or the cascade
+    of `app.control.hqp`), the whole step is then repeated. A repetition writes the same values.
 
     Paper: Algorithm 2.
 
