@@ -660,13 +660,14 @@ def _is_too_old(w: Any, age: float, dt: float) -> bool:
 
 @compiled()
 def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
-    """Set `w.lag` by the age [s] of a new reading, and by the delay that time stamps do not show.
+    """Set `w.lag` to the age [s] of a new reading plus the delay that time stamps do not show.
 
-    The lag remains if the age is within 0.9 control periods of it: else the jitter of the clock
-    would change the number of periods between two readings.
+    The lag is a number of control periods. It remains if this sum is within 0.9 periods of it:
+    else the jitter of the clock would change the number of periods between two readings. A change
+    of the lag is subtracted from `w.age`, except at the first reading.
 
     Returns:
-        Whether the reading is older than the last one; then `w.age` is negative.
+        Whether the reading is older than the last one: then `w.age` is negative.
     """
     lag, periods = w.lag[()], age / dt + w.hidden_lag[()]
     if first or abs(periods - lag) > _JITTER:

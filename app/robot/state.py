@@ -241,7 +241,10 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled()
 def _gravity_terms(J: Array, Y: Array) -> Array:
-    """The gravity terms (3 + n_m,), by the heights of the centres of mass in `Y_pin`."""
+    """The gravity terms (3 + n_m,): weight times vertical velocity of the centre of mass.
+
+    Both are those of the bodies that a velocity moves, at a unit of this velocity. Y is `Y_pin`.
+    """
     g = np.empty(J.shape[1])
     for k in range(len(g)):
         moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
