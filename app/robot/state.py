@@ -587,7 +587,7 @@ class RobotState:
         self.pin = made
 
     def update(self, measurement: Measurement) -> None:
-        """Recompute all arrays from a measurement: Algorithm 2, line 2 (UpdateKinematics)."""
+        """Recompute all arrays from a measurement, outside of a control step."""
         q, v = self._take(measurement)
         compute_dynamics(self.pin, self.data, q, v)
         M, h, g = reduced_dynamics(*self._dynamics, self._B)
