@@ -9,6 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic_core import to_jsonable_python
+
 from app.cli.options import Given, Setup, configured
 from app.errors import ConfigError, check_name, printable
 from app.jobs.progress import progress_bar
@@ -52,8 +54,12 @@ def show(text: str) -> None:
 
 
 def print_json(result: object) -> None:
-    """Print one JSON object on standard output; it can have numbers and arrays of numpy."""
-    print(json.dumps(result, indent=2, allow_nan=False, default=lambda x: x.tolist()))
+    """Print one JSON object on standard output; it can have numbers and arrays of numpy.
+
+    A number that is not finite is null.
+    """
+    plain = to_jsonable_python(result, inf_nan_mode="null", fallback=lambda x: x.tolist())
+    print(json.dumps(plain, indent=2, allow_nan=False))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
