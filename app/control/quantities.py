@@ -101,13 +101,16 @@ clock | | | s | | readings | memory: `Measurement.now` of the last step; NaN wit
 clock_ahead | | | 1 | | readings |
     memory: control periods by which the clock is ahead of the number of steps; the mean is removed
 clock_rest | | | 1 | | readings | memory: number of steps since the clock has changed
+clock_owed | | | 1 | | readings |
+    memory: missed control periods whose steps can still follow at short intervals
 clock_span | | 3 2 | s, 1 | | readings |
     memory: duration and number of the clock's intervals since the last measurement by the clock,
     then of those without a stall, and of those that last one period
 clock_ratio | | | 1 | | readings |
     memory: ratio of the control period by the clock to `dt`; 0 before a measurement
 elapsed | | | s | | readings |
-    time since the last step: a control period, or several after a stall of up to 0.1 s
+    memory: time since the last step: a control period; several after a stall of up to 0.1 s; 0 for
+    a step that catches up
 stamp | | | s | | readings | memory: time stamp of the newest reading; NaN without one
 hidden_lag | | | 1 | | readings |
     memory: the part of `lag` that time stamps do not show, in control periods
