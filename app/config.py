@@ -255,8 +255,9 @@ class TaskConfig(Strict):
     """[-] ratio of the base's time constants to the arm's, because the base's velocity command has
     a low rate."""
     base_weight: float = number(1000.0, 1.0, 1e6)
-    """[-] cost of the base's acceleration relative to the cost of the arm's acceleration, in the
-    posture task."""
+    """[-] cost of the base's acceleration q̈_b (of the wheels, for a differential base) relative to
+    that of a joint, in the posture task and, while a person guides the arm, in the task that
+    brings the base to rest."""
     ee_weight: float = number(1e5, 1.0, 1e7, "End-effector weight", advanced=True)
     """[-] weight of the end-effector's task relative to the posture task."""
     slack_weight: float = number(1e-3, 1e-4, 0.1, "Softness ε", advanced=True)

@@ -243,4 +243,6 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main, prog="python -m benchmarks.robots")
+    from benchmarks.robots import main as run  # worker processes find functions by their modules
+
+    tyro.cli(run, prog="python -m benchmarks.robots")

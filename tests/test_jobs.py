@@ -319,6 +319,24 @@ def test_error_of_the_context_is_raised_when_a_result_is_read(processes: int) ->
         list(workers.map(add, [1, 2]))
 
 
+class Unreadable:
+    """A job that another process cannot read, like a function of a program's main module."""
+
+    def __reduce__(self) -> tuple[object, tuple[()]]:
+        return refuse, ()
+
+
+def refuse() -> None:
+    raise AttributeError("no such function here")
+
+
+def test_error_of_a_job_that_a_process_cannot_read_is_raised() -> None:
+    with Workers(int, processes=2) as workers:
+        with pytest.raises(AttributeError, match="no such function here"):
+            list(workers.map(add, [Unreadable()]))
+        assert [*workers.map(add, [1, 2])] == [1, 2]
+
+
 def test_result_that_cannot_be_pickled_is_named() -> None:
     with Workers(int, processes=2) as workers:
         with pytest.raises(LoopError, match=r"cannot be sent: .*lambda"):

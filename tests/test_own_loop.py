@@ -640,6 +640,39 @@ def test_loop_that_catches_up_after_a_stall_keeps_its_period(
     assert loop.controller.dt == 0.001
 
 
+@pytest.mark.parametrize("short", [0.00015, 0.0004])
+def test_loop_that_catches_up_commands_the_base_at_10_hz(
+    robot: RobotModel, border_data: BorderData, short: float
+) -> None:
+    """Each missed period counted twice: at the stall, and at the step that follows at once."""
+    loop, m, times, reports, now = ControlLoop(robot, border_data), ready(robot), [], [], 0.0
+    for k in range(1, 1500):
+        now = max(0.001 * k + 0.03 * (k % 130 == 70), now + short)
+        command = loop.step(m._replace(now=now, time=now))
+        times += [now] if command.step.command_due else []
+        reports += [now] if "stall" in command.faults else []
+    assert np.diff(times).min() > 0.095
+    assert np.mean(np.diff(times)) == pytest.approx(0.1, rel=0.05)
+    assert len(reports) == 11, "each stall is reported"
+    assert loop.reported == {"stall"}
+
+
+def test_jitter_of_the_loop_does_not_speed_up_the_interpolation(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    """A planner's samples at 10 Hz: the interpolation ended 20 ms before the next sample."""
+    m, state = ready(robot), RobotState(robot)
+    state.update_kinematics(m)
+    samples, speeds = sampled(10.0, 0.0), []
+    for jitter in (0.0, 0.0004):
+        loop, rng = ControlLoop(robot, border_data), np.random.default_rng(0)
+        for k in range(1000):
+            now = 0.001 * k + rng.uniform(-jitter, jitter)
+            command = loop.step(m._replace(now=now, time=now), samples(now, state.T_world_ee))
+        speeds.append(float(command.step.v_ref[1]))
+    assert speeds[1] == pytest.approx(speeds[0], rel=0.05)
+
+
 def test_reference_at_the_true_time_is_no_sample_of_a_planner_after_a_stall(run) -> None:
     """The end-effector was 85 mm behind the reference."""
     rest = {"start": SIDE, "pull": np.zeros(3), "time": 1.0, "reference": wobbling}
@@ -719,6 +752,18 @@ def test_time_stamp_of_the_odometry_compensates_its_age(run, delay: int, every: 
     found = run(odometry(delay, every), **options)
     assert found.faults == {}
     assert np.linalg.norm(found.ee - exact.ee, axis=1).max() < 0.003
+
+
+def test_rare_readings_of_the_joints_are_known_with_a_time_stamp_of_the_base_only(run) -> None:
+    """The advanced pose of the base differs in each step; a joint reached 12 times its limit."""
+    repeat = every_nth(20)
+
+    def degrade(k: int, m: Measurement) -> Measurement:
+        return repeat(k, m._replace(base_time=0.001 * k))._replace(now=0.001 * k)
+
+    found = run(degrade, start=SIDE, pull=np.array([-3.0, -25.0, 0.0]))
+    assert set(found.faults) == {"repeated"}
+    assert found.share < 1.05
 
 
 @pytest.mark.parametrize("age", [0.3, -0.1])
@@ -1319,7 +1364,7 @@ def test_only_a_sudden_weight_is_a_load(case: str, monkeypatch: pytest.MonkeyPat
     w.load, w.loaded, w.torques_age = np.zeros(()), np.zeros(()), np.zeros(())
     w.samples, w.torques, w.P_est = np.array(100.0), np.zeros((8, 7)), np.zeros((7, 3, 3))
     w.lifts, w.blind_time, w.known = np.zeros((8, 7)), np.array(0.001), np.array(100.0)
-    w.elapsed, w.unstated = np.array(0.001), np.zeros(())
+    w.unstated = np.zeros(())
     gains = SimpleNamespace(dt=0.001, payload_mass=max(-mass, 0.0))
     w.corrected = w.lag = w.stated_lag = np.zeros(())
     judge = estimate._judge_load
@@ -1329,7 +1374,7 @@ def test_only_a_sudden_weight_is_a_load(case: str, monkeypatch: pytest.MonkeyPat
     for k in range(400):
         w.x_est[2] = J.T @ force(0.001 * k)
         w.v_ee[:3] += 0.001 * sinks * (k > 50)
-        take(gains, w, False)
+        take(gains, w, 0.001, False)
         reported.append(float(w.unstated))
     first = next((each for each in reported if each != 0.0), 0.0)
     assert first == pytest.approx(mass, rel=0.06)

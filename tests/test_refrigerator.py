@@ -22,6 +22,7 @@ from app.simulation.plants import make_physics
 from app.simulation.plants.collision_shapes import collision_shapes
 from app.simulation.plants.door import BODY, Door, OpenDoor, with_door
 from app.simulation.plants.interface import Contacts
+from app.simulation.plants.mujoco_wheels import MujocoWheels
 from app.simulation.plants.mujoco_world import MujocoDoor
 from app.simulation.scenarios.leading import Setting
 from app.simulation.scenarios.refrigerator import _RANGES, RefrigeratorScenario
@@ -260,6 +261,12 @@ def test_reset_restores_the_initial_door_angle(make, kind: str, hinge: str):
         assert plant.door.angle() == pytest.approx(angle, abs=1e-9)
         np.testing.assert_array_equal(plant.door.wrench().force, np.zeros(3))
         np.testing.assert_array_equal(plant.door.wrench().torque, np.zeros(3))
+
+
+def test_wheels_turn_the_base_as_without_the_door(make):
+    """The effective half track is measured in a turn on the spot, which the door would brake."""
+    alone = MujocoWheels(husky_panda())
+    assert make("mujoco-contact", a_door(), 0.0).half_track == pytest.approx(alone.half_track, 1e-3)
 
 
 @pytest.mark.parametrize("hinge_position", [(1.0, 0.1), (0.1, 0.2)])

@@ -109,7 +109,7 @@ def avoidance_force(
         p_b: (3,) [m] closest point on the arm.
         p_act: (3,) [m] acting point, at the same height.
         d: [m] signed distance of the pair.
-        n: (3,) unit normal of the pair from the base to the arm.
+        n: (3,) normal of the pair from the base to the arm, of length 1 or less.
         f_max: [N] upper bound of the force.
         d_b: [m] buffer distance.
 

@@ -36,8 +36,8 @@ class DistanceMonitor:
     def find_closest_points(self) -> list[ClosestPoints]:
         """The closest points of every pair, from the collision library.
 
-        Paper: Algorithm 2, lines 4 and 9. The direction is the library's signed normal, not p_b −
-        p_a, whose sign changes in penetration: repulsion would become attraction.
+        A control step uses `mean_nearest` instead. The direction is the library's signed normal,
+        not p_b − p_a, whose sign changes in penetration: repulsion would become attraction.
         """
         self._distances.update_from(self._state.data)
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]

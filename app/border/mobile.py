@@ -89,7 +89,7 @@ class MobileBody:
 
 
 def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array, Array]:
-    """The corners (3,) [m] of a box along the axes around a shape with a placement."""
+    """The lowest and the highest corner (3,) [m] of the axis-aligned box around a placed shape."""
     geometry.computeLocalAABB()
     centre = placement.act(geometry.aabb_center)
     box = geometry.aabb_local

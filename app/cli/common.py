@@ -9,6 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic_core import to_jsonable_python
+
 from app.cli.options import Given, Setup, configured
 from app.errors import ConfigError, check_name, printable
 from app.jobs.progress import progress_bar
@@ -52,8 +54,12 @@ def show(text: str) -> None:
 
 
 def print_json(result: object) -> None:
-    """Print one JSON object on standard output; it can have numbers and arrays of numpy."""
-    print(json.dumps(result, indent=2, allow_nan=False, default=lambda x: x.tolist()))
+    """Print one JSON object on standard output; it can have numbers and arrays of numpy.
+
+    A number that is not finite is null.
+    """
+    plain = to_jsonable_python(result, inf_nan_mode="null", fallback=lambda x: x.tolist())
+    print(json.dumps(plain, indent=2, allow_nan=False))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
@@ -84,7 +90,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 
 
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
-    """The run of a scenario, by its name, or of a case, by its file."""
+    """The run that `word` names: a scenario by its name, or a case by its file."""
     if is_case(word):
         return spec_of_case(home_expanded(word), setup, word, config=config)
     return spec_of_scenario(word, setup, config)
@@ -154,7 +160,7 @@ def check_no_others(options: Mapping[str, object], case: str = "--case") -> None
     """Check that the user has set none of the options that a case already sets.
 
     None means that an option is not set. `border` and `buffer_distance` are ignored, because they
-    override the case. `case` is its origin for the message: the option `--case`, or the file.
+    override the case. `case` names the case in the message: the option `--case`, or the file.
 
     Raises:
         ConfigError: An option is set; the message names the first such option.

@@ -24,8 +24,8 @@ Base and arm are computed one after the other, because the base follows its comm
    without a QP; only the method `barrier` then solves a QP too.
 2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
    a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
-3. `undragged`: an acceleration near a_des, in the metric of the base's inertia, that drags the
-   end-effector along as little as possible where the arm cannot compensate.
+3. `undragged`, if β_m > 0: an acceleration near a_des, in the metric of the base's inertia, that
+   drags the end-effector along as little as possible where the arm cannot compensate.
 4. `set_up_room`, only while tracking: the smallest change of this acceleration with which the arm
    fulfils T_2 within its limits: joints and torques, and for the method `dbb` the distances of L_m
    and the buffers of the arm's links.
@@ -179,8 +179,8 @@ def algorithm_2(
     """Self-collision avoidance: one control step.
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
-    `put_commands` writes the fallback command. After ProxQP has solved a QP of the step, the step
-    is repeated: before `put_commands`, a second pass writes the same values.
+    `put_commands` writes the fallback command. If Python has to solve a QP (ProxQP, or the cascade
+    of `app.control.hqp`), the whole step is then repeated. A repetition writes the same values.
 
     Paper: Algorithm 2.
 
@@ -200,7 +200,7 @@ def algorithm_2(
     """
     # fmt: off
     update_kinematics(robot, gains, w)               # line 2, closest points of lines 4 and 9
-    activate_pairs(gains, w)                         # Fig. 10
+    activate_pairs(gains, w)                         # Figure 10
     push_base(robot, gains, border, w)               # lines 3 to 6, Algorithm 3, (12)-(18), (28)
     stack_avoidance_task(robot, gains, w)            # lines 8 to 13, (20)-(25), (27)
     stack_tasks(robot, gains, w, tracking)           # line 14, (26)
@@ -222,7 +222,7 @@ def algorithm_2(
 
 @compiled()
 def activate_pairs(gains: Any, w: Any) -> None:
-    """The activation of each pair, a function of its distance alone, not of time (Fig. 10).
+    """The activation of each pair, a function of its distance alone, not of time (Figure 10).
 
     If the configured d_b changes, `w.d_b` approaches it at the rate `BUFFER_RATE`, but the border
     belongs to the new d_b at once.

@@ -343,7 +343,7 @@ class Command(NamedTuple):
 
 
 class ControlLoop:
-    """The controller with the model of the base's drive and the admittance law."""
+    """The controller with the model of the base's drive."""
 
     def __init__(
         self,

@@ -381,7 +381,7 @@ def _mass(torque: Array, lift: Array) -> float:
 
 
 @compiled()
-def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
+def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
     """Estimate the mass of a load at the end-effector, and detect a load that begins or ceases.
 
     A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
@@ -391,7 +391,9 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
     `_LEAST_LOAD`, or if the torques of the newest intervals contain less than half of it.
     `w.unstated` is `w.loaded` while the newest two intervals contain at least half of it; otherwise
     it is 0. It is also 0 if the mass at the end-effector would then be negative, because a person
-    pushes upwards. `jumped` states whether the arm cannot have moved to the newest reading.
+    pushes upwards. `elapsed` [s] is the time between the last two steps, whose difference of
+    `w.v_ee` is the acceleration; `jumped` states whether the arm cannot have moved to the newest
+    reading.
     """
     n_b, dt = len(w.g) - len(w.q_m), gains.dt
     if w.samples[()] < _SETTLED:
@@ -401,7 +403,9 @@ def estimate_load(gains: Any, w: Any, jumped: bool) -> None:
     restarted = jumped or w.known[()] == 0.0 or (begins and (late or corrected))
     M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
     for k in range(3):
-        a = 0.0 if begins or restarted else (w.v_ee[k] - w.v_tip[k]) / w.elapsed[()]
+        a = 0.0
+        if elapsed > 0.0 and not (begins or restarted):
+            a = (w.v_ee[k] - w.v_tip[k]) / elapsed
         if k == 2:
             a += _GRAVITY
         for i in range(len(lift)):

@@ -240,7 +240,7 @@ def _norm(vector: Array) -> float:
 
 
 def split(f: Array, n: Array) -> tuple[Array, Array]:
-    """A horizontal force f (3,) [N] along -n and across it: two horizontal forces with the sum f.
+    """The parts of a horizontal force f (3,) [N] along and across the horizontal part of n.
 
     If the unit normal n (3,) from the base to the arm is vertical, all of f is across.
     """

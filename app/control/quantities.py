@@ -101,13 +101,16 @@ clock | | | s | | readings | memory: `Measurement.now` of the last step; NaN wit
 clock_ahead | | | 1 | | readings |
     memory: control periods by which the clock is ahead of the number of steps; the mean is removed
 clock_rest | | | 1 | | readings | memory: number of steps since the clock has changed
+clock_owed | | | 1 | | readings |
+    memory: missed control periods whose steps can still follow at short intervals
 clock_span | | 3 2 | s, 1 | | readings |
     memory: duration and number of the clock's intervals since the last measurement by the clock,
     then of those without a stall, and of those that last one period
 clock_ratio | | | 1 | | readings |
     memory: ratio of the control period by the clock to `dt`; 0 before a measurement
 elapsed | | | s | | readings |
-    time since the last step: a control period, or several after a stall of up to 0.1 s
+    memory: time since the last step: a control period; several after a stall of up to 0.1 s; 0 for
+    a step that catches up
 stamp | | | s | | readings | memory: time stamp of the newest reading; NaN without one
 hidden_lag | | | 1 | | readings |
     memory: the part of `lag` that time stamps do not show, in control periods
@@ -184,7 +187,7 @@ samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
 # Link pairs, acting points, the base's acceleration
 d_b | d_b | | m | | §2.2 | memory: present buffer distance; it approaches a new d_b slowly
-d | d | n_r | m | | line 4 | signed distances
+d | d | n_r | m | | line 4 | signed distances, negative in penetration
 p_a | p_a | n_r 3 | m | world | line 4 | closest points on l_a
 p_b | p_b | n_r 3 | m | world | line 4 | closest points on l_b
 normal | n | n_r 3 | 1 | world | (21) | normals from l_a to l_b, also in penetration
@@ -192,7 +195,7 @@ core | | n_r 3 | m | world | (21) | points of the core of l_b that belong to p_b
 J | J_r | n_r n | m/rad, 1 | reduced | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
-beta | β | n_p | 1 | | Fig. 10 | activation of each pair
+beta | β | n_p | 1 | | Figure 10 | activation of each pair
 beta_m | β_m | | 1 | | (28) |
     largest activation of the pairs of arm and base; `B` has the activation that the base's rows use
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
@@ -251,8 +254,9 @@ softness | ε² | n_l | 1 | | limits.py | softness of each limit; a limit with 0
 n_limits | | | 1 | | limits.py | rows of C in the arm's QP
 a_base_free | | n_b | m/s², rad/s² | axes | (29) | base acceleration without the base's rows
 a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: the blend of (29)
-a_base_cmd |  | n_b | m/s², rad/s² | axes | command_base, put_commands |
-    commanded base acceleration, input of the admittance law
+a_base_cmd | a | n_b | m/s², rad/s² | axes | §4.1 |
+    commanded base acceleration, input of the admittance law: a_base_des after `undragged` and
+    `set_up_room`, not an equation of the paper (`command_base`, `put_commands`)
 a_base_meas | | n_b | m/s², rad/s² | axes | assume_base |
     base acceleration in the arm's QP: of the drive's model, of the caller, or the commanded one
 qdd | q̈ | n | rad/s², m/s² | reduced | (29) |

@@ -178,27 +178,27 @@ def _is_repeated(
     w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float, dt: float
 ) -> bool:
     """Whether the readings have the last time stamp [s]; without a stamp, whether they equal the
-    last readings although the robot moves.
+    last readings although the robot moves. With `base_time`, only the joints count.
     """
     if not math.isnan(stamp):
         return stamp == w.stamp[()]
-    if not (
-        _same(q, w.reading[0])
-        and _same(qd, w.reading[1])
-        and _same(base_pose, w.pose_read)
-        and _same(base_velocity, w.v_read)
-    ):
+    if not (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
         return False
-    if not _moves(base_velocity, qd, w.no_velocity[()] != 0.0):
+    v = base_velocity
+    if w.base_late[()] != 0.0:  # `later_base` has advanced the base's readings
+        v = base_velocity[:0]
+    elif not (_same(base_pose, w.pose_read) and _same(base_velocity, w.v_read)):
+        return False
+    if not _moves(v, qd, w.no_velocity[()] != 0.0):
         return False
     if w.age[()] > 0.0:
         return True
     fastest = 0.0
-    for v in w.x_est[1]:
-        fastest = max(fastest, abs(v) * dt)
-    for v in base_velocity:
-        if abs(v) * dt > fastest:  # not NaN
-            fastest = abs(v) * dt
+    for speed in w.x_est[1]:
+        fastest = max(fastest, abs(speed) * dt)
+    for speed in v:
+        if abs(speed) * dt > fastest:  # not NaN
+            fastest = abs(speed) * dt
     return fastest > _STILL
 
 
@@ -604,10 +604,15 @@ def _watch_clock(w: Any, now: float, dt: float) -> float:
     late = missed > 0.0 and (w.clock_ratio[()] == 1.0 or missed == math.inf)
     w.faults[STALL] = 1.0 if late else 0.0
     if not (interval >= 0.0 and missed < math.inf):  # NaN too
+        w.clock_owed[()] = 0.0
         for row in w.clock_span:
             fill(row, 0.0)
         if math.isnan(now):
             w.clock_ratio[()] = 0.0
+        return missed
+    owed = w.clock_owed[()] if interval < 0.5 * dt else 0.0
+    w.clock_owed[()] = max(owed + missed, 0.0)
+    if owed > 0.0:  # the loop catches up
         return missed
     near = abs(interval - dt) < (_RIGHT_BY_CLOCK - 1.0) * dt
     counted = True, usual, near
@@ -624,9 +629,9 @@ def _measure_period(w: Any, dt: float) -> None:
     """Measure the control period, stated as dt [s], by the intervals of the clock.
 
     It is right if it is the mean of all intervals, the mean of the usual ones, or the length of
-    most of them: a loop can catch up after a stall. Two successive measurements that differ from
-    it, and agree, set the fault `period`; then `w.clock_ratio` is the ratio of the true period to
-    dt.
+    most of them. Steps that catch up after a stall do not count. Two successive measurements that
+    differ from it, and agree, set the fault `period`; then `w.clock_ratio` is the ratio of the true
+    period to dt.
     """
     time, number = w.clock_span[0]
     usual_time, usual = w.clock_span[1]
@@ -660,13 +665,14 @@ def _is_too_old(w: Any, age: float, dt: float) -> bool:
 
 @compiled()
 def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
-    """Set `w.lag` by the age [s] of a new reading, and by the delay that time stamps do not show.
+    """Set `w.lag` to the age [s] of a new reading plus the delay that time stamps do not show.
 
-    The lag remains if the age is within 0.9 control periods of it: else the jitter of the clock
-    would change the number of periods between two readings.
+    The lag is a number of control periods. It remains if this sum is within 0.9 periods of it:
+    else the jitter of the clock would change the number of periods between two readings. A change
+    of the lag is subtracted from `w.age`, except at the first reading.
 
     Returns:
-        Whether the reading is older than the last one; then `w.age` is negative.
+        Whether the reading is older than the last one: then `w.age` is negative.
     """
     lag, periods = w.lag[()], age / dt + w.hidden_lag[()]
     if first or abs(periods - lag) > _JITTER:
@@ -1001,7 +1007,7 @@ def take_readings(
     first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
     missed = _watch_clock(w, now, gains.dt)
-    w.elapsed[()] = (1.0 + missed if 0.0 < missed < HISTORY else 1.0) * gains.dt
+    before, w.elapsed[()] = w.elapsed[()], (1.0 + missed if missed < HISTORY else 1.0) * gains.dt
     w.age[()] += 0.0 if first else min(missed, 1.0 * HISTORY)
     age, stamped = now - time, math.isfinite(time)
     if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, time, gains.dt):
@@ -1031,7 +1037,7 @@ def take_readings(
         _store_reading(w, base_pose, base_velocity, q, qd, time)
     if w.lag[()] > w.stated_lag[()]:
         w.faults[LAG] = 1.0
-    estimate_load(gains, w, w.faults[JUMP] != 0.0)
+    estimate_load(gains, w, before, w.faults[JUMP] != 0.0)
     w.faults[LOAD] = 1.0 if w.unstated[()] != 0.0 else 0.0
     _use_estimate(gains, w)
     put(w.base_pose, w.pose_last)

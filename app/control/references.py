@@ -37,6 +37,7 @@ from app.strict import Array
 FASTEST, HARDEST = 20.0, 1000.0
 """[m/s, rad/s; m/s², rad/s²] largest components of a reference; no arm reaches them."""
 _LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
+_LEAST_INTERVAL = 0.1  # [periods] shortest interval of steps, in a loop that catches up
 _RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
 _OVERDUE = 1.75  # [-] mean intervals after which no further sample is expected
@@ -277,9 +278,9 @@ def take_reference(
     if not _is_motion(R, p, v, a):
         return False
     way, is_sample, interval, dt = np.zeros(6), False, now - w.clock[()], gains.dt
+    time = max(interval - w.clock_rest[()] * dt, _LEAST_INTERVAL * dt)
     if not 0.0 < interval < MAX_AGE:  # NaN too
-        interval = dt
-    time = max(interval - w.clock_rest[()] * dt, dt)  # short intervals follow a stall
+        time = interval = dt
     follows = interpolate and not math.isnan(w.x_sent[3, 0])
     rests = follows and not _differs(w, R, p, v, a)
     if follows and not rests:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
@@ -196,5 +197,10 @@ def _work(receiver: Connection, sender: Connection, make_context: Callable[[], A
     made = Outcome.of(make_context)
     with suppress(EOFError):
         while True:
-            work, job = receiver.recv()
-            Outcome.of(lambda: work(made.value(), job, sender.send)).send(sender)  # noqa: B023
+            message = receiver.recv_bytes()  # an error in its content is an error of the job
+            Outcome.of(lambda: _do(message, made.value(), sender.send)).send(sender)  # noqa: B023
+
+
+def _do(message: bytes, context: Any, tell: OnProgress) -> Any:
+    work, job = pickle.loads(message)
+    return work(context, job, tell)

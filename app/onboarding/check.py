@@ -85,8 +85,9 @@ def check_robot(
     """All checks of a description; a row is available as soon as its check ends.
 
     A check that ends with an error fails, and its row has the message. Without a model or a border,
-    the checks that need it are left out. The checks use the parameters of the description. If no
-    requested run tests the base, a failed row `guiding` follows.
+    the checks that need it are left out. The checks use the parameters of the description. A
+    failed row `guiding` follows if `runs` is true, the robot has pairs of arm and base, and no run
+    tests the base.
 
     Args:
         description: The description.

@@ -62,7 +62,8 @@ class Request:
     ready: tuple[float, ...] | None = None
     """(n_m,) [rad or m] the ready posture; default: the best of random postures."""
     bodies: int | None = None
-    """Number of bodies of the arm; default: four, or two to six if four are not sufficient."""
+    """Number of bodies of the arm; default: four or, if four bodies do not pass the checks, the
+    best number from two to six."""
     assume_inertia: bool = False
     """Compute masses from volumes if no link of the arm has a mass in the URDF."""
     title: str | None = None

@@ -145,8 +145,9 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     """A tree with one joint for each telescope between two links; a sentence on each telescope.
 
     A telescope has one independent prismatic joint and others that follow it (`<mimic>`). In the
-    new tree, this joint alone moves the last part, by the sum of all positions. The parts before
-    become children of the last one, on prismatic joints whose limits include all their positions.
+    new tree, this joint alone moves the last part, by the sum of all positions. Each other
+    part becomes a child of the last part, on an independent prismatic joint, whose limits include
+    all positions of the part relative to the last part.
     """
     if not {base, tip} <= tree.links.keys():
         return tree, []  # `find_arm` reports this

@@ -241,7 +241,10 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled()
 def _gravity_terms(J: Array, Y: Array) -> Array:
-    """The gravity terms (3 + n_m,), by the heights of the centres of mass in `Y_pin`."""
+    """The gravity terms (3 + n_m,): weight times vertical velocity of the centre of mass.
+
+    Both are those of the bodies that a velocity moves, at a unit of this velocity. Y is `Y_pin`.
+    """
     g = np.empty(J.shape[1])
     for k in range(len(g)):
         moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
@@ -584,7 +587,7 @@ class RobotState:
         self.pin = made
 
     def update(self, measurement: Measurement) -> None:
-        """Recompute all arrays from a measurement: Algorithm 2, line 2 (UpdateKinematics)."""
+        """Recompute all arrays from a measurement, outside of a control step."""
         q, v = self._take(measurement)
         compute_dynamics(self.pin, self.data, q, v)
         M, h, g = reduced_dynamics(*self._dynamics, self._B)

@@ -310,7 +310,7 @@ def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
-    """Return the robot, and the ghosts whose base is within `_FAR`."""
+    """Return the robot, and the ghosts whose base is within `_FAR` of the robot's base."""
     away = [np.linalg.norm((ghost.base_pose - snapshot.base_pose)[:2]) for ghost in snapshot.ghosts]
     return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 

@@ -121,8 +121,8 @@ class ArmFitter:
         """The bodies l_1 … l_EE for groups of units, from the base outwards.
 
         A body encloses the points of its links that units of bodies other than its neighbours can
-        reach. Without such points, or if they sweep a tiny volume, it encloses its links
-        completely.
+        reach. Without such points, or if the volume that they sweep as the body's joints move is
+        tiny, it encloses its links completely.
 
         Raises:
             RobotFileError: The links of a group have no shapes.

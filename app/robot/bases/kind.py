@@ -270,7 +270,7 @@ class BaseKind(Sourced, ABC):
     def turned(
         self, angles: list[float], qd_b: list[float], drive: Array, dt: float
     ) -> list[float]:
-        """(n_w,) [rad] the angles of `wheels` after a step of dt [s] with q̇_b (n_b,)."""
+        """(n_w,) [rad] `angles` of `wheels` after a step of dt [s] with q̇_b and `drive` states."""
         del qd_b, drive, dt
         return angles
 

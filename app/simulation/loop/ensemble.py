@@ -30,7 +30,7 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start at the free start, with the joint positions `q_start` (n_m,) [rad or m] of the arm.
+        """Start the free motion, with the arm at the joint positions `q_start` (n_m,) [rad or m].
 
         The parameters, plant and seed of the session `free` also apply to all scenarios.
         """

@@ -101,29 +101,36 @@ class MujocoWheels(Physics):
         self._drive = Drive(description.base, dt)
         self._calibrate(differential(description).half_track_m)
         ready = np.zeros(3), np.array(description.arm.ready_position)
-        self.reset(*ready)
         if wheels.spans:
+            self._stand(*ready)
             self._calibrate(self._turned_half_track())
-            self.reset(*ready)
+        self.reset(*ready)
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """Put the robot at rest; the base stands on its wheels, tilted by the arm's weight."""
-        world = self.world
-        world.rewind()
+        self._stand(base_pose, q_m)
         self._drive.reset()
         if self.door is not None:
-            self.door.put_away(world)
+            self.door.take_hold(self.world)
+
+    def _stand(self, base_pose: Array, q_m: Array) -> None:
+        """Put the robot at rest, as `reset`, but without a door."""
+        world = self.world
+        self._rewind()
         world.q[world.arm_q] = q_m
         self._frozen(math.ceil(_SETTLING_TIME / self.dt), [0.0] * len(self._rolling))
         x, y, phi = np.asarray(base_pose).tolist()
         settled, z = self._turn(), world.q[2]
         level = pin.rpy.rpyToMatrix(0.0, 0.0, phi - _heading(settled)) @ settled
-        world.rewind()
+        self._rewind()
         world.q[:7] = x, y, z, *pin.Quaternion(level).coeffs()[[3, 0, 1, 2]]
         world.q[world.arm_q] = q_m
         self._phi = phi
+
+    def _rewind(self) -> None:
+        self.world.rewind()
         if self.door is not None:
-            self.door.take_hold(world)
+            self.door.put_away(self.world)
 
     def measure(self) -> Measurement:
         """The robot's state; the base's pose is that of the root link, projected on the floor."""

@@ -218,7 +218,7 @@ def _buffer() -> Quantity:
 
 
 def _door() -> Quantity:
-    """The quantity of the door's geometry, as JSON or empty, and of the door's state."""
+    """The quantity of the door: its geometry as JSON (empty without a door), and its state."""
     names = [f"door_force_{axis}_n" for axis in "xyz"]
     names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (

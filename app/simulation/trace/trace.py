@@ -1,4 +1,4 @@
-"""The trace of a run: a table of all quantities over time, and snapshots."""
+"""The trace of a run: a table of the quantities of each control step, and snapshots of all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures 11 to 18 (§4.2, §4.3): approaches of the end-effector to the base, a refrigerator."""
+"""Figures 11 to 18 (§4.2, §4.3): the end-effector approaches the base, or opens a refrigerator."""
 
 from contextlib import closing
 from functools import partial
