@@ -239,6 +239,7 @@ def _end_with_parent(leads_group: bool) -> None:
     """End this process, or the group that it leads, when the parent closes its standard input."""
     os.read(0, 1)
     if leads_group:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # only the main thread reacts
         end_group(0, at_once=False)  # includes this process, which then removes temporary files
         time.sleep(_PATIENCE)
         end_group(0, at_once=True)
