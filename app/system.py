@@ -107,9 +107,9 @@ ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 @contextmanager
-def blocked(number: signal.Signals) -> Iterator[None]:
-    """Block a signal in this thread during the `with`; processes started in it keep the block."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
+def interrupt_blocked() -> Iterator[None]:
+    """Block Ctrl-C in this thread during the `with`; processes started in it keep the block."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:

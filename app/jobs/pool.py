@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ from app.system import usable_cores
 
 Result = TypeVar("Result")
 _TRIES = 3  # [-] largest number of attempts at a job that ends its process
+_LOOK_EVERY = 0.1  # [s] longest wait for a message: a signal that another thread received ends none
 _log = logging.getLogger(__name__)
 
 
@@ -180,7 +181,8 @@ class _Shares:
     def wait_for(self, number: int) -> None:
         """Process the messages until the job with this number is done."""
         while self._of[number] < 1.0:
-            self.take(*self._sent.get())
+            with suppress(Empty):
+                self.take(*self._sent.get(timeout=_LOOK_EVERY))
 
     def take(self, number: int, share: float) -> None:
         """Store the share of a job, which never decreases, and report the mean of all jobs."""

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
 from app.jobs.guard import guarded, wake_without_parent
-from app.system import blocked, end_group, end_when_closed, lead_group, lower_priority
+from app.system import end_group, end_when_closed, interrupt_blocked, lead_group, lower_priority
 
 Report = Callable[[str, float], None]
 """A function that takes the present activity and the share of the work that is done, 0 to 1, or a
@@ -70,7 +70,7 @@ class Child(AbstractContextManager["Child"]):
         given = theirs_in.fileno(), theirs_out.fileno()
         path = [folder for folder in sys.path if folder]  # an empty one is the working directory
         code = _BEGIN.format(path, *given, leads_group)
-        with theirs_in, theirs_out, alive, blocked(signal.SIGINT):
+        with theirs_in, theirs_out, alive, interrupt_blocked():
             self._process = subprocess.Popen(
                 [sys.executable, "-c", code, f"dbb {getattr(work, '__name__', '')}"],
                 stdin=alive.fileno(),
@@ -239,8 +239,7 @@ def _end_with_parent(leads_group: bool) -> None:
     """End this process, or the group that it leads, when the parent closes its standard input."""
     os.read(0, 1)
     if leads_group:
-        with blocked(signal.SIGTERM):  # the main thread reacts and removes temporary files
-            end_group(0, at_once=False)
-            time.sleep(_PATIENCE)
+        end_group(0, at_once=False)  # includes this process, which then removes temporary files
+        time.sleep(_PATIENCE)
         end_group(0, at_once=True)
     os._exit(1)
