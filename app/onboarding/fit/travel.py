@@ -18,7 +18,7 @@ _MOST = 144  # [-] largest number of steps
 def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, LinkGeometry]:
     """The links' geometry in nearly convex pieces, extended by the motion of some links.
 
-    These links are those beyond the chain's last link (fingers), the other parts of telescopes, and
+    These links are those beyond the arm's last link (fingers), the other parts of telescopes, and
     those on joints that mimic a joint of the arm. Their pieces cover the motions of `with_travel`.
     `chain` has the joints of the arm.
     """
