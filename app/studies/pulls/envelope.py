@@ -117,7 +117,7 @@ def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
 
 
 def rate_bound(failures: int, cases: int) -> float:
-    """[-] upper 95 % bound of a failure rate (Clopper and Pearson); 1 without cases."""
+    """[-] upper 95 % bound of a failure rate (Clopper and Pearson); 1 if no case succeeded."""
     from scipy.stats import beta
 
     if failures >= cases:
