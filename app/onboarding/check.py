@@ -84,10 +84,10 @@ def check_robot(
 ) -> Iterator[Row]:
     """All checks of a description; a row is available as soon as its check ends.
 
-    A check that ends with an error fails, and its row has the message. Without a model or a border,
-    the checks that need it are left out. The checks use the parameters of the description. If
-    `runs` is true and the robot has pairs of arm and base, but each guiding run ends with an error,
-    cannot start or has "nothing to show", the last row is the failed row `guiding`.
+    A check that ends with an error fails, and its row has the message. If the model or the border
+    fails, the checks that need it are left out. The checks use the parameters of the description.
+    The last row is a failed row `guiding` if `runs` is true and the robot has pairs of arm and
+    base, but each guiding run ends with an error, cannot start or has "nothing to show".
 
     Args:
         description: The description.
@@ -146,7 +146,7 @@ def _done(name: str, check: Callable[..., Row], *arguments: object) -> Row:
 
 
 def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
-    """Compare M and C q̇ + g of pinocchio and of a physics engine; warn if it is not installed."""
+    """Compare M and C q̇ + g of pinocchio and of an engine; warn if the engine is not installed."""
     if not find_spec(name):
         return Row(name, "warned", f"{name} is not installed; try: pip install {name}", {})
     from app.simulation.plants.planar import planar_plant

@@ -57,7 +57,7 @@ class Limits(NamedTuple):
 
     @property
     def numbers(self) -> Sourced:
-        """The limits in the form of a description."""
+        """The four limits with their sources, by the field of the description."""
         return {
             name: (values, why)
             for (name, why), values in zip(self.source.items(), self[:4], strict=True)
@@ -318,7 +318,7 @@ class Reach(NamedTuple):
     fit: ReachFit | None  # the fit of the counted map, or None
 
     def content(self) -> dict[str, Any]:
-        """The coefficients in the form of a description."""
+        """The coefficients with their source, in the form of a description."""
         values = {"A_per_m2": round(self.A, 1), "B_m": round(self.B, 4), "C": round(self.C, 1)}
         return with_source({}, {name: (value, self.source) for name, value in values.items()})
 
@@ -352,7 +352,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """A parabola about the mean distance of the body's first shape to the mount; `why`: reason."""
+    """A parabola about the mean distance of the first shape to the mount, assumed because `why`."""
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
     rho = []

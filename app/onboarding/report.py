@@ -277,7 +277,7 @@ def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """`Bare` of each link that extends beyond its body by more than `_BARE`, by its name.
+    """`Bare` of each link that extends beyond its body by more than `_BARE`, by the link's name.
 
     `placed` are the poses of the joint frames in the ready posture, by pinocchio's indices.
     """

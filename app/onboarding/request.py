@@ -18,7 +18,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # pattern of a robot's name
 
 @dataclass(frozen=True)
 class Request:
-    """Input for a new robot; numbers and names that are None are determined automatically."""
+    """Input for a new robot; the program determines a number, a mount or wheels that are None."""
 
     urdf: str
     """A URDF or xacro file, package://PACKAGE/PATH for a file of an installed package, or a zip

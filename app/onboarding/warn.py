@@ -254,7 +254,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """A warning for each body: the link beside the arm's chain that can leave it farthest."""
+    """Warnings of the links beside the arm's chain that can leave their bodies; one for a body."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
@@ -286,7 +286,7 @@ def outside(model: RobotModel, body: str, points: Array) -> Array:
 
 
 def wheels_carried(parsed: Parsed) -> list[str]:
-    """Continuous joints on links fixed to the root of --arm-urdf, without the joints of the arm."""
+    """Names of continuous joints on links fixed to the root of --arm-urdf, except the arm's."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children[link] if j.kind == "continuous"]
@@ -445,7 +445,7 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def weaker_than_person(model: RobotModel, borne: Array) -> tuple[float, float]:
-    """[N] force of a person, and [-] share of `borne` (of `borne_push`) below it, 0 if empty."""
+    """[N] force of a person; [-] share of `borne`, a result of `borne_push`, below this force."""
     person = model.description.config.hand.f_max
     return person, float((borne < person).mean()) if len(borne) else 0.0
 

@@ -216,7 +216,7 @@ def _joined(
     leader: Joint,
     others: Sequence[Joint],
 ) -> Iterator[Joint]:
-    """The changed joints of a telescope: the leader moves the last part; it carries the others."""
+    """The changed joints of a telescope: the leader moves the last part; `others` are on it."""
     low, high = leader.lower or 0.0, leader.upper or 0.0
     places, T = {}, pin.SE3.Identity()
     for joint in run:

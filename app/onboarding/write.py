@@ -311,7 +311,7 @@ def description(
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
     joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics need
-    neither. `unwatched` has the reason for each pair of bodies that is not monitored, by its name.
+    neither of the two. `unwatched` has the reasons for the pairs that are not monitored, by name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)

@@ -193,10 +193,10 @@ class ArmFitter:
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
-    """The selected points of one link in groups (N, 3) [m] that are distant from one another.
+    """The points of the link `owner` in `mask`, in groups (N, 3) [m] distant from one another.
 
-    Their distance exceeds `_APART` and twice the largest distance between a point of the link's
-    surface and its nearest neighbour.
+    The distance of two groups exceeds `_APART`, and twice the largest distance from a point of the
+    link's surface to its nearest neighbour.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
     if len(points) < 2:

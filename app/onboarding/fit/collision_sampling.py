@@ -113,8 +113,8 @@ def sample_meetings(
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
     First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
-    them have a collision. With `points`, the result has `met`. `stopped` means that joint limits
-    prevent the collisions of the pairs in `apart`; then these pairs are not in `close`.
+    them are `possible` and have a collision. With `points`, the result has `met`. `stopped` means
+    that joint limits prevent the collisions of the pairs in `apart`: these are not in `close` then.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -179,7 +179,7 @@ def _look(_: object, part: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> A
 
 
 def _touch_mostly(distances: Array) -> Array:
-    """(pairs,) whether hulls touch in `BUILT_IN` of the postures, by distances (N, pairs) [m]."""
+    """(pairs,) whether hulls touch in at least `BUILT_IN` of the postures: distances (N, pairs)."""
     return (distances <= 0.0).mean(axis=0) >= BUILT_IN
 
 

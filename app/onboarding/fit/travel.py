@@ -103,7 +103,7 @@ def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Po
 
 
 def _range(joint: Joint) -> list[float]:
-    """Both ends of a prismatic joint's range, or steps of an angle.
+    """Positions over a joint's range: both ends of a prismatic joint, or angles in equal steps.
 
     Without a range, a prismatic joint stays at zero, and other joints make a whole turn.
     """

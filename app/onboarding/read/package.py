@@ -224,7 +224,7 @@ def _encoded(name: str) -> Iterator[bytes]:
 
 
 def _as_stored(name: bytes) -> str:
-    """A name of unknown encoding in code page 437, with %5C and %FF for 0x5C and 0xFF."""
+    """A name without a stated encoding, by code page 437; 0x5C and 0xFF become %5C and %FF."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 

@@ -132,7 +132,7 @@ def read_source(
 
 
 def _plain_xml(text: str) -> Element:
-    """The root, without blanks at the ends of attributes and without its own namespace."""
+    """The root of an XML text, without its namespace and without blanks at ends of attributes."""
     robot = ElementTree.fromstring(text)
     own = robot.tag.removesuffix(robot.tag.rpartition("}")[2])
     for each in robot.iter():

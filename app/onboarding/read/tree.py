@@ -83,7 +83,7 @@ class Tree:
 
     @cached_property
     def children(self) -> defaultdict[str, list[Joint]]:
-        """The joints below each link, by the name of the link."""
+        """The joints whose parent is each link, by the name of the link."""
         found = defaultdict[str, list[Joint]](list)
         for joint in self.joints.values():
             found[joint.parent].append(joint)
@@ -333,7 +333,7 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
     """Whether a moving joint extends a slide, as in a telescope.
 
-    Then `joint` and all independent joints between the slide and it are prismatic and parallel.
+    Then `joint` and all independent joints between it and the slide are prismatic and parallel.
     """
     path, turn = (*tree.chain(slide.child, joint.parent), joint), np.eye(3)
     for each in path:
