@@ -171,7 +171,7 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
         limits = [q for q in _range(joint) if q is not None]
         farthest = max(map(abs, limits), default=0.0)
         if joint.kind == "prismatic" and len(limits) < 2:
-            why = "are prismatic without a limit on each side; write them in the <limit>"
+            why = "are prismatic without a limit on each side; write both limits in the <limit>"
         elif limits == [0.0, 0.0]:
             why = "have limits of 0, as some exporters write; write those of the real joints, as "
             why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'

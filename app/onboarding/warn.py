@@ -120,7 +120,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     if found.undetected:
         yield (
             f"no pair detects the collision in {found.share:.1%} of the colliding random postures; "
-            f"mostly {found.worst}; bodies that are neighbours or close by design are not a "
+            f"most are of {found.worst}; bodies that are neighbours or close by design are no "
             f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
     if found.left_out:

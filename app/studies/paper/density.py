@@ -80,7 +80,7 @@ def trade_off(sources: Sources) -> drawing.Table:
 
 @cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
-    """Results of the lateral guiding with about 50,000 points in each border, or all its points.
+    """Results of the lateral guiding; each border has about 50,000 points, or all if it has fewer.
 
     The run is not in parallel with other runs, because the durations of its steps are measured.
     """

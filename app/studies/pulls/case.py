@@ -345,7 +345,9 @@ def met_itself(row: Row) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded 1.05 of its speed limit, no torque at a limit in the last 0.1 s."""
+    """Whether a joint exceeded 1.05 of its speed limit when no torque was at its limit, and none
+    had been in the last 0.1 s.
+    """
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
 
 

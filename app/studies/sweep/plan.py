@@ -101,7 +101,7 @@ def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
 
 
 def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
-    """Paths of the kind `wheel_axis` from left and right, at each height [m] and `AXIS_OFFSETS`."""
+    """Paths of the kind `wheel_axis` from both sides, for all heights [m] and `AXIS_OFFSETS`."""
     for height, direction, offset in product(heights, (90.0, 270.0), AXIS_OFFSETS):
         yield Approach("wheel_axis", height, direction, offset)
 
