@@ -18,11 +18,11 @@ from app.strict import Array
 _LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
 _ROUND = 0.08  # [-] largest relative difference of the widths of a wheel in different directions
 _ALIKE = 0.03  # [-] largest relative difference of the wheels' radii
-_SAME_PLACE = 0.01  # [m] largest asymmetry of mirrored wheels
+_SAME_PLACE = 0.01  # [m] largest difference of wheels' coordinates that count as equal
 _UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may be tilted by 10 degrees
 _STEERING_RATE = 1.5  # [rad/s] assumed steering rate
 _IN_LINE = 0.02  # [m] largest offset of the steered wheels along x
-_ON_FLOOR = 0.02  # [m] largest height above the base's lowest point
+_ON_FLOOR = 0.02  # [m] largest height above the floor of a wheel or link that stands on it
 _TRAVEL = 0.5  # [-] largest travel of a rigid suspension, relative to the wheel's radius
 
 
