@@ -75,7 +75,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
 
 
 def exerted(row: Row) -> float:
-    """[N] the force `FORCE` of a case; the limit of the spring if the run stopped with an error."""
+    """[N] the force `FORCE` of a case; the limit of the spring without it, as after an error."""
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 
