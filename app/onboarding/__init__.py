@@ -1,4 +1,4 @@
-"""A user's own robot: conversion of a URDF to a description, a border and a report; checks."""
+"""Package for a user's own robot: it makes a robot's folder from a URDF, and checks a robot."""
 
 from functools import partial
 from importlib import import_module
@@ -14,10 +14,10 @@ SIDES = ("guiding-lateral", "guiding-front")
 
 
 def helpers(processes: int | None = None) -> Workers:
-    """Worker processes for `app.onboarding.new_robot.finish`, which import its module at the start.
+    """Worker processes for `app.onboarding.new_robot.finish`; each first imports `new_robot`.
 
-    Their number is `processes` (default: one for each usable core), but at most one for each of
-    `SIDES`. With a number of one, this process does the work.
+    Their number is `processes` (default: the number of usable cores), but at most the number of
+    `SIDES`. If this number is 1, the calling process does the work.
     """
     prepare = partial(import_module, "app.onboarding.new_robot")
     return Workers(prepare, min(processes or usable_cores(), len(SIDES)))

@@ -84,10 +84,10 @@ def check_robot(
 ) -> Iterator[Row]:
     """All checks of a description; a row is available as soon as its check ends.
 
-    A check that ends with an error fails, and its row has the message. Without a model or a border,
-    the checks that need it are left out. The checks use the parameters of the description. A
-    failed row `guiding` follows if `runs` is true, the robot has pairs of arm and base, and no run
-    tests the base.
+    A check that ends with an error fails, and its row has the message. If the model or the border
+    fails, the checks that need it are left out. The checks use the parameters of the description.
+    The last row is a failed row `guiding` if `runs` is true and the robot has pairs of arm and
+    base, but each guiding run ends with an error, cannot start or has "nothing to show".
 
     Args:
         description: The description.
@@ -146,7 +146,7 @@ def _done(name: str, check: Callable[..., Row], *arguments: object) -> Row:
 
 
 def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
-    """Compare M and C q̇ + g of pinocchio and of a physics engine in random states."""
+    """Compare M and C q̇ + g of pinocchio and of an engine; warn if the engine is not installed."""
     if not find_spec(name):
         return Row(name, "warned", f"{name} is not installed; try: pip install {name}", {})
     from app.simulation.plants.planar import planar_plant
@@ -170,7 +170,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 
 def engines_row(model: RobotModel) -> Row:
-    """Compare depth images and contacts of pybullet and MuJoCo in random postures."""
+    """Compare depth images and contacts of pybullet and MuJoCo; warn if one is not installed."""
     for name in ("pybullet", "mujoco"):
         if not find_spec(name):
             text = f"{name} is not installed, so there is no second engine for a comparison"
@@ -188,7 +188,7 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check the joints' speed and torque limits, the torques against gravity, and the inertias."""
+    """Check for implausible limits and missing inertias; warn of torques too small for gravity."""
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
@@ -204,7 +204,7 @@ def limits_row(model: RobotModel) -> Row:
         for k in np.flatnonzero(efforts < load)
     ]
     share = float((load / efforts).max())
-    text = f"gravity requires {share:.0%} of a joint's torque limit or less"
+    text = f"gravity requires at most {share:.0%} of the torque limit of a joint"
     if wrong:
         text = "; ".join(wrong)
     elif weak:
@@ -214,7 +214,7 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Check that nested links touch in many postures, because plants ignore their contacts."""
+    """Warn if nested links touch in few random postures: simulations ignore these contacts."""
     touches = nested_touches(model, _geometry(model))
     least = min(touches.values())
     seldom = [f"{a} and {b} in {share:.0%}" for (a, b), share in touches.items() if share < NESTED]
@@ -227,7 +227,7 @@ def nested_row(model: RobotModel) -> Row:
 
 
 def base_row(model: RobotModel) -> Row:
-    """Check that l_m encloses its links: the corners of their hulls above the floor."""
+    """Check that no hull corner of the base's links above the floor is over 1 cm outside of l_m."""
     unit = units_of_links(model, _geometry(model))[model.body_names[0]]
     points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
     points = points[points[:, 2] > 0.0]
@@ -256,12 +256,12 @@ def arm_row(model: RobotModel) -> Row:
         f"{found.undetected} of these, bodies of a pair meet"
     )
     if found.undetected:
-        text += f", mostly {found.worst}"
+        text += f"; most undetected collisions are of {found.worst}"
     if found.missed:
         text += f"; bodies do not enclose their links in {found.missed} of {found.watched} "
         text += f"collisions, by at most {found.deepest:.3f} m"
     if found.left_out:
-        text += f"; a rule excludes {found.left_out} postures where only links meet that are "
+        text += f"; {found.left_out} other postures do not count, because only links meet that are "
         text += f"neighbours or close by design: {found.rule}"
     if found.blind:
         text += f"; the bodies of {', '.join(found.blind)} do not enclose their colliding links"
@@ -281,7 +281,7 @@ def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
 
 
 def holding_row(model: RobotModel) -> Row:
-    """Warn if the arm cannot hold its end-effector in place while the base moves."""
+    """Warn if the arm often cannot hold its end-effector in place while the base moves."""
     carried = carried_ee(model)
     numbers = {
         f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
@@ -295,7 +295,7 @@ def holding_row(model: RobotModel) -> Row:
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warn if a person can push the arm against the base, regardless of the controller."""
+    """Warn if a person can often push the arm against the base: its torques are too small."""
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
@@ -308,8 +308,8 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that each body that is paired with l_m has a reachability, and that no pair is inside
-    its buffer in most postures without a collision.
+    """Check that each body in a pair with l_m has a reachability. Warn if a pair is inside its
+    buffer in most postures without contact, and if no pair has l_m.
     """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
@@ -333,7 +333,7 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def ready_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that the ready posture is away from the position limits and outside of every buffer."""
+    """Warn if the ready posture is near a position limit, or inside the buffer of a pair."""
     q_m = np.array(model.description.arm.ready_position)
     span = model.q_upper - model.q_lower
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
@@ -347,10 +347,12 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that the border of each pair with l_m has points at the heights that the arm reaches.
+    """Check that the border of each pair with l_m has points at the heights that the arm reaches,
+    from the floor to the top of l_m.
 
     A gap between the lowest and the highest point causes a warning. Below and above these points,
-    the exact offset of l_m replaces missing points; the row reports these heights and pairs.
+    the exact offset of l_m replaces missing points; the row reports these heights and pairs. The
+    check fails if all borders are empty; it warns if no pair has l_m.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -388,10 +390,9 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     A run that cannot start is `warned`. The outcome of another run is the first of these that
     applies:
 
-    - `failed` after a contact, an unsolved QP, or a distance to the base below 0.03 m;
-    - "nothing to show" if the arm without avoidance stays d_b/2 or more away from the base;
-    - `warned` if the base moves by less than d_b/3, and the arm cannot hold its end-effector
-      in place while the base moves;
+    - `failed` after a contact, an unsolved QP, or a distance of arm and base below 0.03 m;
+    - "nothing to show" if no pair has l_m, or the arm without avoidance stays d_b/2 or more away;
+    - `warned` if the base moves by less than d_b/3, and `holding_row` warns;
     - `failed` if the base moves by less than d_b/3;
     - `warned` if d_b is too small for the speed of the run;
     - `passed`.
@@ -416,9 +417,10 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         "solver_failures": float(failures),
         "base_displacement_m": moved,
     }
-    text = f"{touched} steps with contact, {failures} steps without a solution of the QP"
+    text = f"{touched} steps with contact"
     if steps:
         text += f" ({', '.join(f'{what} in {count}' for what, count in steps.items())})"
+    text += f", {failures} steps without a solution of the QP"
     if near is not None:
         numbers |= {"min_clearance_m": float(near), "min_clearance_without_m": float(without)}
         text = (

@@ -1,4 +1,4 @@
-"""All steps from a URDF to a robot's folder."""
+"""All steps from a URDF to the folder of a robot: description, new URDF, border and report."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -55,12 +55,12 @@ _DAMPING = (
 
 
 class _Work(NamedTuple):
-    """The workers of `finish`, its functions for reports of steps and progress, and for borders."""
+    """The workers of `finish`, and the functions that its parts call."""
 
     workers: Workers
-    tell: Callable[[str], None]
-    on_progress: OnProgress
-    border: Callable[[RobotModel], BorderData]
+    tell: Callable[[str], None]  # called with the name of each step
+    on_progress: OnProgress  # called with the finished share of a long step
+    border: Callable[[RobotModel], BorderData]  # samples or loads the border
 
 
 def finish(
@@ -75,15 +75,16 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Create a robot and its border, and write the complete folder or nothing.
 
-    `helpers` starts workers after the meshes are read; they do all parallel work except sampling
-    the border. `processes` processes sample the border, by default one for each usable core; with
-    `sampling`, the parameters of a coarse border, this process samples it alone, because starting
-    others would take longer. `whole` is the result of `whole_robot`, if it is known. `tell` is
-    called with the name of each step, and `on_progress` with the finished share, 0 to 1, of a long
-    one.
+    `helpers` starts workers after the meshes are read. They do all parallel work, except that
+    `processes` other processes sample the border (default: one for each usable core). `sampling`
+    are the parameters of a coarser border. With them, the calling process samples the border alone,
+    because starting others would take longer. `whole` is the result of `whole_robot`, if it is
+    known. `tell` is called with the name of each step before it begins. `on_progress` is called
+    with the finished share, 0 to 1, of a long step.
 
     Raises:
-        RobotFileError: The URDF cannot become a robot, or a library refuses it.
+        RobotFileError: The zip or the URDF cannot become a robot, a library refuses it, or the name
+            of the robot is invalid.
         AssetError, UnknownNameError: As for `whole_robot`.
         DescriptionError: The result is not a valid robot.
         OutputError: The folder exists and is not empty, or cannot be written.
@@ -125,7 +126,7 @@ def finish(
 def _make_robot(
     request: Request, parsed: Parsed, urdf: str, folder: Path, work: _Work
 ) -> tuple[NewRobot, BorderData]:
-    """The robot, still without warnings and lines for guiding, and its border. Writes the URDF."""
+    """Write the URDF; make the border, and the robot without warnings and lines for guiding."""
     path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
@@ -157,7 +158,7 @@ def _make_robot(
 
 
 def _written(robot: NewRobot, data: BorderData, folder: Path, work: _Work) -> NewRobot:
-    """The robot with lines for guiding and warnings; writes all files but URDF and meshes."""
+    """Add lines for guiding and warnings to a robot; write all files except URDF and meshes."""
     work.tell("searching lines for guiding")
     # An arm that cannot hold its end-effector avoids the base by itself: a fault is acceptable.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
@@ -200,7 +201,9 @@ def _embodied(
 ) -> _Embodied:
     """Fit bodies around groups of links, up to three times while `Detection.fails`.
 
-    The result is the fit with the fewest pairs in `Detection.blind`, then the least `undetected`.
+    The result is the fit with the fewest pairs in `Detection.blind` and, among these, the least
+    `undetected`. It has the joint limits of `with_stops` and, if `request.d_b` is None, the buffer
+    distance of `watching_buffer`.
 
     Raises:
         RobotFileError: Each fit has a pair in `Detection.blind`; or as for `with_stops` or
@@ -252,9 +255,9 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    The second fit differs by its random postures. Without --bodies, the third has one body more
-    than the larger of these, if the arm has enough moving units with shapes. `found` has the
-    numbers of bodies, with l_m, of the earlier fits.
+    The first two fits differ by their random postures. Without --bodies, the third has one body
+    more than the larger of the first two, if the arm has enough moving units with shapes. `found`
+    has the numbers of bodies, including l_m, of the earlier fits.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies
@@ -266,7 +269,7 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
     """Read and check the URDF; `whole` is the result of `whole_robot`, if it is known.
 
     Raises:
-        RobotFileError: The URDF cannot become a robot; the message names the reason and an option.
+        RobotFileError: The URDF cannot become a robot; the message names the reason and a remedy.
         AssetError, UnknownNameError: As for `whole_robot`.
     """
     tree, arm, changes = whole or whole_robot(request)
@@ -288,7 +291,7 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
 
 
 def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
-    """The checked robot and the text of its new URDF; some meshes are converted into `folder`."""
+    """The checked robot and the text of its new URDF; converts foreign meshes into `folder`."""
     parsed = parse(request, whole)
     header = (
         f"Made by dbb new-robot from {request.shown_source}; its sources and licences: SOURCES.md"

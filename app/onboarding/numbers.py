@@ -40,24 +40,24 @@ _SAMPLES = 400  # [-] number of random postures for gravity loads and inertias
 def with_source(
     before: Mapping[str, Any], numbers: Sourced, after: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """A table of a description: `numbers` between other fields, then the sources of the numbers."""
+    """A table of a description: `before`, the values of `numbers`, `after`, then their sources."""
     values = {name: value for name, (value, _) in numbers.items()}
     sources = {name: why for name, (_, why) in numbers.items()}
     return {**before, **values, **after, "source": sources}
 
 
 class Limits(NamedTuple):
-    """Limits of all joints [rad or m, rad/s or m/s, N m or N], and the sources of these limits."""
+    """Limits (n_m,) of the arm's joints [rad or m, rad/s or m/s, N m or N], and their sources."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
-    source: dict[str, str]
+    source: dict[str, str]  # source of each limit, by the field of the description
 
     @property
     def numbers(self) -> Sourced:
-        """The limits in the form of a description."""
+        """The four limits with their sources, by the field of the description."""
         return {
             name: (values, why)
             for (name, why), values in zip(self.source.items(), self[:4], strict=True)
@@ -65,11 +65,13 @@ class Limits(NamedTuple):
 
 
 def read_limits(arm: Arm) -> Limits:
-    """The limits in the URDF, or assumed ones; an effort of 0 means a missing effort.
+    """The limits in the URDF, with assumed ones for missing limits of position and speed.
+
+    A limit so large that it limits nothing counts as missing. A missing effort is 0 in the result.
 
     Raises:
-        RobotFileError: Position limits are missing (prismatic joint), have an empty range, or are
-            probably in another unit; the message names all of these joints.
+        RobotFileError: Position limits of a prismatic joint are missing, or those of any joint are
+            an empty range or probably in another unit; the message names all of these joints.
     """
     _check_ranges(arm.joints)
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
@@ -87,7 +89,7 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
-    """The limits; a missing effort is a multiple of the gravity load, at least `_MIN_EFFORT`."""
+    """The limits; a missing effort is 2.5 times the gravity load, at least `_MIN_EFFORT`."""
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
@@ -106,9 +108,9 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     """(n_m,) [N m s/rad or N s/m] damping D of the joints while a person guides the arm.
 
-    It is the damping of a similar joint of the paper's robot, or 20 N s/m for a prismatic joint;
-    but at most m/(3 dt), which pybullet simulates stably. m is the smallest inertia of the joint in
-    random postures, with the base and the other joints free; dt = 1 ms.
+    It is 2 or 1 N m s/rad for a strong or weak joint, as for the paper's robot, or 20 N s/m for a
+    prismatic joint; but at most m/(3 dt), which pybullet simulates stably. m is the smallest
+    inertia of the joint in random postures, with the base and other joints free; dt = 1 ms.
     """
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
@@ -120,7 +122,7 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
 
 
 def gravity_load(model: RobotModel) -> Array:
-    """(n_m,) [N m or N] largest torques that gravity requires in random postures."""
+    """(n_m,) [N m or N] largest magnitudes of the gravity torques in random postures."""
     data = model.pin.createData()
     return largest_of_postures(
         model, lambda q: np.abs(pin.computeGeneralizedGravity(model.pin, data, q)[3:])
@@ -135,7 +137,7 @@ def largest_of_postures(model: RobotModel, values: Callable[[Array], Array]) -> 
 
 
 def _range(joint: Joint) -> list[float | None]:
-    """The lower and the upper limit of a joint; None on a side without a limit."""
+    """The lower and the upper limit of a joint; None if missing, or not within ±`_LARGEST`."""
     return [None if q is None or abs(q) >= _LARGEST else q for q in (joint.lower, joint.upper)]
 
 
@@ -163,13 +165,13 @@ def _range_origin(joints: Sequence[Joint], side: str) -> str:
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
-    """Refuse implausible limits; one message names all joints and their corrections."""
+    """Refuse implausible position limits; one message names all joints and their corrections."""
     wrong = defaultdict[str, list[str]](list)
     for joint in joints:
         limits = [q for q in _range(joint) if q is not None]
         farthest = max(map(abs, limits), default=0.0)
         if joint.kind == "prismatic" and len(limits) < 2:
-            why = "are prismatic without a limit on each side; write them in the <limit>"
+            why = "are prismatic without a limit on each side; write both limits in the <limit>"
         elif limits == [0.0, 0.0]:
             why = "have limits of 0, as some exporters write; write those of the real joints, as "
             why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'
@@ -189,18 +191,18 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
 
 
 def _within(value: float | None, most: float) -> float:
-    """The value if it is a plausible limit, otherwise 0."""
+    """The value if it is above 0 and below `most`, otherwise 0."""
     return value if value and 0 < value < most else 0.0
 
 
 def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
-    """The source of numbers; `assumed` has the names of joints by the assumption for them."""
+    """The source of limits; `assumed` has the names of joints by the limit assumed for them."""
     parts = [f"assumed for {', '.join(names)}: {what}" for what, names in assumed.items() if names]
     return "; ".join(["from the URDF", *parts])
 
 
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
-    """The inertias of all links; a large total mass that is assumed for the base is reduced.
+    """The inertias of all links; a large assumed total mass of the base's links is reduced.
 
     `BASE_DENSITY` is that of small bases, and large bases are hollow: above `_COMPACT`, the total
     assumed mass grows only with the power 2/3 of the volume, like the surface.
@@ -231,7 +233,7 @@ _AS_PAPERS = "assumed: as for the paper's robot"
 
 
 def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
-    """The fields that name the wheels' joints, for a description's base of the kind `kind`."""
+    """The fields of the wheels' joints for a base of the kind `kind`; empty for a holonomic one."""
     if kind == "differential":
         return {"left_wheel_joints": wheels.left, "right_wheel_joints": wheels.right}
     if wheels.steering is None:
@@ -245,7 +247,7 @@ def base_numbers(
 ) -> Sourced:
     """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
 
-    `half_track` [m] is the stated half track; None means the measured one.
+    `half_track` [m] is that of --half-track; None means half of the distance between the wheels.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
@@ -316,16 +318,16 @@ class Reach(NamedTuple):
     fit: ReachFit | None  # the fit of the counted map, or None
 
     def content(self) -> dict[str, Any]:
-        """The coefficients in the form of a description."""
+        """The coefficients with their source, in the form of a description."""
         values = {"A_per_m2": round(self.A, 1), "B_m": round(self.B, 4), "C": round(self.C, 1)}
         return with_source({}, {name: (value, self.source) for name, value in values.items()})
 
 
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
-    """The names and coefficients of all bodies that are a candidate for a pair with l_m.
+    """The names of all bodies that can form a pair with l_m, with their coefficients of (9).
 
-    `workers` start at once, so the caller can do other work before it reads the results. If fewer
-    than three joints move a body, or it has no map or no fit of (9), the coefficients are assumed.
+    `workers` start at once, so the caller can do other work before it reads the results.
+    Coefficients are assumed if fewer than three joints move the body, or if (9) cannot be fitted.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -350,7 +352,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """Assumed coefficients: a parabola about the mean distance of the first shape to the mount."""
+    """A parabola about the mean distance of the first shape to the mount, assumed because `why`."""
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
     rho = []

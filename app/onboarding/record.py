@@ -31,7 +31,7 @@ class Parsed:
 
 @dataclass(frozen=True)
 class NewRobot:
-    """All data for the files of a new robot; lines and warnings are added last."""
+    """All data for the files of a new robot; lines for guiding and warnings are added last."""
 
     request: Request
     parsed: Parsed

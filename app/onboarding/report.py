@@ -27,8 +27,8 @@ from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
 Bare = Literal["design", "mistake"]
-"""Whether a link extends beyond its body by design, because no link of a body that is not a
-neighbour can reach these parts; otherwise by mistake."""
+"""Why a link extends beyond its body: by design, because only links of neighbouring bodies can
+reach these parts; or by mistake, because a link of another body can reach them."""
 
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
 """Colours of links: None for links inside of their bodies."""
@@ -48,7 +48,7 @@ class Pictures(NamedTuple):
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """Draw a robot and its border, not its lines, which another worker searches meanwhile."""
+    """Draw a robot and its border, without the lines that other workers search meanwhile."""
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
@@ -84,11 +84,12 @@ VIEW = "bodies.html"  # name of the file that shows links and bodies in three di
 def _bare(bare: dict[str, Bare]) -> list[str]:
     """Sentences on the links that extend beyond their bodies."""
     sentences = []
-    for why, which in (("design", "no"), ("mistake", "a")):
+    whys = {"design": "only links of neighbouring bodies", "mistake": "links of other bodies"}
+    for why, reaching in whys.items():
         if links := [link for link, each in bare.items() if each == why]:
             sentences.append(
-                f"extending beyond their bodies by {why}: {which} link of a body that is not a "
-                f"neighbour can reach these parts: {', '.join(links)}"
+                f"extending beyond their bodies by {why}, because {reaching} can reach these "
+                f"parts: {', '.join(links)}"
             )
     return sentences
 
@@ -111,8 +112,9 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
             overlap, least = f"{pairs.rates[name]:.3%}", f"{pairs.least_distance_m[name]:+.3f}"
             shares = (f"{each.get(name, 0.0):.1%}" for each in (verdict.overlap, verdict.near))
             rows.append((name, group, overlap, least, *shares))
-    false, inside = "overlap of free", f"within {robot.request.buffer:g} m of free"
-    return Grid(("pair", "set", "overlap", "smallest distance [m]", false, inside), rows)
+    inside = f"within {robot.request.buffer:g} m in free postures"
+    head = ("pair", "set", "overlap", "smallest distance [m]", "overlap in free postures", inside)
+    return Grid(head, rows)
 
 
 def _verdict(robot: NewRobot) -> list[str]:
@@ -167,7 +169,7 @@ _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
 def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
-    """The bodies over the hulls of the links (`COLOURS`) in the ready posture, from three sides."""
+    """PNG of the links' hulls (`COLOURS`) and bodies in the ready posture, from three sides."""
     model = robot.model
     hulls = _hulls(robot, placements(model, robot.ready.q_m), bare)
     bodies = model.placed_meshes(_ORIGIN, robot.ready.q_m)
@@ -190,7 +192,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
 
 
 def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
-    """The border of each pair with l_m at half the height of l_m, and d_b / 2 above it; or None."""
+    """PNG of the borders at half the height of l_m, and d_b/2 above l_m; None without a border."""
     model, d_b = robot.model, robot.request.buffer
     eps = model.description.config.border.eps
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
@@ -220,7 +222,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """Counted reachabilities as means over spherical shells with their fits (9), or None."""
+    """PNG of counted reachabilities (means over spherical shells) and their fits (9), or None."""
     counted = {name: r for name, r in robot.reach.items() if r.counted is not None}
     if not counted:
         return None
@@ -243,7 +245,7 @@ def reach_png(robot: NewRobot) -> bytes | None:
 def _hulls(
     robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]
 ) -> list[tuple[Array, str]]:
-    """Corners (N, 3) [m] of the hulls of all links, with their colours of `COLOURS`."""
+    """Corners (N, 3) [m] of each hull of a link, and the link's colour in `COLOURS`."""
     return [
         (moved(part.corners, placed[unit.joint]), COLOURS[bare.get(part.link)])
         for unit in robot.meetings.units
@@ -275,7 +277,7 @@ def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """`Bare` of each link that extends beyond its body by more than `_BARE`, by its name.
+    """`Bare` of each link that extends beyond its body by more than `_BARE`, by the link's name.
 
     `placed` are the poses of the joint frames in the ready posture, by pinocchio's indices.
     """

@@ -18,7 +18,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # pattern of a robot's name
 
 @dataclass(frozen=True)
 class Request:
-    """Input for a new robot; numbers and names that are None are determined automatically."""
+    """Input for a new robot; the program determines a number, a mount or wheels that are None."""
 
     urdf: str
     """A URDF or xacro file, package://PACKAGE/PATH for a file of an installed package, or a zip
@@ -62,8 +62,8 @@ class Request:
     ready: tuple[float, ...] | None = None
     """(n_m,) [rad or m] the ready posture; default: the best of random postures."""
     bodies: int | None = None
-    """Number of bodies of the arm; default: four or, if four bodies do not pass the checks, the
-    best number from two to six."""
+    """Number of bodies of the arm; default: four or, if four bodies are not sufficient, another
+    number from two to seven."""
     assume_inertia: bool = False
     """Compute masses from volumes if no link of the arm has a mass in the URDF."""
     title: str | None = None
@@ -77,7 +77,7 @@ class Request:
     Default: 0.15. It is smaller if a link of the arm is nearer than 0.15 m to the base in most
     postures, and no joint limit prevents their contact."""
     file: str | None = None
-    """Path of the URDF within the zip, if the zip contains several."""
+    """Path of the URDF within the zip, if the zip contains several URDFs."""
     source: str | None = None
     """Displayed source of the robot; default: `urdf`."""
     package: tuple[str, ...] = ()
@@ -115,7 +115,7 @@ class Request:
 
 
 class Bounds(NamedTuple):
-    """Bounds of an optional number in `unit`."""
+    """Bounds of an optional number of a request, in the unit `unit`."""
 
     low: float
     high: float
@@ -142,13 +142,14 @@ def option(field: str) -> str:
 
 
 def check_request(request: Request) -> None:
-    """Refuse the name of a robot in another folder, numbers out of bounds, options that another
-    option or the kind of base excludes, and packages without a folder.
+    """Refuse a request with a wrong option, before any file is read.
 
     Raises:
         UnknownNameError: The kind of base does not exist.
-        ConfigError: An option is wrong; the message names the option and the valid values.
-        RobotFileError: The folder's name is not a valid name.
+        ConfigError: A number is out of bounds, an option contradicts another one or the kind of the
+            base, a package has no folder, an entry is not of the form NAME=…, or a robot of this
+            name exists in another folder. The message names the option and the remedy.
+        RobotFileError: The folder's name is not a valid name of a robot.
     """
     used = robot_folder(request.name)
     if isfile(used / "robot.toml") and used.resolve() != request.out.resolve():
@@ -208,9 +209,9 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
-    """The values of an option by name, from entries of the form `NAME=…` or, as in ROS, `NAME:=…`.
+    """The values of an option by the names in its entries: `NAME=…` or, as in ROS, `NAME:=…`.
 
-    `what` is the word for the value in the `ConfigError` of an entry of another form.
+    An entry of another form raises a `ConfigError`; its message calls the value `what`.
     """
     found = {}
     for each in entries:

@@ -32,7 +32,7 @@ from app.robot.shapes import shape_mesh
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-_IN_FLOOR = 0.005  # [m] largest depth below the floor
+_IN_FLOOR = 0.005  # [m] largest depth below the floor without a warning
 _FALSE = 0.1  # [-] largest share of free postures in which the bodies of a pair overlap
 _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
 _TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
@@ -67,7 +67,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
 
 
 def _places(robot: NewRobot) -> Iterator[str]:
-    """Warnings of links of the arm below the floor, or inside of l_m, in the ready posture."""
+    """Warnings of links of the arm below the floor or completely in l_m, in the ready posture."""
     base, state = MobileBody(robot.model), RobotState(robot.model)
     own = robot.request.arm_urdf is None
     look = f"check {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
@@ -110,7 +110,7 @@ def _postures(robot: NewRobot) -> Iterator[str]:
 
 
 def _grouped(whys: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """The reasons of `whys`, each with all names that have it."""
+    """Each different reason in `whys`, with a text of all names that have it."""
     for why in dict.fromkeys(whys.values()):
         yield why, ", ".join(name for name, each in whys.items() if each == why)
 
@@ -120,7 +120,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     if found.undetected:
         yield (
             f"no pair detects the collision in {found.share:.1%} of the colliding random postures; "
-            f"mostly {found.worst}; bodies that are neighbours or close by design are not a "
+            f"most are of {found.worst}; bodies that are neighbours or close by design are no "
             f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
         )
     if found.left_out:
@@ -173,7 +173,7 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
 
 
 def _scale(robot: NewRobot) -> Iterator[str]:
-    """Warn if the arm's links are far too long for its joints, such as meshes in millimetres."""
+    """Warn if links are far longer than the distances of joints, as with meshes in millimetres."""
     arm, shapes = robot.parsed.arm, robot.parsed.geometry
     sizes = [
         max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)
@@ -220,7 +220,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Warnings of joints that the model fixes: suspensions, joints of another arm, a head or legs.
+    """Warnings of joints that the model fixes, such as suspensions and those of a head or legs.
 
     Joints of the base without limits, such as wheels and casters, are not reported.
     """
@@ -254,7 +254,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Warnings of moving links outside of the arm's chain that can leave their bodies."""
+    """Warnings of the links beside the arm's chain that can leave their bodies; one for a body."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
@@ -286,7 +286,7 @@ def outside(model: RobotModel, body: str, points: Array) -> Array:
 
 
 def wheels_carried(parsed: Parsed) -> list[str]:
-    """Continuous joints outside of the arm, on links fixed to the root of a separate arm's URDF."""
+    """Names of continuous joints on links fixed to the root of --arm-urdf, except the arm's."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children[link] if j.kind == "continuous"]
@@ -349,7 +349,7 @@ class Carried(NamedTuple):
     axis: Axis  # axis of the base's motion
     speed: float  # [m/s or rad/s]
     place: float  # [-] share of the postures in which the arm cannot hold the position
-    pose: float  # [-] share in which it cannot hold both position and orientation
+    pose: float  # [-] share in which it cannot hold position and orientation at the same time
 
     @property
     def text(self) -> str:
@@ -382,13 +382,13 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
 
 
 def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
-    """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
+    """Whether the arm cannot hold the end-effector's position, and its pose, while the base moves.
 
-    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' speed limits.
-    The position is lost if the residual of the linear rows alone exceeds a tenth of the linear
-    motion. The pose is lost if the position is, or if, with all six rows, the linear or the angular
-    residual exceeds a tenth of the larger one of linear and angular motion. A lever of 0.3 m
-    converts angular parts to metres.
+    The criterion is the least-squares residual of J_arm q̇ = -J_base ν within the joints' speed
+    limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
+    linear motion. The solution of all six rows leaves a linear and an angular residual. The pose is
+    lost if one of these exceeds a tenth of the larger one of linear and angular motion, or if the
+    position is lost. A lever of 0.3 m converts angular parts to metres.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
@@ -406,7 +406,7 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
 
 def _least(J: Array, moved: Array, qd_max: Array) -> Array:
-    """The smallest residual J q̇ + `moved` with |q̇| ≤ `qd_max`."""
+    """The residual J q̇ + `moved` of the smallest norm with |q̇| ≤ `qd_max`."""
     return J @ lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls").x + moved
 
 
@@ -429,8 +429,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
 
-    Each value is the `force_bound` of the nearest of `pairs`, the pairs with the base, at rest in
-    one of `_near_postures`. Without pairs, N is 0.
+    Each value belongs to one of `_near_postures`, at rest: the `force_bound` of the nearest of
+    `pairs`, the pairs with the base. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():
@@ -445,7 +445,7 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def weaker_than_person(model: RobotModel, borne: Array) -> tuple[float, float]:
-    """[N] force of a person, and [-] the share of `borne` of `borne_push` that is smaller."""
+    """[N] force of a person; [-] share of `borne`, a result of `borne_push`, below this force."""
     person = model.description.config.hand.f_max
     return person, float((borne < person).mean()) if len(borne) else 0.0
 
@@ -460,7 +460,7 @@ def push_warning(model: RobotModel, borne: Array) -> str:
         return ""
     return (
         f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the "
-        "postures near the base the joint torques resist a smaller force; in the worst "
+        "postures near the base the joint torques resist only a smaller force; in the worst "
         f"{_OFTEN:.0%} they resist {np.quantile(borne, _OFTEN):.0f} N or less"
     )
 
@@ -468,7 +468,8 @@ def push_warning(model: RobotModel, borne: Array) -> str:
 def _near_postures(model: RobotModel) -> Array:
     """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base.
 
-    With fewer than 25, the distance does not matter; if all have contact, N is 1: the lower limits.
+    If fewer than 25 of 2,000 random postures qualify, the distance does not matter. If all have
+    contact, the only posture is that of the lower limits.
     """
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))

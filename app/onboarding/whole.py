@@ -29,7 +29,7 @@ _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR
 
 @contextmanager
 def one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert any exception of a library to a `RobotFileError` of one line that names the step."""
+    """Convert an exception of a library to a `RobotFileError` of one line with the step `doing`."""
     try:
         yield
     except DbbError:
@@ -88,7 +88,7 @@ def with_arm(tree: Tree, arm: Tree, base: str, tip: str, T: pin.SE3) -> tuple[Tr
     """A tree with the root of an arm fixed to the link `base`, and the new name of the arm's `tip`.
 
     Links and joints of the arm whose names also occur in `tree` get the prefix `arm_`. T is
-    T_base_arm. A missing link `base` is an error.
+    T_base_root, the pose of the arm's root. A missing link `base` is an error.
     """
     tree.check_link(base, "--base")
     tree = _renamed(tree, {}, _distinct(tree.joints, {ARM_ON_BASE}, tree.joints, "{}_joint"))
@@ -105,9 +105,9 @@ def with_arm(tree: Tree, arm: Tree, base: str, tip: str, T: pin.SE3) -> tuple[Tr
 def with_distinct_names(tree: Tree) -> tuple[Tree, dict[str, str]]:
     """The tree with distinct names, and the new names of its renamed links by the old ones.
 
-    A joint with the name of a link or with a reserved name gets the suffix `_joint`, a link with a
-    reserved name the suffix `_link`. This program and pinocchio use the reserved names. pinocchio
-    and MuJoCo cannot distinguish a link and a joint of one name, which a URDF may have.
+    A joint with the name of a link or with a reserved name gets the suffix `_joint`. A link with a
+    reserved name gets the suffix `_link`. This program and pinocchio use the reserved names.
+    pinocchio and MuJoCo cannot distinguish a link from a joint of the same name.
     """
     links = _distinct(tree.links, _OWN_LINKS, {*tree.links, *tree.joints}, "{}_link")
     foreign = {links.get(name, name) for name in tree.links} | _OWN_JOINTS
@@ -142,7 +142,7 @@ def _renamed(tree: Tree, links: Mapping[str, str], joints: Mapping[str, str]) ->
 
 
 def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
-    """A tree with one joint for each telescope between two links; a sentence on each telescope.
+    """A tree with one joint for each telescope from `base` to `tip`; a sentence on each telescope.
 
     A telescope has one independent prismatic joint and others that follow it (`<mimic>`). In the
     new tree, this joint alone moves the last part, by the sum of all positions. Each other
@@ -169,7 +169,8 @@ def _telescopes(chain: list[Joint]) -> Iterator[tuple[list[Joint], list[Joint], 
     """For each telescope: all joints from its first to its last part, the joints of its parts, and
     the total travel of each part along the axis of the first part, for a unit travel of the leader.
 
-    The parts are prismatic and parallel, with only fixed joints between them; all but one follow.
+    The joints of the parts are prismatic and parallel, with only fixed joints between them. The
+    leader is the independent one; the others follow it.
     """
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
@@ -215,7 +216,7 @@ def _joined(
     leader: Joint,
     others: Sequence[Joint],
 ) -> Iterator[Joint]:
-    """The leader as the only joint of the chain, and the other joints on the last part."""
+    """The changed joints of a telescope: the leader moves the last part; `others` are on it."""
     low, high = leader.lower or 0.0, leader.upper or 0.0
     places, T = {}, pin.SE3.Identity()
     for joint in run:

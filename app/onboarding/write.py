@@ -41,7 +41,7 @@ _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
-    """Write the description, check it, and write the list of sources; the folder has the URDF."""
+    """Write and check the description, and write the list of sources; `folder` has the URDF."""
     title = f"{robot.content['title']}, from {robot.request.shown_source}"
     text = description_text(robot.content, title)
     write_whole(folder / "robot.toml", text)
@@ -101,8 +101,8 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     with a new name and title.
 
     Raises:
-        DescriptionError: The result is not a valid description, or the present description cannot
-            be read, or not with the time and memory that `within_budget` allows.
+        DescriptionError: The result is not a valid description, the present description cannot be
+            read, or the change exceeds the time or memory that `within_budget` allows.
         OutputError: `out` is another folder that is not empty, or cannot be written.
     """
     file, in_place = source / "robot.toml", out.resolve() == source.resolve()
@@ -159,7 +159,7 @@ _HEADER = (
 
 
 def description_text(content: Mapping[str, Any], title: str) -> str:
-    """The text of `robot.toml` without empty entries; a comment has the source of each number."""
+    """The text of `robot.toml` without empty entries; comments have the sources of the numbers."""
     document = tomlkit.document()
     for line in (title, *_HEADER):
         document.add(tomlkit.comment(line))
@@ -174,8 +174,8 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 
 
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
-    """Add comments with the source of each number: up to its first colon or, if it has a semicolon
-    and less than 80 characters, in full.
+    """Add the source of each number as a comment. A source of less than 80 characters that has a
+    semicolon is complete; others end before their first colon.
     """
     for key, value in content.items():
         if isinstance(value, Mapping):
@@ -216,10 +216,10 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
 def mesh_name(address: str, home: Path | None) -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
-    For a mesh in `home`, the folder of the new URDF, it is a relative path, because the folder may
-    be moved; for other meshes, and without `home`, it is `address`. With `home`, a mesh for which
-    `is_foreign` is true is converted to an STL file in metres in `home`; raises the errors of
-    `load_mesh`.
+    `home` is the folder of the new URDF. A mesh in this folder gets a relative path, because the
+    folder may be moved. A mesh for which `is_foreign` is true is first converted to an STL file in
+    metres in `home`. This raises the errors of `load_mesh`. Other meshes keep `address`; without
+    `home`, all do.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -256,7 +256,7 @@ def _link(
 
 
 def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
-    """A joint of the new URDF, whose zero is its position in `rest`, or its old zero.
+    """A joint of the new URDF. Its zero is its position in `rest` or, without one, its old zero.
 
     Libraries put an unmoved joint at zero, which can be outside of its limits: a finger would be
     inside of the gripper. The relation of a mimic joint to its leader stays the same; if the new
@@ -311,7 +311,7 @@ def description(
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
     joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics need
-    neither. `unwatched` has the reason for each pair of bodies that is not monitored, by its name.
+    neither of the two. `unwatched` has the reasons for the pairs that are not monitored, by name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)

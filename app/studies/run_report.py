@@ -58,7 +58,7 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
 
 
 def _missing(run: Trace) -> list[str]:
-    """A sentence on the columns with missing values, if there are any."""
+    """A sentence on the columns with missing values; empty if no required column has any."""
     empty = zip(run.columns, np.isnan(run.table).sum(axis=0).tolist(), strict=True)
     found = [
         f"{column.name} ({count} of {len(run)} rows)"
@@ -71,7 +71,7 @@ def _missing(run: Trace) -> list[str]:
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
-    """Names of the robot's bodies, the base first; empty without a valid description here."""
+    """Names of the robot's bodies, base first; empty if this machine has no valid description."""
     try:
         return tuple(body.name for body in load_robot(meta.robot).bodies)
     except DbbError:
@@ -88,7 +88,7 @@ def key_numbers(run: Trace) -> dict[str, Any]:
 
 
 def _without_infinite(run: Trace) -> Trace:
-    """The run with NaN for infinite values of the table, which thus are missing."""
+    """The run with NaN in the place of infinite values, which then count as missing."""
     finite = copy(run)
     finite.table = np.where(np.isinf(run.table), np.nan, run.table)
     return finite

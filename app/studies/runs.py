@@ -18,7 +18,7 @@ _KEPT_EVERY = 10  # [-] number of control steps from one row of a thinned trace 
 
 
 def thinned(result: RunResult) -> RunResult:
-    """A run with a tenth of its rows, one for each 0.01 s, and the results of all its rows."""
+    """A run with each tenth row (0.01 s) and no snapshots, but with the results of all rows."""
     return result._replace(trace=result.trace.rows(slice(None, None, _KEPT_EVERY)))
 
 

@@ -1,4 +1,4 @@
-"""The style of all figures (colours, line widths, sizes), and the record of a picture."""
+"""The style of all figures, functions that apply it, and the record of a picture."""
 
 import io
 import logging

@@ -93,8 +93,8 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
-    """(tries,) [-] mean number of the arm's units, not close by design, that a body of the shapes
-    `tried` touches in free postures, or in all postures if none is free.
+    """(tries,) [-] for each of `tried`: mean number of the arm's units, not close by design, that a
+    body of these shapes touches in free postures, or in all postures if none is free.
     """
     free = (meetings.random.distances > 0.0).all(axis=1)
     q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
@@ -193,10 +193,10 @@ class ArmFitter:
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
-    """The selected points of one link in groups (N, 3) [m] that are distant from one another.
+    """The points of the link `owner` in `mask`, in groups (N, 3) [m] distant from one another.
 
-    Their distance exceeds `_APART` and twice the largest distance between a point of the link's
-    surface and its nearest neighbour.
+    The distance of two groups exceeds `_APART`, and twice the largest distance from a point of the
+    link's surface to its nearest neighbour.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
     if len(points) < 2:
@@ -212,8 +212,8 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to 
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """For each joint of a chain, in its frame: corners (N, 3) [m] and volume [m³] of the hull that
-    the points on all joints of the chain sweep.
+    """For each joint of a chain, in its frame: corners (N, 3) [m] and volume [m³] of a hull around
+    the paths of the points on all joints of the chain while these joints move.
 
     `points` (N, 3) [m] are in the frame of each joint, by its number; the numbers are consecutive.
     The sweep over a joint is computed once for all points beyond it and once for all before it.

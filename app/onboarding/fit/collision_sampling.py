@@ -113,8 +113,8 @@ def sample_meetings(
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
     First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
-    all have a collision. With `points`, the result has `met`. `stopped` means that joint limits
-    prevent the collisions of the pairs in `apart`; then these pairs are not in `close`.
+    them are `possible` and have a collision. With `points`, the result has `met`. `stopped` means
+    that joint limits prevent the collisions of the pairs in `apart`: these are not in `close` then.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -179,7 +179,7 @@ def _look(_: object, part: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> A
 
 
 def _touch_mostly(distances: Array) -> Array:
-    """(pairs,) whether hulls touch in `BUILT_IN` of the postures, by distances (N, pairs) [m]."""
+    """(pairs,) whether hulls touch in at least `BUILT_IN` of the postures: distances (N, pairs)."""
     return (distances <= 0.0).mean(axis=0) >= BUILT_IN
 
 
@@ -226,7 +226,7 @@ def _rare_postures(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) postures in which pairs collide that do so in fewer than `_RARE` sampled postures.
+    """(N, n_m) further colliding postures of pairs that collide in fewer than `_RARE` sampled ones.
 
     They are variations of the postures in which the pair was nearest. Pairs in `close`, and pairs
     always more than `_FAR` apart, are left out. `sampled`: postures (N, n_m), distances (N, pairs).
@@ -252,7 +252,7 @@ def _rare_postures(
 
 
 def free_postures(distances: Array) -> Array:
-    """(N,) whether no hulls touch, by distances (N, pairs) [m]; all True with fewer than 50."""
+    """(N,) whether no hulls touch, by distances (N, pairs) [m]; all True if under 50 are free."""
     free = np.asarray((distances > 0.0).all(axis=1))
     return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
 

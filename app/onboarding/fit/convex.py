@@ -180,9 +180,10 @@ def hull(points: Array) -> tuple[Array, float]:
 
 
 def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The mesh, cut by planes until no cut saves both 3 % of its hull's volume and a cube of 2 cm.
+    """The pieces of a mesh, which planes cut until no cut saves enough volume.
 
-    A cut saves the volume between the hull of a piece and the hulls of its halves.
+    A cut saves the volume between the hull of a piece and the hulls of its halves. It has to save
+    more than 8 cm³, and more than 3 % of the volume of the hull of `mesh`.
     """
     whole = hull_volume(mesh.vertices)
     least = max(_SAVED * whole, _CUBE)
@@ -229,7 +230,7 @@ def directions(subdivisions: int) -> Array:
 
 
 def _tight_frame(points: Array, axis: Array) -> Array:
-    """Rotation (3, 3) with z along an axis, x and y along the smallest rectangle around points."""
+    """Rotation (3, 3): z along an axis, x and y along the points' smallest rectangle across z."""
     R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
     try:
         T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])

@@ -91,10 +91,10 @@ def find_grouping(
     A unit is a rigid group of links. The unit fixed to the base below the arm belongs to l_1, like
     the paper's link 0, or to l_m if the pairs miss over 0.1 % of its collisions, as for a mast.
 
-    `count` is the number of bodies of the arm. None means four as in the paper or, if
-    `Verdict.always` or `Verdict.spurious` then has a pair or over 0.1 % of all collisions are
-    missed, the best number from two to six. `on_progress` is called with the finished share of the
-    groupings of each search.
+    `count` is the number of bodies of the arm. None means four, as in the paper. These four are not
+    sufficient if `Verdict.always` or `Verdict.spurious` has a pair, or if `Verdict.missed` is over
+    0.1 %. Then the result has the best number from two to six. `on_progress` is called with the
+    finished share of the groupings of each search.
 
     Raises:
         RobotFileError: No grouping into `count` bodies is possible; the message has a valid range.
@@ -115,7 +115,7 @@ def find_grouping(
 
 
 def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether monitored pairs overlap in nearly all postures in which a unit meets another one."""
+    """Whether monitored pairs overlap in 99.9 % of the postures in which a unit meets another."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
     q_m = [
         postures.q_m[np.any(postures.distances[:, own] <= 0.0, axis=1) & postures.possible]

@@ -87,7 +87,7 @@ def _ready(search: PostureSearch, q_m: Array) -> Ready:
 
 
 def _placed(search: PostureSearch, mount: Array) -> float:
-    """[-] quality of the present pose of the end-effector: up to 1.2; -10 if it is unusable."""
+    """[-] quality of the present end-effector pose: up to 1.2; -10 near the floor or mount."""
     at = search.state.T_world_ee
     out = at.translation - mount
     away = float(np.hypot(*out[:2]))
@@ -166,8 +166,8 @@ def find_place(
 
     1. lines on which the arm would touch the base, then lines on which it would come nearest;
     2. lines on which the arm best holds its end-effector while the base moves;
-    3. the order of `_front` or `_lateral`, far starts first; then heights near 0.8 of a part of
-       l_m.
+    3. the order of `_front` or `_lateral`, far starts first; then heights near 0.8 of the height
+       of a part of l_m.
 
     Args:
         model: The robot.
@@ -499,7 +499,7 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 
 
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts towards the left and right side, at the mount's x and near both ends of the base.
+    """Starts beside the base, left and right: at the mount's x, and near both ends of the base.
 
     The ends are tried because a base without sideways motion hardly avoids a line to its axle.
     """
@@ -511,7 +511,7 @@ def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts towards the front: left of the mount, near both edges of the base, at the mount."""
+    """Starts ahead of the base: left of the mount, near both edges of the base, at the mount."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):

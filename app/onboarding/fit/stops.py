@@ -1,4 +1,4 @@
-"""Stops: joint limits that prevent collisions of links that are close to the base by design.
+"""Stops: joint limits that prevent collisions of the base with links close to it by design.
 
 No pair monitors these links, because they are within d_b of the base in most postures. For the
 upper arm of a UR, a limit of the shoulder lift joint prevents the collision.
@@ -36,10 +36,10 @@ def with_stops(
 ) -> Limits:
     """Joint limits that, if possible, prevent contact of the base with links close to it by design.
 
-    For each of these links that reaches the base in a sampled posture, the joint before the link
-    that retains the largest share of its range gets narrower limits. If no joint retains a quarter
-    of its range, or of a turn if this is less, no limit changes; see `watching_buffer`. `ready`
-    (n_m,) is a posture that the limits have to include, or None.
+    For each of these links that reaches the base in a sampled posture, one joint before the link
+    gets narrower limits: the joint that retains the largest share of its range. If no joint retains
+    a quarter of its range, or of a turn if this is less, no limit changes; see `watching_buffer`.
+    `ready` (n_m,) is a posture that the limits have to include, or None.
 
     Raises:
         RobotFileError: Limits can prevent the contact, but none of them includes `ready`.

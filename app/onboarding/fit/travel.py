@@ -18,7 +18,7 @@ _MOST = 144  # [-] largest number of steps
 def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, LinkGeometry]:
     """The links' geometry in nearly convex pieces, extended by the motion of some links.
 
-    These links are those beyond the chain's last link (fingers), the other parts of telescopes, and
+    These links are those beyond the arm's last link (fingers), the other parts of telescopes, and
     those on joints that mimic a joint of the arm. Their pieces cover the motions of `with_travel`.
     `chain` has the joints of the arm.
     """
@@ -103,7 +103,7 @@ def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Po
 
 
 def _range(joint: Joint) -> list[float]:
-    """Both ends of a prismatic joint's range, or steps of an angle.
+    """Positions over a joint's range: both ends of a prismatic joint, or angles in equal steps.
 
     Without a range, a prismatic joint stays at zero, and other joints make a whole turn.
     """

@@ -127,8 +127,8 @@ def moved(points: Array, T: pin.SE3) -> Array:
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether contacts of the units a and b are allowed by design.
 
-    The units are on the same joint, or only parallel prismatic joints separate them, as in a
-    telescope, or a single joint separates them, and both belong to the arm's chain (not `beside`).
+    There are three such cases: the units are on the same joint; only parallel prismatic joints
+    separate them, as in a telescope; or one joint separates them, and neither of them is `beside`.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -151,8 +151,8 @@ def shape_distances(
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
     `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions,
-    with the base at the origin. With 150 or more pairs of shapes, results from 0.5 m are lower
-    bounds.
+    with the base at the origin. With 150 or more pairs of shapes, results of at least 0.5 m are
+    lower bounds.
     """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:

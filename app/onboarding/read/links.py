@@ -84,11 +84,11 @@ def read_geometry(tree: Tree) -> Geometry:
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """The geometry of one link, from the first of the tags that the link has.
+    """The geometry of one link, from its elements with the first tag in `tags` that occurs.
 
     Raises:
-        RobotFileError: A mesh is missing or unreadable, a number is invalid, or a size is probably
-            not in metres.
+        RobotFileError: A geometry is missing, a mesh is missing or unreadable, a number is
+            invalid, or a size is probably not in metres.
     """
     for tag in tags:
         found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
@@ -123,7 +123,7 @@ def _shape(element: Element, where: str) -> LinkShape:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """A shape as nearly convex pieces, so that hulls of links meet only where the links do."""
+    """A shape, as nearly convex pieces if it is a mesh, so that hulls meet only where links do."""
     pieces = convex_pieces(shape.mesh) if shape.kind == "mesh" else []
     if len(pieces) < 2:
         return [shape]
@@ -132,7 +132,7 @@ def in_pieces(shape: LinkShape) -> list[LinkShape]:
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
-    """A shape after each of some motions, as one shape; the motions are in the link's frame."""
+    """A shape after each of `motions` (in the link's frame) as one shape, with one hull."""
     corners = np.asarray(shape.hull.vertices)
     hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in motions]))
     meshes = [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
@@ -140,7 +140,7 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file.
+    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified.
 
     Raises:
         RobotFileError: The file cannot be read, or has no triangles.
@@ -195,7 +195,8 @@ def _damage(begin: bytes, size: int, end: str) -> str:
 def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
     """All triangles of a file as one simplified mesh [m]; with `merge`, equal vertices are merged.
 
-    A file with infinite coordinates, which libraries read differently, is an error.
+    A file without triangles is an error. So are coordinates that are not finite numbers, because
+    libraries read them differently.
     """
     scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
     for name, mesh in scene.geometry.items():
@@ -216,8 +217,8 @@ _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
 
 def _states_unit(path: Path) -> bool:
-    """Whether a COLLADA file has a unit other than the metre, an up axis other than z, or no
-    readable XML. An invalid unit is an error.
+    """Whether a COLLADA file states a unit other than the metre or an up axis other than z, or is
+    not well-formed XML. An invalid unit is an error.
     """
     try:
         with path.open("rb") as file:
@@ -247,7 +248,7 @@ def is_foreign(path: Path) -> bool:
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """A mesh of at most about `MOST_FACES` triangles, whose hull is nearly that of the given mesh.
+    """A mesh of at most about `MOST_FACES` triangles, whose hull is nearly that of `mesh`.
 
     `cell` is the edge of the cubic cells in which vertices are merged, in the unit of the mesh. A
     mesh with few triangles does not change. Extreme merged vertices are included (`_outermost`).
@@ -269,7 +270,7 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; of few points, all."""
+    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; all if at most `_MANY`."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
@@ -298,12 +299,12 @@ def read_inertias(
 ) -> dict[str, LinkInertia]:
     """The inertia of the base and of each link below it, by the name of the link.
 
-    A link without an `<inertial>`, and all links of a joint that moves no mass, get masses by
-    volume. `assume` permits a URDF that states no mass for the whole arm.
+    A link without an `<inertial>` gets a mass by its volume. So do the links from a joint to the
+    next joint if they have no mass. `assume` permits a URDF that states no mass for the whole arm.
 
     Raises:
-        RobotFileError: No link of the arm has a mass, or an inertia is impossible or probably in
-            another unit.
+        RobotFileError: No link of the arm has a mass and `assume` is false, or an inertia is
+            impossible or probably in another unit.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     moving = [link for segment in arm.segments[1:] for link in segment]
@@ -356,7 +357,9 @@ def _check_inertia(where: str, stated: pin.Inertia, shapes: LinkGeometry) -> Non
 
 
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
-    """The stated inertia, with moments of its hull if only a mass is stated; or one by volume."""
+    """The stated inertia, with moments of the hull if only a mass is stated; without one, an
+    inertia by volume. A link without volume has the stated inertia, or zero.
+    """
     if geometry.volume <= _FLAT:
         return LinkInertia(stated or pin.Inertia.Zero(), "")
     if stated is None:
@@ -369,7 +372,7 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
-    """The inertia of solid hulls, or of one hull around all shapes if its volume is smaller."""
+    """The inertia of solid hulls, or of one hull around all shapes if that has a smaller volume."""
     hulls = [shape.hull for shape in geometry.shapes if shape.hull.volume > _FLAT]
     around = hull_mesh(geometry.corners)
     if around.volume < sum(hull.volume for hull in hulls):
@@ -381,7 +384,7 @@ def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
 
 
 def _stated(link: Element) -> pin.Inertia | None:
-    """The inertia that a URDF states for a link, or None."""
+    """The inertia that a URDF states for a link, in the frame of the link, or None."""
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None

@@ -50,11 +50,11 @@ _UNREADABLE = (
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write URDFs, meshes and licences of a zip to a folder; return the zip's list of file names.
+    """Write URDFs, meshes and licences of a zip to a folder; return the paths of all its files.
 
     Raises:
-        RobotFileError: The zip cannot be read, is too large, or contains a path out of the zip, a
-            link, a password, a duplicate name or a compression other than deflate.
+        RobotFileError: The zip cannot be read, is too large, or has an entry with an invalid path,
+            a link, a password, a duplicate path or a compression other than deflate.
     """
     _check_size(archive)
     try:
@@ -72,7 +72,7 @@ def unpack(archive: Path, folder: Path) -> list[str]:
 
 
 def _check_size(archive: Path) -> None:
-    """Check the size of a zip and of its list of files, before the list is read."""
+    """Refuse a file that is not a zip, or is too large, before its list of files is read."""
     size = archive.stat().st_size
     if size > LARGEST_ARCHIVE:
         raise RobotFileError(f"{size / 1e6:.0f} MB; the limit is {LARGEST_ARCHIVE / 1e6:.0f} MB")
@@ -95,7 +95,7 @@ def _check_size(archive: Path) -> None:
 
 
 def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    """The files of a zip by their paths, without folders."""
+    """The files of a zip by their paths, without folders; an error if too many or duplicate."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         raise RobotFileError(
@@ -217,14 +217,14 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _encoded(name: str) -> Iterator[bytes]:
-    """The bytes of a non-ASCII name in each of Python's encodings: a zip may not state its own."""
+    """The bytes of a non-ASCII name in each of Python's encodings: a zip can lack its encoding."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield name.encode(code)
 
 
 def _as_stored(name: bytes) -> str:
-    """The file name of an entry without a stated encoding: in code page 437; 0x5C, 0xFF escaped."""
+    """A name without a stated encoding, by code page 437; 0x5C and 0xFF become %5C and %FF."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 
@@ -249,7 +249,7 @@ class Contents(NamedTuple):
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The names of links and joints in the readable ones of a zip's first 20 URDFs, by their paths.
+    """The `Contents` of each readable URDF among the first 20 of a zip, by its path.
 
     Raises:
         RobotFileError: As for `unpack`, or none of these URDFs can be read.

@@ -60,8 +60,8 @@ def read_robot(
 ) -> tuple[Element, list[str], Collection[str]]:
     """Read the `<robot>` of a URDF or xacro; each mesh gets its address by `mesh_address`.
 
-    Arguments, third result and errors are those of `read_source`. The second result has a sentence
-    on each shape that is removed. A missing mesh that is required raises as `mesh_address` does.
+    The arguments and errors, and the last result, are those of `read_source`. The second result has
+    a sentence on each removed shape. A required mesh that is missing raises as in `mesh_address`.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
@@ -73,10 +73,10 @@ def read_robot(
 
 
 def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
-    """Why a visual or collision element is removed; empty if it is kept, with a new mesh address.
+    """The reason to remove a visual or collision element; if empty, its mesh has its new address.
 
-    A shape of size 0 is removed, and a visual mesh that is missing or unreadable if the link has a
-    collision element; any other such mesh is an error.
+    The reason can be a size of 0 or, for a visual element of a link with a collision element, a
+    mesh that is missing or unreadable. Any other such mesh raises a `RobotFileError`.
     """
     if (shape := element.find("geometry/*")) is None:
         return ""
@@ -132,7 +132,7 @@ def read_source(
 
 
 def _plain_xml(text: str) -> Element:
-    """The root, without blanks at the ends of attributes and without its own namespace."""
+    """The root of an XML text, without its namespace and without blanks at ends of attributes."""
     robot = ElementTree.fromstring(text)
     own = robot.tag.removesuffix(robot.tag.rpartition("}")[2])
     for each in robot.iter():
@@ -268,8 +268,8 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
 
 
 def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[Path]:
-    """The possible folders of a package, in the order of search: the one in `named` alone, or else
-    those beside and above the URDF, in ROS's search paths, and of installed packages.
+    """The possible folders of a package, in the order of search: only the one in `named`; without
+    one, those beside and above the URDF, in ROS's search paths, and of installed packages.
     """
     if package in named:
         yield named[package]
@@ -302,7 +302,7 @@ def _stated_name(folder: Path) -> str:
 def _expanded(
     path: Path, text: str, packages: Folders, arguments: Mapping[str, str]
 ) -> tuple[str, frozenset[str]]:
-    """The result of `_urdf_of` for a xacro file, whose own text is `text`."""
+    """The result of `_urdf_of`; its errors become a `RobotFileError` with a remedy."""
     with extras_named():
         import xacrodoc  # noqa: F401 - it may be missing
     try:

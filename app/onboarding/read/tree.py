@@ -28,7 +28,7 @@ PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 class Joint(NamedTuple):
     """One joint of a URDF; its units are rad, rad/s and N m, or m, m/s and N if prismatic.
 
-    A limit is None if it is not stated. If only one of `lower` and `upper` is, the other is 0.
+    A limit that is not stated is None, or 0 if only the other of `lower` and `upper` is stated.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Tree:
 
     @cached_property
     def children(self) -> defaultdict[str, list[Joint]]:
-        """The joints below each link, by the name of the link."""
+        """The joints whose parent is each link, by the name of the link."""
         found = defaultdict[str, list[Joint]](list)
         for joint in self.joints.values():
             found[joint.parent].append(joint)
@@ -123,7 +123,7 @@ class Tree:
 
 
 def _some(names: Iterable[str]) -> str:
-    """The first names as text, and the number of the others."""
+    """A text with up to 40 names, and the number of the others."""
     names = list(names)
     rest = len(names) - _MAX_NAMES
     return ", ".join(names[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
@@ -167,8 +167,8 @@ def make_tree(robot: Element) -> Tree:
 def _set_own_colour(visual: Element, rgba: Sequence[float] | None) -> None:
     """Replace the materials of a visual by one of the colour `rgba`; without a colour, remove them.
 
-    Its name is its colour. Thus materials of two robots with one name keep their colours, also in
-    libraries that read only the first material of a name.
+    The name of the new material is its colour. Two robots can have different materials of one name,
+    and some libraries read only the first material of a name.
     """
     for material in visual.findall("material"):
         visual.remove(material)
@@ -246,7 +246,7 @@ class Arm(NamedTuple):
     mount: str  # the link whose origin is the arm's mount
     joints: tuple[Joint, ...]  # the n_m joints of the arm, from the base outwards
     base_links: tuple[str, ...]  # `base` and its descendants outside of the arm, as wheels
-    rigid_links: tuple[str, ...]  # those of them that do not move on `base`, or hardly
+    rigid_links: tuple[str, ...]  # those of `base_links` fixed to `base`, also by suspensions
     segments: tuple[tuple[str, ...], ...]
     """(n_m + 1) groups of links: the arm's links before its first joint, then the links that each
     joint moves and the next joint does not. Links on other joints, such as fingers, are included.
@@ -319,7 +319,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
 
 
 def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
-    """Links of a segment that are moved by joints outside of the chain and of telescopes."""
+    """Links of a segment that a joint outside of the chain and of telescopes moves."""
     slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
     hanging = [tree.joint_of[link] for link in segment if tree.joint_of[link].moves]
     roots = [
@@ -333,7 +333,7 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
     """Whether a moving joint extends a slide, as in a telescope.
 
-    Only fixed joints and prismatic ones parallel to the slide lead to it, and it is parallel too.
+    Then `joint` and all independent joints between it and the slide are prismatic and parallel.
     """
     path, turn = (*tree.chain(slide.child, joint.parent), joint), np.eye(3)
     for each in path:
@@ -345,7 +345,7 @@ def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse an ancestor of the base with shapes or other children.
+    """Refuse a base with an ancestor that has shapes or other children.
 
     Ancestors above a planar or floating joint do not count.
     """

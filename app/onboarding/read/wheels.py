@@ -18,11 +18,11 @@ from app.strict import Array
 _LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
 _ROUND = 0.08  # [-] largest relative difference of the widths of a wheel in different directions
 _ALIKE = 0.03  # [-] largest relative difference of the wheels' radii
-_SAME_PLACE = 0.01  # [m] largest asymmetry of mirrored wheels
+_SAME_PLACE = 0.01  # [m] largest difference of wheels' coordinates that count as equal
 _UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may be tilted by 10 degrees
 _STEERING_RATE = 1.5  # [rad/s] assumed steering rate
 _IN_LINE = 0.02  # [m] largest offset of the steered wheels along x
-_ON_FLOOR = 0.02  # [m] largest height above the base's lowest point
+_ON_FLOOR = 0.02  # [m] largest height above the floor of a wheel or link that stands on it
 _TRAVEL = 0.5  # [-] largest travel of a rigid suspension, relative to the wheel's radius
 
 
@@ -58,7 +58,7 @@ class _Wheel(NamedTuple):
 
     @property
     def bottom(self) -> float:
-        """[m] height of the lowest point in the base's link."""
+        """[m] z of the lowest point of the wheel in the frame of the base's link."""
         return float(self.centre[2] - self.r)
 
 
@@ -70,15 +70,15 @@ class _Base(NamedTuple):
     geometry: Geometry
 
     def pose(self, link: str) -> pin.SE3:
-        """The pose of a link in the base's link, with all joints at zero."""
+        """The pose of a link in the frame of the base's link, with all joints at zero."""
         return self.tree.pose(link, self.arm.base)
 
     def axis(self, joint: Joint) -> Array:
-        """(3,) axis of a joint in the base's link, with all joints at zero."""
+        """(3,) axis of a joint in the frame of the base's link, with all joints at zero."""
         return self.pose(joint.child).rotation @ joint.axis
 
     def lowest(self, links: Sequence[str]) -> float | None:
-        """[m] height of the lowest point of links in the base's link, or None without shapes."""
+        """[m] z of the lowest point of links in the base link's frame, or None without shapes."""
         places = [(self.pose(k), self.geometry[k].corners) for k in links]
         heights = [float((p @ T.rotation[2]).min() + T.translation[2]) for T, p in places if len(p)]
         return min(heights, default=None)
@@ -101,7 +101,7 @@ class _Base(NamedTuple):
         return _Wheel(joint, self.pose(joint.child).translation.copy(), axis, r, how)
 
     def rigid_wheel(self, joint: Joint) -> _Wheel:
-        """The wheel on a joint that is rigidly fixed to the base; errors as for `wheel`."""
+        """The result of `wheel`; an error too if the joint's parent link moves on the base."""
         if joint.parent in self.arm.rigid_links:
             return self.wheel(joint)
         above = self.tree.joint_of[joint.parent]
@@ -157,7 +157,8 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
     the lowest point of the base's shapes, and the base faces the x axis of its link.
 
     Raises:
-        RobotFileError: The URDF lacks wheels or steering; the message names an option that helps.
+        RobotFileError: The URDF lacks wheels, steering or shapes of the base; the message names an
+            option that helps.
     """
     base = _Base(tree, arm, geometry)
     given = request.wheel_radius is not None and request.half_track is not None
@@ -187,8 +188,8 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
 
 
 def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
-    """The driven wheels: the wheels whose joints or links are `named`, or the lowest pair, and
-    others of the same radius on the floor, with the same lateral position as one of these two.
+    """The driven wheels: the two on the joints or links `named`, or the lowest pair; and all other
+    wheels of the same radius and height in line with one of these two.
 
     A wheel is a link of circular cross-section on a joint that `turns_round`; its parent is
     rigidly fixed to the base.
@@ -289,10 +290,10 @@ def _range(joint: Joint) -> float:
 
 
 def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[float, str]:
-    """[m] radius of all shapes about a joint's axis, and kind and link of the largest shape.
+    """[m] radius of all shapes about a joint's axis; a text with the kind of the largest shape.
 
-    Each shape has the pose of its link in the frame of the joint's child. If they are
-    not round about the axis, this raises a RobotFileError.
+    `shapes` has each shape with the pose of its link in the frame of the joint's child link. If the
+    shapes are not round about the axis, this raises a RobotFileError.
     """
     across = null_space(joint.axis[None])
     outlines = [(s.hull.vertices @ T.rotation.T + T.translation) @ across for s, T in shapes]
@@ -312,7 +313,7 @@ def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[
 
 
 def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
-    """Pairs of equal wheels on one axle: first the one with larger y or, along x, smaller x."""
+    """Pairs of equal wheels on one axle: larger y first or, on an axle along x, smaller x first."""
     pairs = []
     for a, b in combinations(wheels, 2):
         apart = a.centre - b.centre

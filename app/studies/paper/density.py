@@ -80,7 +80,7 @@ def trade_off(sources: Sources) -> drawing.Table:
 
 @cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
-    """Results of the lateral guiding with about 50,000 points in each border, or all if fewer.
+    """Results of the lateral guiding; each border has about 50,000 points, or all if it has fewer.
 
     The run is not in parallel with other runs, because the durations of its steps are measured.
     """
@@ -94,7 +94,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
-    """A fixed random share of a cloud's points."""
+    """A fixed random choice of a cloud's points; `share` [-] is their share of all points."""
     chosen = _chosen(len(cloud), round(share * len(cloud)))
     return replace(cloud, points=cloud.points[chosen], distances=cloud.distances[chosen])
 
@@ -110,7 +110,7 @@ def _chosen(total: int, count: int) -> Array:
 
 
 def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
-    """The closest points of base and end-effector at each step in the buffer (lateral guiding)."""
+    """Closest points of base and end-effector in each control step of LATERAL inside the buffer."""
     run = sources.runs[LATERAL].trace
     fine = np.arange(run.t[0], run.t[-1], DT)
     q_m = np.column_stack([np.interp(fine, run.t, q) for q in run.of("q_m").T])
@@ -230,7 +230,7 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Largest changes between successive rows, for each border, and their ratios."""
+    """For each border, the largest changes between successive rows; then ratios of the borders."""
     result: dict[str, Any] = {}
     units = {"mps2": "base_a_mps2", "radps2": "base_aw_radps2"}
     for kind, along in found.items():

@@ -73,7 +73,7 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the controller `hqp`; NaN if a level has no solution. B (k,) is stored in `w`."""
+    """q̈ (n,) of the controller `hqp`; NaN if a Jacobian is not finite. B (k,) is stored in `w`."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
@@ -121,7 +121,7 @@ def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
 
 
 def inserted_at_zero(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] the same difference for the arm in the project's form: rows at B = 0 and no rows."""
+    """[rad/s²] ‖arm's q̈ with rows at B = 0 − arm's q̈ without rows‖ in the project's form."""
     with_rows, n_b = here(w, np.zeros(len(w.B)), gains), w.n_b
     without = np.linalg.solve(w.H[n_b:, n_b:], -w.c[n_b:])
     return float(np.linalg.norm(with_rows[n_b:] - without))
@@ -158,9 +158,9 @@ def postures(sources: Sources) -> list[Array]:
 def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
-    The base's rows and the row of a pair within the arm are fully active, so that with T_2 there
-    are as many rows as degrees of freedom, although this pair is outside its buffer. The step with
-    the largest change of q̈ is halved repeatedly, so that only a jump remains.
+    The base's rows and the row of one pair within the arm are set fully active, although this pair
+    is outside its buffer: with T_2 there are as many rows as degrees of freedom. The step with the
+    largest change of q̈ is halved repeatedly, so that only a jump remains.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)

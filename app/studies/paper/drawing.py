@@ -139,7 +139,7 @@ class Strip:
     marks: Array | None = None  # (N, 3) [m] a line on the floor, such as a door's arc
 
     def paths(self, *columns: str) -> Table:
-        """Time, pose of the base, position of the end-effector, `columns`, in each tenth row."""
+        """Each tenth row: time, pose of the base, position of the end-effector, and `columns`."""
         run = self.run.trace
         table = {name: run[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
         table |= points_table(run.of("p_ee"), "hand_") | {name: run[name] for name in columns}
@@ -155,10 +155,10 @@ def snapshot_drawing(
     aim: str = "",
     marks: str = "",
 ) -> Drawing:
-    """A drawing of rows of four snapshots, with the runs' paths and `columns`, and some results.
+    """A drawing with four snapshots of each strip, a table of `Strip.paths`, and some results.
 
-    The column `kind` of the table has the names of the strips. `aim` and `marks` are the legend's
-    texts for the arrows of `Strip.aim` and the lines of `Strip.marks`; an empty text has no entry.
+    The column `kind` of the table has the names of the strips. `results` are keys of the runs'
+    results. `aim` and `marks` are the legend's texts for `Strip.aim` and `Strip.marks`, if any.
     """
     height = len(strips) * (style.WIDTH / _COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)

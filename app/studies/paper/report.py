@@ -26,7 +26,7 @@ _DRAWING = 5.0  # [s] simulated time whose computation takes about as long as dr
 
 
 def chosen(names: Iterable[str]) -> list[str]:
-    """The names without repetition, in the order of the paper; all names if there are none."""
+    """The names in the order of the paper, all if `names` is empty; an unknown one is an error."""
     selected = set(names)
     for name in sorted(selected):
         check_name("figure", name, FIGURES)

@@ -240,8 +240,8 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
     """Draw the displacement (3,) [m] of a pull, and whether it is along the base.
 
-    A pull along the base is perpendicular to the line to the target, or up to 45° towards the
-    target, and ends above the floor. Other pulls end at the target or after 0.6 m.
+    A pull along the base is perpendicular to the line to the target, or turned by up to 45° towards
+    the target, and ends above the floor. Other pulls end at the target or after 0.6 m.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
     across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
@@ -257,7 +257,7 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
     """The displacement (3,) [m] of a pull, shortened if it would take too long; the duration [s] of
-    the run; and the pull's share [-] of it.
+    the run; and the share [-] of this duration that the pull takes.
 
     `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
     rest of 1 s after the pull, or of a quarter of `longest` if that is shorter.
@@ -335,7 +335,7 @@ def stopped(drawn: Row, reason: str) -> Row:
 
 
 def met_base(row: Row) -> bool:
-    """Whether the arm touched the base, or their convex bodies, which enclose the links, met."""
+    """Whether the arm touched the base in the plant, or the convex bodies of both met."""
     return bool(row.get("contacts")) or _at_most_zero(row.get("min_clearance_m"))
 
 
@@ -345,7 +345,9 @@ def met_itself(row: Row) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded 1.05 of its speed limit, and no torque was at a limit for 0.1 s."""
+    """Whether a joint exceeded 1.05 of its speed limit when no torque was at its limit, and none
+    had been in the last 0.1 s.
+    """
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
 
 
@@ -362,7 +364,7 @@ def failed(row: Row) -> bool:
 
 
 def flat(results: Mapping[str, Any]) -> Row:
-    """The results of a run by the columns of a study's table."""
+    """The stored results of a run by the columns of a study's table."""
     return flattened({key: value for key, value in results.items() if key not in _NOT_STORED})
 
 

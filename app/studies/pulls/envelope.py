@@ -75,7 +75,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
 
 
 def exerted(row: Row) -> float:
-    """[N] the force `FORCE` of a case; the limit of the spring if the run stopped with an error."""
+    """[N] the force `FORCE` of a case; the limit of the spring without it, as after an error."""
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 
@@ -117,7 +117,7 @@ def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
 
 
 def rate_bound(failures: int, cases: int) -> float:
-    """[-] upper 95 % bound of a failure rate (Clopper and Pearson); 1 without cases."""
+    """[-] upper 95 % bound of a failure rate (Clopper and Pearson); 1 if no case succeeded."""
     from scipy.stats import beta
 
     if failures >= cases:

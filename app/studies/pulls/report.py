@@ -135,7 +135,8 @@ def summary_of(
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
     """Count the cases with a fault, those with a report of it, and those with a timely report.
 
-    A fault begins at the control step nearest to `fault_at_s`. Earlier reports do not count.
+    A fault begins at the control step nearest to `fault_at_s`, or at 0 if it is `stated_period`.
+    Earlier reports do not count. A timely report is at most 0.2 s later.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]

@@ -1,4 +1,4 @@
-"""A study: it runs the missing cases, and writes the table, the failures, the summary, the report.
+"""A study: it runs the missing cases, and writes table, failures, summary, envelope and report.
 
 A journal stores the result of each case during the study. The cases run in processes of this
 machine, or on the workers of a running dask scheduler.
@@ -132,7 +132,7 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file for each failed case, which `dbb run --case` reads; remove earlier files."""
+    """Write a file for `dbb run --case` for each failed case; remove the other files of cases."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -299,7 +299,7 @@ def _run(function: Callable[..., Row], make_context: Callable[[], Any], job: int
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Check that a cluster has workers with the code of this process."""
+    """Check that a cluster has workers, and that all have the code of this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:

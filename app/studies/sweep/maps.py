@@ -233,7 +233,7 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Draw the base's outline, the wheel axis between two y [m], the mount with a radius [m]."""
+    """Draw the base's outline, the wheel axis from y to y [m], and the mount of a radius [m]."""
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
     place = {"transform": style.pop("transform", ax.transData)}
@@ -290,5 +290,5 @@ def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
 
 
 def _smallest_step(rows: Sequence[Row], key: str) -> float:
-    """[m] smallest difference between two values of a column, at most 1."""
+    """[m] smallest difference between different values of a column, at most 1."""
     return float(np.diff(np.unique([row[key] for row in rows])).min(initial=1.0))

@@ -101,13 +101,13 @@ def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
 
 
 def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
-    """Paths of the kind `wheel_axis` from the left and from the right, at each height [m]."""
+    """Paths of the kind `wheel_axis` from both sides, for all heights [m] and `AXIS_OFFSETS`."""
     for height, direction, offset in product(heights, (90.0, 270.0), AXIS_OFFSETS):
         yield Approach("wheel_axis", height, direction, offset)
 
 
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
-    """Paths of the kind `above`, on a grid between two corners (2,) with a largest spacing [m]."""
+    """Paths of the kind `above`, on a grid between corners (2,), at most `spacing` [m] apart."""
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
     xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True))
     for x, y in product(xs, ys):

@@ -308,8 +308,8 @@ def arrival(t: Array, errors: Array) -> float | None:
 def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
     """Whether a path was successful.
 
-    The final error is at most `error_limit` [m], and the smallest distance between arm and base at
-    least 0.03 m, without contact of the arm with base or itself, and without fallback command.
+    Then the final error is at most `error_limit` [m], and the distance between arm and base is at
+    least 0.03 m. The arm never touches the base or itself, and there is no fallback command.
     """
     clearance = results["min_clearance_m"]
     flaws = (results[key] for key in ("contacts", "arm_contacts", "solver_failures"))
