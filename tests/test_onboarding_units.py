@@ -17,6 +17,7 @@ from app.onboarding.fit.convex import directions
 from app.onboarding.fit.grouping import _ranked
 from app.onboarding.fit.units import Part, Unit, neighbours, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry, LinkShape
+from app.onboarding.read.tree import Joint, Tree, extends
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from tests.robots import husky_panda
 
@@ -53,6 +54,30 @@ def test_adjacent_units_and_units_of_a_telescope_are_neighbours(
     joints: list[Any], a: int, b: int, expected: bool
 ) -> None:
     assert neighbours(chain(joints), unit(a), unit(b)) is expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "mimic", "expected"),
+    [
+        ("prismatic", None, True),
+        ("fixed", None, True),
+        ("revolute", None, False),
+        ("prismatic", ("slide", 1.0, 0.0), True),
+        ("revolute", ("slide", 1.0, 0.0), False),
+    ],
+)
+def test_only_parallel_slides_extend_a_telescope(
+    kind: str, mimic: tuple[str, float, float] | None, expected: bool
+) -> None:
+    """A joint that follows another one moves, too."""
+    straight = pin.SE3.Identity()
+    joints = (
+        Joint("slide", "prismatic", "mast", "lift", straight),
+        Joint("between", kind, "lift", "outer", straight, mimic=mimic),
+        Joint("last", "prismatic", "outer", "inner", straight),
+    )
+    tree = Tree({}, {joint.name: joint for joint in joints})
+    assert extends(tree, joints[0], joints[2]) is expected
 
 
 def test_links_without_shapes_are_no_body_of_their_own() -> None:

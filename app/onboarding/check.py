@@ -54,9 +54,9 @@ _NEAR_POSTURES = 1000  # [-] number of random postures for the share inside of a
 _MANY = 500  # [-] smallest number of points inside the border in a layer that counts as reached
 _FEW = 10  # [-] smallest number of border points in a layer that does not count as empty
 _TOUCHED = {
-    "contacts": "arm and base",
-    "arm_contacts": "the arm and itself",
-    "floor_contacts": "the arm and the floor",
+    "in_contact": "arm and base",
+    "arm_in_contact": "the arm and itself",
+    "floor_contact": "the arm and the floor",
 }
 _HELD = (
     ", because the arm cannot hold its end-effector in place and avoids the base by "
@@ -408,8 +408,9 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     except UnreachableError as error:
         return Row(name, "warned", f"the run cannot start: {error}", {})
     figures, warning = guided.figures, buffer_warning(guided.trace.buffer, config)
-    steps = {what: int(figures[key]) for key, what in _TOUCHED.items() if figures[key]}
-    touched = sum(steps.values())
+    flags = {what: guided.trace.of(quantity) for quantity, what in _TOUCHED.items()}
+    steps = {what: int(flag.sum()) for what, flag in flags.items() if flag.any()}
+    touched = int(np.any([*flags.values()], axis=0).sum())
     failures, moved = int(figures["solver_failures"]), float(figures["base_displacement_m"])
     near, without = figures["min_clearance_m"], bare["min_clearance_m"]
     numbers = {

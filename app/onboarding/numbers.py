@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from decimal import ROUND_DOWN, Context
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ _TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from
 _SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
 _LARGEST = 1000.0  # [rad] or [m] position limit from which a joint has no limit on this side
 _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
+_TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)  # a bound also holds after rounding
 _TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
@@ -117,7 +119,7 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     for joint, effort, m in zip(arm.joints, limits.effort, least, strict=True):
         strength = "strong" if effort >= _STRONG else "weak"
         wanted = _DAMPING["prismatic" if joint.kind == "prismatic" else strength]
-        found.append(float(f"{min(wanted, m / (STABLE_STEPS * _STEP)):.2g}"))
+        found.append(float(_TWO_DIGITS.create_decimal(min(wanted, m / (STABLE_STEPS * _STEP)))))
     return tuple(found)
 
 

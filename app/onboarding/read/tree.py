@@ -333,13 +333,14 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
     """Whether a moving joint extends a slide, as in a telescope.
 
-    Then `joint` and all independent joints between it and the slide are prismatic and parallel.
+    Then `joint` and all joints between it and the slide that are not fixed are prismatic and
+    parallel, with or without `<mimic>`.
     """
     path, turn = (*tree.chain(slide.child, joint.parent), joint), np.eye(3)
     for each in path:
         turn = turn @ each.T_parent_child.rotation
         along = abs(float(slide.axis @ turn @ each.axis)) > PARALLEL
-        if each.moves and not (each.kind == "prismatic" and along):
+        if each.kind != "fixed" and not (each.kind == "prismatic" and along):
             return False
     return True
 
