@@ -288,8 +288,8 @@ def film_pictures(
 
     Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
     turns about the vertical axis through its target by `orbit` [rad]. Each picture has the lines of
-    `captioned`. A part of a side-by-side film needs `framed`, the snapshots of all robots: then the
-    camera shows all robots, and each picture has the base's initial outline and lines of `story`.
+    `captioned`. A part of a side-by-side film needs `framed`, the snapshots of all robots: the
+    camera shows them all, the base's initial outline is drawn, and `story` replaces `captioned`.
 
     Raises:
         AssetError: The robot's URDF or the mesh of a convex body is missing.
