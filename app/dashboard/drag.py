@@ -39,8 +39,7 @@ class Grip:
         self._pulls = False  # whether the simulation has a pull of this viewer
         self._warned = False
         self._moved = 0.0  # [s] time of the last pull
-        self._target, self._by_keys = np.zeros(3), False
-        """[m] target of a pull by keys, and whether keys hold the point."""
+        self._target, self._by_keys = np.zeros(3), False  # [m] target by keys; whether keys hold
         self.reach: Callable[[Array], None] | None = None
         """If set, no pull is sent: this function gets each target (3,) [m] of the end-effector."""
         self._lock = RLock()

@@ -146,10 +146,7 @@ class Gate:
             raise ServerError("this version of viser starts its server in an unknown way")
 
     def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap viser's function for requests: check each request, and complete each answer.
-
-        An answer gets further headers, and a page of viser gets this program's scripts and styles.
-        """
+        """Wrap viser's function for requests: check these, and add head and headers to answers."""
 
         async def process(connection: _Connection, request: Request) -> Response | None:
             answer = self._refusal(request, connection.method)
