@@ -160,7 +160,7 @@ class DragHandles:
         self._dragged = False  # whether the viewer drags the gizmo
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless the viewer drags it; watch any new meshes."""
+        """Move the gizmo to the end-effector unless it is dragged; handle drags of new meshes."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:

@@ -27,7 +27,7 @@ class Posture(NamedTuple):
 
 
 class Explorer:
-    """Computes the controller's response to a posture, at rest, by one step; not thread-safe."""
+    """Computes the controller's response to a posture by one control step; not thread-safe."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
         """Prepare a session with the pairs and parameters of a snapshot; `clouds` has all P_i."""

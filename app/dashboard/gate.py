@@ -146,7 +146,7 @@ class Gate:
             raise ServerError("this version of viser starts its server in an unknown way")
 
     def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap viser's function for requests: check these, and add head and headers to answers."""
+        """Wrap viser's handler of requests: refuse some, and add head and headers to answers."""
 
         async def process(connection: _Connection, request: Request) -> Response | None:
             answer = self._refusal(request, connection.method)
@@ -238,7 +238,7 @@ class _Connection(ServerConnection):
     """Gate and uploads of the connection, from its opening on."""
 
     def data_received(self, data: bytes) -> None:
-        """Read data after a request's first line is replaced by that of a GET of HTTP/1.1."""
+        """Read data, in which the first line of a request is replaced by that of GET, HTTP/1.1."""
         if self.method not in _METHODS:  # the answer is on its way: ignore the request's content
             return
         if self.request is None and (line := _REQUEST.match(data)):
@@ -332,7 +332,7 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 class Uploads:
     """Register of one viewer's unfinished uploads; the parts of a file must arrive in order.
 
-    viser stores the parts of a file until the file is complete; a part of no file stays forever.
+    viser stores the parts of a file until the file is complete, and parts of no file forever.
     """
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
@@ -436,7 +436,7 @@ def is_alike(value: Any, current: object) -> bool:
 
 
 def _is_plain(value: Any, longest: int, depth: int) -> bool:
-    """Whether a value has neither NaN nor a huge number, long text (`longest`) or deep nesting."""
+    """Whether a value has no NaN, no huge number, no text over `longest`, no level over `depth`."""
     if isinstance(value, int | float):
         return abs(value) <= _LARGEST_NUMBER  # False for NaN
     if isinstance(value, str):

@@ -75,7 +75,7 @@ class Job:
         self._lock = threading.Lock()
 
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
-        """Start a job: run `work` in a new thread; `text` describes its first step.
+        """Start the job `title`: run `work` in a new thread; `text` describes its first step.
 
         If `work` raises `Cancelled`, a `DbbError` or an `OSError`, `problem` has the message; after
         any other exception, `problem` refers to the log.
@@ -96,7 +96,7 @@ class Job:
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Return `work(report, *args)` from a separate process; raise `Cancelled` on `cancel`."""
+        """Return `work(report, *args)` from a separate process; raises `Cancelled` if cancelled."""
         return run_in_process(work, *args, report=self.report, cancelled=self._cancelled)
 
     def report(self, text: str, share: float = -1.0) -> None:
@@ -158,7 +158,7 @@ def sample_border(report: Report, robot: str) -> BorderData:
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """Return contents of each readable one of a zip's first 20 URDFs; limit time and memory."""
+    """Read a zip's first 20 URDFs with limited time and memory; return the valid ones by path."""
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
@@ -214,7 +214,7 @@ def write_replay(report: Report, trace: Trace, page: Path) -> None:
 
 
 def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
-    """Write a film of a trace in real time, with `FILM_RATE` and the first codec of its suffix."""
+    """Write a film of a trace in real time, with `FILM_RATE` and the suffix's default codec."""
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
 

@@ -142,7 +142,7 @@ class Page:
         _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
-        """Replace this page by one of another robot, and return that; a closed page remains."""
+        """Return a page of another robot that replaces this page; return a closed page itself."""
         if self.closed:
             return self
         self.close()
@@ -237,7 +237,7 @@ class Demonstration:
     _due: float | None = None
 
     def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
-        """Start or repeat the demonstration when it is due, or end it and close its card.
+        """Start or repeat the demonstration when it is due; end it if its conditions do not hold.
 
         The drawing thread calls this method before each frame.
         """

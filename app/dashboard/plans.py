@@ -91,7 +91,7 @@ def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
 def _distances(
     title: str, model: RobotModel, names: list[str], height: int, first: int = 0
 ) -> PlotPlan:
-    """Return a plot of the pairs' distances and d_b; the first colour is number `first`."""
+    """Return a plot of the pairs' distances and d_b, with colours of `SERIES` from `first` on."""
     meaning = "signed distance d [m] of the convex bodies, negative if they overlap"
     spoken = partial(words.spoken, chain=model.body_names)
     curves = (

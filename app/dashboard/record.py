@@ -61,7 +61,7 @@ class Course:
         touched: Whether a contact or overlap began later.
         contact: Whether the plant has reported a contact.
         case: The last scenario's case, as at its start; None before the first one.
-        last: The last snapshot of the last scenario, with all changes since; None before.
+        last: The last snapshot of the last scenario, with changes during it; None before it.
     """
 
     def __init__(self) -> None:

@@ -112,7 +112,7 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
-        The new robot gets the present controller. It gets `changes` if it can start with them.
+        The new robot gets the present controller, and `changes`, or its defaults if these fail.
 
         Raises:
             ConfigError: The robot does not exist or cannot be used, or another switch is running.

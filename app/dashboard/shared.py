@@ -146,7 +146,7 @@ class SharedState(SceneData):
     ) -> None:
         """Load the shared data; most arguments are those of `serve_dashboard`.
 
-        `before` is the state of another robot, whose history of parameters and jobs continue here.
+        The history of parameters and the jobs of `before`, the state of another robot, continue.
         """
         super().__init__(loop, model, clouds, parts)
         self.case = case

@@ -266,8 +266,8 @@ class _Seen(NamedTuple):
 class Watchdog:
     """Detects viewers who do not answer, and closes connections without answers or deliveries.
 
-    A browser answers a ping even if its page is busy. Time is counted in checks by the receiving
-    thread, so that a delay of this program itself counts as one check.
+    A browser answers a ping even if its page is busy. The thread that receives the answers counts
+    time in checks, so that a delay of this program itself counts as one check.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
@@ -366,9 +366,9 @@ def _icon(name: str) -> str:
 
 
 def _replace_parts_of_viser() -> None:
-    """Replace viser's queue of messages, and two functions that repeat work for each widget.
+    """Replace viser's queue of messages, and two parts that repeat work for each widget.
 
-    They open the archive of 4,000 icons, and evaluate the type hints of a class.
+    These parts open the archive of 4,000 icons, and evaluate the type hints of a class.
     """
     hints = cache(get_type_hints)
     of_class = property(lambda self: hints(type(self._impl.props)))

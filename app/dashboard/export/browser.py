@@ -58,7 +58,7 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 
 
 def browser_path(bundled: str) -> str | None:
-    """Return the path of the browser to use; None stands for playwright's own at `bundled`.
+    """Return the path of the browser to use, or None for playwright's own, which is at `bundled`.
 
     The path in `DBB_BROWSER` comes first, then an installed browser, then playwright's own.
 

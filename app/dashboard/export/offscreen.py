@@ -325,7 +325,7 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
-    """Describe a snapshot in four lines: method, task, clearance, base's motion since `first`."""
+    """Return four lines: method, task, clearance, and the base's displacement since `first`."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
     near = nearness(shown, door=shown.door is not None)
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
@@ -345,8 +345,8 @@ def captioned(
 ) -> Image.Image:
     """Write scenario and time into a picture, then method and clearance of each robot.
 
-    If `posed`, the picture shows a posture: a note replaces scenario and time. If `named`, labels
-    in the picture have the clearances of a comparison: those are then omitted.
+    If `posed`, a note replaces scenario and time, because a posture is not simulated. If `named`,
+    method and clearance are omitted in a comparison, because the picture has labels with them.
     """
     scenario = f"{shown.scenario}, " if shown.scenario else ""
     lines: list[str | tuple[str, Rgb]] = [f"{scenario}t = {shown.t:.2f} s"]

@@ -59,7 +59,7 @@ class Plots(Panel):
         }
 
     def update(self, moment: Moment) -> None:
-        """Draw `LENGTH` up to the present, or up to `AHEAD` after a shown instant in the past.
+        """Draw the last `LENGTH` of the run, or up to `AHEAD` after a shown instant in the past.
 
         A plot that is not chosen or has no value, as for an absent door, is hidden. Nothing is
         drawn if the viewer does not see the tab, or if the drawing of the present is not yet due.

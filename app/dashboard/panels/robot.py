@@ -53,7 +53,7 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """Tab "Robot": a list to choose the robot that is simulated for all viewers, and folders."""
+    """Tab "Robot": choice of the robot that is simulated for all viewers, and two folders."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -224,7 +224,7 @@ class NewRobotPanel(Panel):
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """Describe a robot, and why it cannot be used, if so; `here` means that it is in use."""
+    """Describe a robot, with the reason if it cannot be used; `here`: whether it is in use."""
     lines = (
         f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
         "In use." if here else "",

@@ -84,7 +84,7 @@ class RunPanel(Panel):
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the readings from the shown one.
 
-        The list of scenarios still shows one that has ended, so that a choice of `FREE` differs.
+        The list still shows a scenario that has ended: a choice of `FREE` must change the list.
         """
         newest, shown, verdict = moment
         course = self._shared.course
@@ -201,7 +201,7 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 
 
 def _distance(d: float) -> str:
-    """Return a distance [m] as a number of millimetres, in the colour of contact if negative."""
+    """Return a distance [m] as a number of millimetres, on the colour of contact if negative."""
     text = millimetres(d)[:-3]
     return text if d >= 0.0 else state_chip("contact", text)
 

@@ -121,10 +121,10 @@ class SavePanel(Panel):
         return whole.convert("RGB")
 
     def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> NamedFile:
-        """Return the file that `write(report, trace, path, *more)` creates in its own process.
+        """Return the file that `write(report, trace, path, *more)` creates in a separate process.
 
         The end of the process frees the memory of the libraries. For an interval that begins in a
-        scenario, a report omits the time without a scenario, which would change its final values.
+        scenario, a report omits the time without a scenario, which would change the final values.
         """
         snapshots = self._viewer.timeline.interval()
         if write is write_report:

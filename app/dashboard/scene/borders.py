@@ -216,7 +216,7 @@ class DrawnBorders:
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, axes, top)
 
     def draw_slice(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the border at the height of p_b of the nearest pair of L_m."""
+        """Draw the border's contour at the height of p_b of the nearest pair of L_m."""
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.fields]
         if not mobile:
             return
@@ -230,7 +230,7 @@ class DrawnBorders:
             canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
 
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
-        """Return the probe of the frontmost drawn point within `_NEAR` of the `pointer` [px]."""
+        """Return the probe of the frontmost drawn point within `_NEAR` of `pointer`, or None."""
         nearest, found = np.inf, None
         for pair, (cloud, _, _) in self._drawn.items():
             if cloud is None:

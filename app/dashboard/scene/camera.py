@@ -38,7 +38,7 @@ _OVER_DOOR = 0.15  # [m] height of the angle's label above the door
 
 
 class Window(NamedTuple):
-    """The part of a page in which the scene is drawn; parts of it can be covered."""
+    """The area of a page that shows the scene; its upper and lower ends can be covered."""
 
     aspect: float = 1.5  # [-] ratio of width to height
     covered: float = 0.0  # [-] share of the height that is covered from below
@@ -66,7 +66,7 @@ ANY_WINDOW = Window()  # default of an unknown window
 
 
 class Preset(NamedTuple):
-    """A view of the robot, in the base's frame."""
+    """A view: the direction of the camera, in the base's frame, and its target."""
 
     away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
@@ -302,7 +302,7 @@ def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
 
 
 def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
-    """Whether the mean of points (N, 3) [m] is in the free part, and they cover enough of it."""
+    """Whether the mean of points (N, 3) [m] is in the free part, and they look large enough."""
     lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
     pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
@@ -330,7 +330,7 @@ def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None
 
 
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
-    """Return the nearest camera that shows all points in the free part of the picture.
+    """Return the nearest camera that shows all points, centred in the picture's free part.
 
     Args:
         points: (N, 3) [m] points.

@@ -123,7 +123,7 @@ class Canvas:
 
     @contextmanager
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
-        """Show only objects drawn in this context; texts of existing labels change if `texts`.
+        """Show only objects drawn in this context; change texts of old labels only if `texts`.
 
         With a lens, labels overlap only if there is no free spot. They prefer their last spots
         while the simulated time `t` [s] advances in short steps.

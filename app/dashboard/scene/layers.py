@@ -83,7 +83,7 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    If `inside`, pairs outside the buffer d_b [m] have length zero; otherwise the pairs inside it.
+    If `inside`, segments of pairs outside the buffer d_b [m] have length 0; otherwise those inside.
     """
     ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
     hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
@@ -128,7 +128,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) of the base above its `top` [m], below the scene node `node`.
+    """Draw an acceleration (n_b,) above the base's `top` [m], in the frame of the scene node.
 
     The linear part is a straight arrow, the angular part ω̇ an arc with a head.
     """
