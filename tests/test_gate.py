@@ -444,7 +444,7 @@ def answered(payload):
 def test_a_reply_that_is_no_picture_or_too_large_unpacked_is_refused(payload):
     pass_on(answered(png()))
     pass_on(answered(b""))  # a page that could draw none
-    with pytest.raises(RefusedError, match="not a requested picture"):
+    with pytest.raises(RefusedError, match="not a still PNG picture"):
         pass_on(answered(payload))
 
 

@@ -1,4 +1,4 @@
-"""Pulls by a viewer: of the end-effector with a gizmo or keys, or of any link of the arm."""
+"""Pulls of a viewer: by a gizmo or by keys at the end-effector, or by a drag of a link."""
 
 from collections.abc import Callable, Sequence
 from threading import RLock
@@ -23,24 +23,25 @@ SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
 class Grip:
-    """The pull of one viewer, who holds at most one point; forces of several viewers add up.
+    """Sends the pulls of one viewer, who holds at most one point of the robot.
 
-    All methods are thread-safe: after a release, no pull of an earlier event follows.
+    The forces of several viewers add up. All methods are thread-safe: after the release of a point,
+    no further pull of this point is sent.
     """
 
     def __init__(
         self, sink: LoopHandle, notifier: Notifier, client: viser.ClientHandle, timeline: Timeline
     ) -> None:
-        """Start without a pull; commands to `sink` have the number of `client`."""
+        """Start without a held point; commands to `sink` contain the number of `client`."""
         self._sink, self._notifier, self._client, self._timeline = sink, notifier, client, timeline
         self._held: tuple[str | None, Point | None] | None = None
-        """Link and point as in `take`; None without a pull."""
+        """Link and position of the held point, as in `take`; None without a held point."""
         self._pulls = False  # whether the simulation has a pull of this viewer
         self._warned = False
         self._moved = 0.0  # [s] time of the last pull
-        self._target, self._by_keys = np.zeros(3), False  # [m] target of a pull by keys
+        self._target, self._by_keys = np.zeros(3), False  # [m] target by keys; whether keys hold
         self.reach: Callable[[Array], None] | None = None
-        """If set, it gets targets (3,) [m] of the end-effector, and nothing is pulled."""
+        """If set, no pull is sent: this function gets each target (3,) [m] of the end-effector."""
         self._lock = RLock()
 
     @property
@@ -53,10 +54,11 @@ class Grip:
         return self._held is not None
 
     def take(self, link: str | None = None, point: Point | None = None) -> None:
-        """Start to hold a point of the robot, by default the end-effector; release the last one.
+        """Release the held point, and hold another one, by default the end-effector.
 
-        `link` is the joint that moves the held link; `point` (3,) [m] is in this joint's frame. If
-        the page shows the past, it returns to the present, and nothing is held.
+        `link` is the name of the joint that moves the held link; `point` (3,) [m] is in the frame
+        of this joint. If the page shows the past, no point is held: the page returns to the
+        present, with a message.
         """
         with self._lock:
             self.release()
@@ -70,8 +72,9 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
 
-        Without a held point, there is no effect. The same holds for the remaining events of a drag
-        during a pull by keys. If `reach` is set, it gets the unchanged target instead.
+        Nothing happens if no point is held, or if keys hold the point but `by_keys` is False, or
+        the reverse. If `reach` is set, no pull is sent: if the held point is the end-effector,
+        `reach` gets the unchanged target. The first negative z of a pull warns the viewer.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -89,9 +92,11 @@ class Grip:
             self._pulls = True
 
     def nudge(self, ahead: Sequence[float], snapshot: Snapshot) -> None:
-        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead`; not in a drag.
+        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead`.
 
-        `ahead` (3,) is clipped to −1 to 1, along the axes forward, left and up of the base.
+        The components of `ahead` (3,) are forward, left and up in the base's frame, and are clipped
+        to [−1, 1]. The target stays within `MOST_NUDGED` of the end-effector. The first call of a
+        pull by keys returns to the present. During a drag, the call has no effect.
         """
         with self._lock:
             if self.holds_anything and not self._by_keys:
@@ -107,13 +112,13 @@ class Grip:
             self.pull(self._target, by_keys=True)
 
     def release_keys(self) -> None:
-        """Release a pull by keys; another pull continues."""
+        """Release the held point if keys hold it; a drag continues."""
         with self._lock:
             if self._by_keys:
                 self.release()
 
     def release(self) -> None:
-        """Release the held point; the simulation gets a command only if it has a pull."""
+        """Release the held point; send a command only if a pull of this point was sent."""
         with self._lock:
             self._held = None
             if self._pulls:
@@ -121,7 +126,7 @@ class Grip:
                 self._sink.send(Release(self._client.client_id))
 
     def release_if_still(self, seconds: float) -> None:
-        """Release the held point if its last pull is older than `seconds`, and warn the viewer."""
+        """Release a point that was neither taken nor pulled for `seconds`, and warn the viewer."""
         with self._lock:
             if self._held is None or monotonic() - self._moved <= seconds:
                 return
@@ -131,7 +136,7 @@ class Grip:
 
 
 class DragHandles:
-    """The gizmo on the end-effector, and the links of the arm, which can be dragged."""
+    """Handles for the mouse: the gizmo on the end-effector, and the meshes of the arm's links."""
 
     def __init__(
         self,
@@ -143,7 +148,7 @@ class DragHandles:
     ) -> None:
         """Add the gizmo to the scene, and handle drags of the gizmo and of the arm's links.
 
-        `arm_joints` has the names of the arm's joints, by their index in the drawn model.
+        `arm_joints` has the names of the arm's joints, by their indices in the drawn model.
         """
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
@@ -155,7 +160,7 @@ class DragHandles:
         self._dragged = False  # whether the viewer drags the gizmo
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector, but not while this viewer drags the gizmo."""
+        """Move the gizmo to the end-effector unless it is dragged; handle drags of new meshes."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:

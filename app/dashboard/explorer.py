@@ -27,7 +27,7 @@ class Posture(NamedTuple):
 
 
 class Explorer:
-    """Computes the response to a posture, by one control step from rest; not thread-safe."""
+    """Computes the controller's response to a posture by one control step; not thread-safe."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
         """Prepare a session with the pairs and parameters of a snapshot; `clouds` has all P_i."""
@@ -44,9 +44,10 @@ class Explorer:
         self._response = snapshot
 
     def respond(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
-        """Return a snapshot of the robot in `posture`, with joint positions clipped to limits.
+        """Return a snapshot of one control step from rest in `posture`, clipped to joint limits.
 
-        Parameters, controller, times, scenario and scores are those of `snapshot`.
+        Parameters, controller, time, run, speed, scenario, scores and real-time statistics are
+        those of `snapshot`.
         """
         request = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
         if request != self._request:
@@ -62,10 +63,11 @@ class Explorer:
         return replace(self._response, **{name: getattr(snapshot, name) for name in about})
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
-        """Find a posture with the end-effector at `place` (3,) [m] in the world, and its error [m].
+        """Find a posture that brings the end-effector to `place` (3,) [m] in the world.
 
-        The search starts from `posture`. The base stays, and the end-effector's z axis keeps its
-        direction if the position is then reachable.
+        Return this posture, and the remaining distance [m] of the end-effector from `place`. The
+        search starts from `posture`, and the base stays. The end-effector's z axis keeps its
+        direction if this distance is then below `CLOSE`; otherwise the axis may turn.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

@@ -92,17 +92,17 @@ _VERSION = f"viser-v{__version__}"  # name of the websocket protocol
 
 
 class RefusedError(ValueError):
-    """A refused message; the reason continues the sentence "Refused: "."""
+    """A message is refused; on the page, "Refused: " precedes the reason `why`."""
 
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
         self.message = message
-        """The message if it is known, or None. If it sets a widget, the sender gets the widget's
-        value again."""
+        """The refused message, or None if it was not decoded. If the message sets a widget, the
+        sender gets the widget's value again."""
 
 
 class GarbageError(RefusedError):
-    """Data that no page sends; the connection is closed."""
+    """The connection has sent data that no page of this program sends, and is closed."""
 
 
 class Gate:
@@ -117,7 +117,7 @@ class Gate:
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Returns a widget of a page, by the page's connection and the widget's name, or None."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
-        """Called with the connection and the reason if a message is refused, but not after a
+        """Called with the connection and the error after each `RefusedError`, but not after a
         `GarbageError`."""
 
     @contextmanager
@@ -125,7 +125,7 @@ class Gate:
         """Check all connections of the server that viser starts in this context.
 
         Raises:
-            ServerError: No server was started in the expected way; the server must not be used.
+            ServerError: No server was started in the expected way; if one runs, it has no checks.
         """
         with _lock:
             original, seen = websockets_server.serve, []
@@ -146,7 +146,7 @@ class Gate:
             raise ServerError("this version of viser starts its server in an unknown way")
 
     def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap viser's answer: check the request first, then add the page's head and headers."""
+        """Wrap viser's handler of requests: refuse some, and add head and headers to answers."""
 
         async def process(connection: _Connection, request: Request) -> Response | None:
             answer = self._refusal(request, connection.method)
@@ -172,9 +172,10 @@ class Gate:
         headers = request.headers
         path, _, query = request.path.partition("?")
         if method not in _METHODS:
-            return _refused(HTTPStatus.METHOD_NOT_ALLOWED, f"this server has no {method}")
+            why = f"this server does not accept the method {method}; use GET or HEAD"
+            return _refused(HTTPStatus.METHOD_NOT_ALLOWED, why)
         if twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
-            why = f"the request has the header {twice[0]} twice"
+            why = f"the request has the header {twice[0]} more than once"
             return _refused(HTTPStatus.BAD_REQUEST, why)
         origin, host = headers.get("Origin"), headers.get("Host")
         if not is_allowed(origin, host, self._own_names, self._allowed):
@@ -188,7 +189,8 @@ class Gate:
             why = f"{len(self._uploads)} pages are open: this is the limit of the server"
             return _refused(HTTPStatus.SERVICE_UNAVAILABLE, why)
         if len(path) > _LONGEST_PATH:
-            return _refused(HTTPStatus.REQUEST_URI_TOO_LONG, "no file has a name of this length")
+            why = f"the path has {len(path)} characters; the limit is {_LONGEST_PATH}"
+            return _refused(HTTPStatus.REQUEST_URI_TOO_LONG, why)
         if not _QUERY.fullmatch(query):
             why = f"unknown parameter in the address: {query}"
             # A relative address, because a proxy may serve this page below a path.
@@ -224,19 +226,19 @@ def _refused(status: HTTPStatus, why: str, more: str = "") -> Response:
 class _Connection(ServerConnection):
     """A connection that answers every HTTP request, and returns checked messages only.
 
-    The library `websockets` closes the connection after a request other than GET of HTTP/1.1. But
-    proxies send requests of HTTP/1.0, and health checks send HEAD requests. After a method that is
-    neither GET nor HEAD, this class reads only the first line of the request.
+    The library `websockets` answers only GET requests of HTTP/1.1, and closes the connection after
+    others. But proxies send requests of HTTP/1.0, and health checks send HEAD requests. If the
+    method is neither GET nor HEAD, only the first line of the request is read.
     """
 
     method = "GET"
-    """Method of the request."""
+    """Method of the HTTP request, such as "HEAD"."""
     gate: Gate
     uploads: Uploads
     """Gate and uploads of the connection, from its opening on."""
 
     def data_received(self, data: bytes) -> None:
-        """Replace the first line of a request by that of a GET request of HTTP/1.1, and read it."""
+        """Read data, in which the first line of a request is replaced by that of GET, HTTP/1.1."""
         if self.method not in _METHODS:  # the answer is on its way: ignore the request's content
             return
         if self.request is None and (line := _REQUEST.match(data)):
@@ -258,7 +260,7 @@ class _Connection(ServerConnection):
                 self.gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """Return the next message; this method limits its duration, `websockets` its size."""
+        """Return the next message; abort the connection if its parts take more than `_SLOWEST`."""
         message, late = bytearray(), None
         try:
             async for part in self.recv_streaming(decode=False):
@@ -311,7 +313,7 @@ def _is_here(name: str, own_names: Collection[str]) -> bool:
 
 
 def _record(message: type) -> type:
-    """Return a record type with the fields of a viser message, whose types msgspec checks."""
+    """Return a record type for a type of viser message; msgspec checks the types of its fields."""
     hints = get_type_hints(message)
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
@@ -328,38 +330,39 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """Unfinished uploads of one viewer, whose parts must come in order, as a page sends them.
+    """Register of one viewer's unfinished uploads; the parts of a file must arrive in order.
 
-    viser stores the parts of a file until the file is complete, and other parts forever.
+    viser stores the parts of a file until the file is complete, and parts of no file forever.
     """
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Create an empty list for files of up to `largest` [bytes].
+        """Create an empty register for files of up to `largest` [bytes].
 
-        All viewers, whose uploads are `everyone`, share `_MOST_UPLOADS`.
+        `everyone` has the registers of all viewers, which share the limit `_MOST_UPLOADS`.
         """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
         """Number of missing bytes and indices of the missing parts, by the transfer's name."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Register an announced file of `size` [bytes] in `parts`; an empty file has no parts.
+        """Register an announced file of `size` [bytes] in a number of `parts`, 0 if it is empty.
 
         Raises:
             RefusedError: The file is too large, the number of parts is impossible, or too many
                 uploads are unfinished.
         """
         if size > self._largest:
-            raise RefusedError(f"{size / 1e6:.0f} MB; the limit is {self._largest / 1e6:.0f} MB")
+            limit = f"the limit is {self._largest / 1e6:.0f} MB"
+            raise RefusedError(f"a file of {size / 1e6:.0f} MB; {limit}")
         if not min(size, 1) <= parts <= size:
-            raise RefusedError("this is not an upload")
+            raise RefusedError(f"an upload of {size} bytes cannot have {parts} parts")
         if sum(len(each.unfinished) for each in {self, *self._everyone}) >= _MOST_UPLOADS:
             raise RefusedError("too many uploads at a time; wait for the end of the others")
         if parts:
             self.unfinished[transfer] = size, range(parts)
 
     def add(self, transfer: str, part: int, size: int) -> None:
-        """Register a part with its `size` [bytes], or raise `RefusedError` if it is wrong."""
+        """Register the next part, of `size` [bytes]; raises `RefusedError` for another part."""
         left, parts = self.unfinished.get(transfer, (0, range(0)))
         if part not in parts[:1] or size > left or (size < left and not parts[1:]):
             raise RefusedError("this part does not belong to an announced upload")
@@ -369,26 +372,27 @@ class Uploads:
 
 
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
-    """Return the unchanged bytes of an allowed message; register parts of uploads in `uploads`.
+    """Return the unchanged bytes of an allowed message; register files and parts in `uploads`.
 
     `widget` returns a widget of the page by its name, or None.
 
     Raises:
         GarbageError: The data are not a message of the types `_TAKEN`, or a field has a wrong type.
-        RefusedError: A value does not match its widget, is too large, or is not finite; or an
-            upload is not allowed.
+        RefusedError: The message or a value is too large, a value is not finite or does not match
+            its widget, or a picture or an upload is not allowed.
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is not a message")
     if len(data) > LARGEST_MESSAGE and b"GetRenderResponseMessage" not in data[:200]:
-        raise RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
+        limit = f"the limit is {LARGEST_MESSAGE / 1e6:.1f} MB"
+        raise RefusedError(f"a message of {len(data) / 1e6:.1f} MB; {limit}")
     try:
         message = _decoder.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:
         raise GarbageError(f"this is not a message ({error})") from None
     if isinstance(message, _RECORDS[_messages.GetRenderResponseMessage]):
         if not is_picture(message.payload):
-            raise RefusedError("this is not a requested picture", message)
+            raise RefusedError("this is not a still PNG picture of an allowed size", message)
         return data
     for name in message.__struct_fields__:
         longest = _LONGEST_VALUE if name == "updates" else _LONGEST_NAME
@@ -432,7 +436,7 @@ def is_alike(value: Any, current: object) -> bool:
 
 
 def _is_plain(value: Any, longest: int, depth: int) -> bool:
-    """Whether numbers, lengths of texts (`longest`) and nesting (`depth`) are within limits."""
+    """Whether a value has no NaN, no huge number, no text over `longest`, no level over `depth`."""
     if isinstance(value, int | float):
         return abs(value) <= _LARGEST_NUMBER  # False for NaN
     if isinstance(value, str):

@@ -1,7 +1,7 @@
 """Background jobs of the page: cancellable work in parallel to the simulation.
 
 Work that fully occupies a core runs in a separate process (`Job.run`), which imports this module
-first. Therefore each function of such work imports the modules that it needs.
+first. So that this import is fast, the functions for such work import their modules themselves.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector, and return the freed memory to the system.
 
     Python searches old objects for reference cycles only rarely, but a few such objects can use
-    much memory, for example a model or a border. With `frozen`, the search includes the objects
-    that the collector excludes (`gc_frozen`); afterwards it excludes all remaining objects.
+    much memory, for example a model or a border. If `frozen`, the collector also searches the
+    objects that `gc_frozen` has excluded, if any, and then excludes all remaining objects.
     """
     frozen &= gc.get_freeze_count() > 0
     if frozen:
@@ -75,10 +75,10 @@ class Job:
         self._lock = threading.Lock()
 
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
-        """Run `work` in a new thread, with a title and the text of its first step.
+        """Start the job `title`: run `work` in a new thread; `text` describes its first step.
 
-        After a `Cancelled`, a `DbbError` or an `OSError`, `problem` has its message; after another
-        exception, `problem` refers to the log.
+        If `work` raises `Cancelled`, a `DbbError` or an `OSError`, `problem` has the message; after
+        any other exception, `problem` refers to the log.
 
         Raises:
             ConfigError: Another job is running.
@@ -96,7 +96,7 @@ class Job:
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Return `work(report, *args)` of a separate process, or raise `Cancelled`."""
+        """Return `work(report, *args)` from a separate process; raises `Cancelled` if cancelled."""
         return run_in_process(work, *args, report=self.report, cancelled=self._cancelled)
 
     def report(self, text: str, share: float = -1.0) -> None:
@@ -158,7 +158,7 @@ def sample_border(report: Report, robot: str) -> BorderData:
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """Return contents of a zip's first 20 URDFs, by path, with limited time and memory."""
+    """Read a zip's first 20 URDFs with limited time and memory; return the valid ones by path."""
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
@@ -182,7 +182,7 @@ def build_robot(report: Report, request: Request) -> None:
 
 
 def write_log(report: Report, trace: Trace, log: Path) -> None:
-    """Write a trace as a log; a CSV file has no comment, because it is for spreadsheets."""
+    """Write a trace as a log; omit a CSV file's line of comment, which spreadsheets cannot read."""
     from app.simulation.trace.log_file import write_trace  # pyarrow is slow to import
 
     report("writing the log", 0.0)
@@ -214,7 +214,7 @@ def write_replay(report: Report, trace: Trace, page: Path) -> None:
 
 
 def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
-    """Write a film of a trace with `FILM_RATE`; it plays in real time."""
+    """Write a film of a trace in real time, with `FILM_RATE` and the suffix's default codec."""
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
 

@@ -30,7 +30,7 @@ DEFECT = "A defect of the program; the log in the terminal has the details."
 
 
 def plain(error: BaseException) -> str:
-    """Return the text of an error for viewers: the message of a `DbbError`, or `DEFECT`."""
+    """Return an exception's text for viewers: its message if it is a `DbbError`, else `DEFECT`."""
     return str(error) if isinstance(error, DbbError) else DEFECT
 
 
@@ -48,13 +48,13 @@ def refusal(why: str, more: str) -> str:
 
 
 def small(html: str, *styles: str) -> str:
-    """Return a paragraph of a panel, with further CSS `styles`."""
+    """Return a paragraph in the small type of panels, with further CSS `styles`."""
     look = "padding:.2em .7em;font-size:.82em;line-height:1.5;overflow-wrap:anywhere"
     return _tag("div", html, look, *styles)
 
 
 def problem(text: str) -> str:
-    """Return an error message, which is escaped."""
+    """Return a text in the colour of errors; the text is escaped."""
     return _tag("span", escape(text), f"color:{BAD_COLOUR}")
 
 
@@ -114,7 +114,7 @@ def mark(sign: str, colour: str) -> str:
 
 
 def minus(text: str) -> str:
-    """Replace hyphens by minus signs in a number's text."""
+    """Replace all hyphens in a text with numbers by minus signs."""
     return text.replace("-", "−")
 
 

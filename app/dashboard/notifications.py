@@ -1,4 +1,4 @@
-"""Notifications to viewers, also of the exceptions of callbacks."""
+"""Notifications to viewers, for example about an exception in a callback."""
 
 import logging
 from collections.abc import Callable, Coroutine
@@ -21,10 +21,10 @@ class Notifier:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._shown: dict[tuple[int, str], tuple[str, int, Any, float]] = {}
-        """Text, number of equal texts in a row, handle and [s] end, by viewer and title."""
+        """By viewer and title: text, number of equal texts in a row, handle, and end [s]."""
 
     def warn(self, client: viser.ClientHandle | None, text: str) -> None:
-        """Show for 6 s that an action was refused; to all viewers if `client` is None."""
+        """Show for 6 s why an action was refused; to all viewers if `client` is None."""
         self._show(client, "Not possible", sentence(text), "orange", 6.0)
 
     def tell(self, client: viser.ClientHandle | None, title: str, text: str) -> None:
@@ -45,7 +45,7 @@ class Notifier:
     def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
         """Wrap a callback for viser so that its exceptions are shown to the event's `client`.
 
-        viser runs the result in its event loop, because it is `async`: the callback must be short.
+        The result is `async`, so that viser runs it in its event loop: the callback must be short.
         """
 
         async def guarded(event: Any) -> None:
@@ -54,7 +54,7 @@ class Notifier:
         return guarded
 
     def attempt(self, client: viser.ClientHandle | None, act: Callable[[], None]) -> None:
-        """Run an action of a viewer, and show its error; to all viewers if `client` is None."""
+        """Run an action of a viewer; show its exception, to all viewers if `client` is None."""
         try:
             act()
         except DbbError as error:

@@ -86,11 +86,11 @@ class Page:
         self.draw(texts=True)
 
     def _present(self) -> Snapshot:
-        """Return the newest snapshot, or the response to the posture of the joint sliders."""
+        """Return the newest snapshot; while joint sliders are in use, the response to them."""
         return self.explorer_panel.shown(newest := self._shared.loop.latest(), newest)
 
     def draw(self, *, texts: bool) -> None:
-        """Draw the viewer's point in time; update panels, plots and labels only if `texts`."""
+        """Draw the snapshot that the viewer sees; update panels, plots, labels only if `texts`."""
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
         if not newest.follows(self._newest) and self.grip.holds_anything:
             self.grip.release()  # the simulation has restarted and has dropped all pulls
@@ -135,14 +135,14 @@ class Page:
 
     @property
     def untouched(self) -> bool:
-        """Whether the browser has reported that the viewer has not touched this page yet."""
+        """Whether the page is open, and its browser reports that the viewer has not touched it."""
         return "untouched" in self.channel.seen and not self.closed
 
     def fail(self, title: str, error: BaseException) -> None:
         _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
-        """Return a page of another robot for the same viewer, or this page if it is closed."""
+        """Return a page of another robot that replaces this page; return a closed page itself."""
         if self.closed:
             return self
         self.close()
@@ -152,13 +152,13 @@ class Page:
             return Page(self._client, shared, self._notifier, self)
 
     def close(self) -> None:
-        """Release the pull of the viewer, end a demonstration, and stop drawing."""
+        """Release the viewer's pull, end the demonstration if it runs, and stop drawing."""
         self.closed = True
         self.grip.release()
         self.guide.leave_demonstration()
 
     def end(self) -> None:
-        """Close the page and the guide of a viewer, and cancel the creation of files."""
+        """Close the page and its guide, and cancel the job that creates the viewer's files."""
         self.close()
         self.guide.go("")
         self.viewer.files.cancel()
@@ -228,18 +228,18 @@ class Page:
 
 
 class Demonstration:
-    """Starts a repeated demonstration for a single viewer who has not touched the page.
+    """Starts and repeats a demonstration for a single viewer who has not touched the page.
 
-    With the controller dbb, it starts after `UNTOUCHED` seconds without a scenario, a pause or a
-    comparison. The first input, a second viewer, or another controller closes its card and ends it.
+    With the controller dbb, the demonstration starts after `UNTOUCHED` seconds without a scenario,
+    a pause or a comparison. The first input, a second viewer, or another controller ends it.
     """
 
     _due: float | None = None
 
     def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
-        """Start or repeat the demonstration after a time without input, or close its card.
+        """Start or repeat the demonstration when it is due; end it if its conditions do not hold.
 
-        The drawing thread calls this regularly.
+        The drawing thread calls this method before each frame.
         """
         if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
             self._due = None
@@ -259,7 +259,7 @@ class Demonstration:
 
 
 def hung_html(silence: float) -> str:
-    """Return an error message if the simulation's `silence` [s] exceeds `PATIENCE`, or ""."""
+    """Return an error message if the simulation's `silence` [s] is at least `PATIENCE`, or ""."""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."
     return banner("error", "The simulation does not respond", text) if silence >= PATIENCE else ""
 

@@ -35,7 +35,7 @@ _BOUNDS: dict[BoundKind, str] = {
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital first letter if its first word has only letters, unlike d_b."""
+    """Return a text with a capital first letter; a symbol such as d_b at its start is unchanged."""
     return f"{text[:1].upper()}{text[1:]}" if text.split(" ")[0].isalpha() else text
 
 
@@ -71,8 +71,8 @@ def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
     """Describe a base's motion, such as "backs away at 0.21 m/s and turns left"; None at rest.
 
     Args:
-        v: [m/s, m/s, rad/s] velocity of the base; if `intended`, its commanded acceleration, which
-            is described as the next motion, such as "back away and turn left".
+        v: Velocity of the base [m/s, m/s, rad/s]. If `intended`, its commanded acceleration [m/s²,
+            m/s², rad/s²], which is described as the next motion: "back away and turn left".
         ahead: Whether the avoided body is in front of the base or beside it.
         intended: Whether the base is at rest and `v` is an acceleration.
     """
@@ -110,12 +110,12 @@ def acceleration(*axes: float) -> str:
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """Format a number with a sign, a typographic minus; zero has a plus."""
+    """Format a number with its sign; the minus is typographic, and zero has a plus."""
     return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")
 
 
 def scientific(value: float) -> str:
-    """Format a number, such as 2.3·10⁻⁴, with a typographic minus; zero is "0"."""
+    """Format a number as in 2.3·10⁻⁴; the minus is typographic, and zero is "0"."""
     if value == 0.0:
         return "0"
     mantissa, _, exponent = f"{value:.1e}".partition("e")

@@ -68,7 +68,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
     """Return a curve for each numeric column of a log except the time, by the column's name.
 
-    A curve has no colour yet; its explanation is the first sentence of the docstring in `Snapshot`.
+    A curve has no colour yet. Its hint is the first sentence of the field's text in `Snapshot`.
     """
     docs = {name: text.split(". ")[0] for name, text in field_docs(Snapshot)}
     pairs = {pair.name: pair.mobile for pair in snapshot.pairs}
@@ -91,7 +91,7 @@ def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
 def _distances(
     title: str, model: RobotModel, names: list[str], height: int, first: int = 0
 ) -> PlotPlan:
-    """Return a plot of the pairs' distances and d_b; `first` numbers the first pair's colour."""
+    """Return a plot of the pairs' distances and d_b, with colours of `SERIES` from `first` on."""
     meaning = "signed distance d [m] of the convex bodies, negative if they overlap"
     spoken = partial(words.spoken, chain=model.body_names)
     curves = (
@@ -124,5 +124,5 @@ def _avoidance(i: int, axis: Axis, colour: str) -> Curve:
 
 
 def _soft(low: float, high: float) -> dict[str, dict[str, float]]:
-    """Return uPlot's range from `low` to `high`, which data beyond it extend, with 10 % margin."""
+    """Return a range for uPlot: `low` to `high`, and farther if data need it, with 10 % margin."""
     return {end: {"pad": 0.1, "soft": x, "mode": 1} for end, x in (("min", low), ("max", high))}

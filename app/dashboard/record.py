@@ -49,16 +49,19 @@ class Course:
     """Results of the last scenario.
 
     Attributes:
-        name, running: Name of the scenario, empty if none has started; whether it is running.
-        duration, until: [s] end of the scenario; time of its last snapshot, `duration` at its end.
+        name: Name of the scenario; empty if none has started in this run.
+        running: Whether the scenario is running.
+        duration: [s] end of the scenario.
+        until: [s] time up to which the scenario was executed.
         least: [m] smallest distance of all pairs; infinite before the first snapshot.
-        pull, speed, path: Largest external force [N], peak speed of the end-effector [m/s], length
-            of the base's path [m].
-        inside, left: Whether a contact or overlap of the first snapshot still lasts, or has ended.
-        touched: Whether a contact or overlap began after the first snapshot.
+        pull, speed: Largest external force [N]; peak speed [m/s] of the end-effector.
+        path: [m] length of the base's path.
+        inside: Whether a contact or overlap of the first snapshot still lasts.
+        left: Whether a contact or overlap of the first snapshot has ended.
+        touched: Whether a contact or overlap began later.
         contact: Whether the plant has reported a contact.
-        case: The case of the last run, without changes during the run; or None.
-        last: The last snapshot of the last run, with such changes; or None.
+        case: The last scenario's case, as at its start; None before the first one.
+        last: The last snapshot of the last scenario, with changes during it; None before it.
     """
 
     def __init__(self) -> None:
@@ -67,7 +70,7 @@ class Course:
         self.begin()
 
     def begin(self) -> None:
-        """Reset all results except `case` and `last`."""
+        """Begin a run: reset all results except `case` and `last`."""
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
         self.least = np.inf
@@ -75,7 +78,7 @@ class Course:
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
-        """Add a snapshot; without a scenario, only the end of the last one counts."""
+        """Add a snapshot; one without a scenario only shows that the last scenario has ended."""
         ended = self.running and not snapshot.scenario
         self.running, self.case = bool(snapshot.scenario), snapshot.case or self.case
         if ended and snapshot.t >= self.duration:
@@ -115,8 +118,8 @@ class Event(NamedTuple):
 class Strip:
     """Data of the dashboard's timeline, in bins of `BIN` seconds.
 
-    A bin has the smallest distance and the largest β of its snapshots; every two bins store the
-    snapshot with the smallest distance.
+    Each bin has a row with the smallest distance and the largest β of its snapshots. Of every two
+    bins, the snapshot with the smallest distance is stored.
     """
 
     def __init__(self, chain: Sequence[str]) -> None:
@@ -128,13 +131,13 @@ class Strip:
         """Delete all data, and increase `runs`, the number of restarts, by one."""
         self.runs += 1
         self.rows: deque[tuple[float, ...]] = deque(maxlen=round(HISTORY / BIN))
-        """Start [s] of each bin, smallest distance [m], largest β in this bin, and d_b [m]."""
+        """For each bin: start [s], smallest distance [m], largest β, and d_b [m]."""
         self.closed = self._numbered = 0
         """Numbers of rows and of events since the restart, including deleted ones."""
         self.events: dict[int, Event] = {}  # by their numbers, in order
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
         self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))
-        """For every two bins, the snapshot with the smallest distance."""
+        """Of every two bins, the snapshot with the smallest distance."""
         self.nearest: Snapshot | None = None
         """Snapshot with the smallest distance since the restart; None without snapshots."""
         self.hardest: Snapshot | None = None
@@ -165,7 +168,7 @@ class Strip:
         self._bin, self._last = [], nearest
 
     def _note(self, t: float, kind: str, subject: str, text: str) -> None:
-        """Add an event, or update the text of the same event if it continues."""
+        """Add an event; if the same one occurred within `_QUIET`, update its text instead."""
         number, seen = self._seen.get((kind, subject), (-1, -np.inf))
         if t - seen <= _QUIET and number in self.events:
             self.events[number] = self.events[number]._replace(text=text)

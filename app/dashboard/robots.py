@@ -69,7 +69,7 @@ def robot_entries() -> list[RobotEntry]:
 Changes = Mapping[str, float | str]
 """Values of parameters that differ from a robot's defaults, by the parameter's path."""
 StartLoop = Callable[[RobotModel, BorderData, Config, str], LoopHandle]
-"""Creates the simulation of a robot with parameters and a controller; then call its `start`."""
+"""Creates the simulation of a robot with parameters and a controller; the caller starts it."""
 
 
 class RunningRobot(NamedTuple):
@@ -88,7 +88,7 @@ def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
 
 
 class RobotSwitch(Job):
-    """Switch of the robot for all viewers; the drawing thread calls `take` and `shown`."""
+    """Job that replaces the robot for all viewers; the drawing thread calls `take` and `shown`."""
 
     replaces_robot = True
 
@@ -112,7 +112,7 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
-        The new robot has the present controller, and `changes` if it can start with them.
+        The new robot gets the present controller, and `changes`, or its defaults if these fail.
 
         Raises:
             ConfigError: The robot does not exist or cannot be used, or another switch is running.
@@ -170,7 +170,7 @@ class RobotSwitch(Job):
             if config == usual or self.cancelled:
                 raise
             config = usual
-            note = f"all parameters have their defaults: it cannot start with yours ({error})"
+            note = f"all parameters have their defaults: yours do not suit this robot ({error})"
             loop = self._started(model, data, config, controller)
         return RunningRobot(loop, model, data.clouds, parts, config, note)
 

@@ -65,10 +65,10 @@ class DashboardServer:
         self._thread.start()  # last, because only `stop` ends it
 
     def run_forever(self) -> None:
-        """Serve until another thread calls `stop`, or until Ctrl-C; the caller then calls `stop`.
+        """Wait until another thread calls `stop`, or for Ctrl-C; call `stop` after Ctrl-C.
 
         Raises:
-            LoopError: Meanwhile, the simulation or the drawing has ended with an error.
+            LoopError: The simulation or the drawing has ended with an error; raised after the wait.
         """
         with contextlib.suppress(KeyboardInterrupt):
             give_back()
@@ -104,7 +104,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release a pull without a motion for `PATIENCE`, of a browser that does not answer."""
+        """Release the pull of a silent browser if it has not moved for more than `PATIENCE`."""
         page = self.pages.get(number)
         if page is not None:
             page.grip.release_if_still(PATIENCE)
@@ -127,7 +127,7 @@ class DashboardServer:
             self._show_to_late_viewers()
 
     def _draw_picture(self) -> None:
-        """Draw a frame of each page; a local name here must not keep the previous robot alive."""
+        """Draw a frame of each page; no local name may refer to a robot that is replaced here."""
         self.shared.watch(bool(self.viser.get_clients()))
         # A switch removes widgets. It waits until their last update is old: in a slow browser, a
         # newer update would come after the removal and cause an error.
@@ -154,7 +154,7 @@ class DashboardServer:
             self._fail("The simulation has stopped", error)
 
     def _open_and_close_pages(self) -> None:
-        """Build at most one page, because it is slow, and end the pages of disconnected viewers."""
+        """Build at most one page, because this is slow; end the pages of disconnected viewers."""
         due = time.monotonic() >= self._newcomer_due
         if due and (client := self._newcomer()) is not None:
             begin = time.thread_time()
@@ -261,16 +261,16 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return the end [s, `monotonic`] of the rest after work from `begin` [s, `thread_time`] on."""
+    """Return when to work again [s, `monotonic`] after work since `begin` [s, `thread_time`]."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 
 
 def check_address(host: str, port: int) -> None:
-    """Check that an address can be bound: viser hangs at a bad host, and changes a busy port.
+    """Check that an address can be bound: viser hangs at a bad host, and replaces a busy port.
 
     Raises:
-        ServerError: The address cannot be bound; the message names the fault.
+        ServerError: The address cannot be bound; the message names the reason and a remedy.
     """
     if not 0 <= port <= 65535:  # getaddrinfo would use the port modulo 65536
         raise ServerError(f"cannot listen at {host}:{port}: a port is between 0 and 65535")

@@ -43,7 +43,7 @@ class Tuning:
     ) -> None:
         """Start with the configuration of the simulation `sink`, which gets each change.
 
-        `usual` has the robot's defaults, by default those of the program; `clock` returns [s].
+        `usual` has the robot's defaults; None means the program's defaults. `clock` returns [s].
         """
         self._sink, self._clock, self.usual = sink, clock, usual or Config()
         self._steps, self._at = [config], 0
@@ -63,7 +63,7 @@ class Tuning:
         return self.config.changes(self.usual)
 
     def set(self, path: str, value: float | str) -> None:
-        """Change one parameter; undo reverts fast successive changes of it in one step.
+        """Change one parameter; its successive changes within `BURST` become one step for `undo`.
 
         Raises:
             ConfigError: The parameter or value is not allowed, or a gain is too large.
@@ -146,7 +146,7 @@ class SharedState(SceneData):
     ) -> None:
         """Load the shared data; most arguments are those of `serve_dashboard`.
 
-        The state `before`, of another robot, passes on the history of parameters and the jobs.
+        The history of parameters and the jobs of `before`, the state of another robot, continue.
         """
         super().__init__(loop, model, clouds, parts)
         self.case = case

@@ -21,7 +21,7 @@ class Timeline:
     """Point in time of one viewer; the simulation is not affected. All methods are thread-safe."""
 
     def __init__(self, loop: LoopHandle, strip: Strip) -> None:
-        """Start live; `loop` has the snapshots of the last 60 s, and `strip` has older ones."""
+        """Show the present; `loop` has the snapshots of the last 60 s, and `strip` older ones."""
         self._loop, self._strip = loop, strip
         self._shown: Snapshot | None = None
         self._replay: tuple[float, float, float] | None = None
@@ -44,7 +44,7 @@ class Timeline:
         return self._shown is None
 
     def shown(self) -> Snapshot:
-        """Return the snapshot to draw, and continue a replay and an interval without an end.
+        """Return the snapshot to draw; continue a replay, and an interval that has no end yet.
 
         After a restart, the newest snapshot is shown, and an interval without an end is removed.
         """
@@ -74,7 +74,7 @@ class Timeline:
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Stop the running replay, or start one; at the newest snapshot, it starts `AGAIN` earlier.
+        """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown.
 
         Raises:
             ConfigError: The speed is not within `REPLAY`.
@@ -98,7 +98,7 @@ class Timeline:
             self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
-        """Go forward by a time [s], or back if it is negative, by at least one stored snapshot."""
+        """Go forward by a time [s], back if it is negative, by at least one snapshot if any."""
         t = self.shown().t
         ahead = [s for s in self._stored() if (s.t - t) * seconds > 0.0] or self._stored()
         self.show(min(ahead, key=lambda stored: abs(stored.t - t - seconds)).snapshot)
@@ -108,7 +108,7 @@ class Timeline:
             self._shown = self._replay = None
 
     def mark_begin(self) -> None:
-        """Mark the shown instant as the start of the interval; a later end of this run remains."""
+        """Mark the shown instant as the interval's start; a later end in the same run remains."""
         with self._lock:
             self.begin, end = self.shown().t, None if self.earlier else self.end
             self.end = None
@@ -119,7 +119,7 @@ class Timeline:
     def mark_end(self) -> None:
         """Mark the shown instant as the end of the interval.
 
-        Without an earlier start in this run, the interval begins `MOST_MARKED` seconds before.
+        Without an earlier start in this run, the interval begins at most `MOST_MARKED` before.
 
         Raises:
             LogError: The shown instant is the marked start.
@@ -155,13 +155,13 @@ class Timeline:
         return [stored.snapshot for stored in found]
 
     def between(self, begin: float, end: float, spacing: float) -> list[Snapshot]:
-        """Return the first stored snapshot of each interval of length `spacing` [s], in order."""
+        """Return the first stored snapshot in each `spacing` [s], from `begin` to `end` [s]."""
         found = [stored for stored in self._stored(begin) if stored.t <= end]
         bins = np.floor([stored.t / spacing for stored in found])
         return [found[i].snapshot for i in np.flatnonzero(np.diff(bins, prepend=-1.0))]
 
     def _stored(self, begin: float = 0.0) -> list[Stored]:
-        """Return the stored snapshots from a time [s] on; if older than 60 s, one per 0.2 s."""
+        """Return the stored snapshots from a time [s] on; beyond the last 60 s, one per 0.2 s."""
         kept = self._loop.stored()
         old = [stored for stored in tuple(self._strip.past) if stored.t < kept[0].t]
         return [stored for stored in (*old, *kept) if stored.t >= begin]

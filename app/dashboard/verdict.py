@@ -53,7 +53,7 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
 
 
 def base_gives_way(snapshot: Snapshot) -> bool:
-    """Whether the speed of the base, or its commanded acceleration, exceeds its threshold."""
+    """Whether velocity or commanded acceleration of the base reaches one of its thresholds."""
     rates = ((snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT))
     return any(
         max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
@@ -76,7 +76,7 @@ def pushes_links_apart(pair: NearPair | PairReading) -> bool:
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Return a pair's state; `near` explains the pair, `moves`: whether the base gives way."""
+    """Return a pair's state; `near` explains an active pair; `moves`: the base gives way."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.limited:

@@ -15,7 +15,7 @@ BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 
 
 def _shown(folder: str, label: str, first: bool | str, hint: str | None = None) -> Any:
-    """Declare a field with its default `first` and its widget, a check box or a list."""
+    """Declare a field by its default `first`, and by folder, label and hint of its widget."""
     return field(default=first, metadata={"folder": folder, "label": label, "hint": hint})
 
 
@@ -24,9 +24,9 @@ class View:
     """Choices of the viewer. Callbacks assign to a field; the drawing thread reads the fields."""
 
     borders: dict[str, str]
-    """Quantity that colours the border of each pair with the base: of `QUANTITIES`, or `HIDDEN`."""
+    """Quantity that colours each pair's border, by the pair: one of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = _shown(
-        BORDER, "Include the top", False, "Show the border above the base too: it hides the arm"
+        BORDER, "Include the top", False, "Show the border above the base too; it can hide the arm"
     )
     slice: bool = _shown(
         BORDER, "Slice at the arm", True, "Contour at the height of the arm's nearest point"

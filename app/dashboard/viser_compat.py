@@ -59,7 +59,7 @@ def _passes(record: logging.LogRecord) -> bool:
     The websockets library would write a whole traceback for each wrong or excess connection, up to
     a hundred times per second. If the peer or the connection can explain an error, the record is
     one line. Other errors are defects of this program or of its libraries: their records keep the
-    traceback. The text is changed, because viser hides records with the texts of `_KNOCKS`.
+    traceback. The texts `_KNOCKS` are changed, because viser hides records with these texts.
     """
     text = record.getMessage().partition("\n")[0]
     error = record.exc_info[1] if record.exc_info else None
@@ -85,7 +85,7 @@ def _passes(record: logging.LogRecord) -> bool:
 def open_server(
     host: str, port: int, largest_upload: int = 0, allowed: Sequence[str] = ()
 ) -> viser.ViserServer:
-    """Start a server at an address for which `check_address` has succeeded.
+    """Start a server behind a `Gate`, at an address for which `check_address` has succeeded.
 
     Args:
         host: Name or IP address of the server.
@@ -191,8 +191,8 @@ def finite(value: Any) -> float:
 class Channel:
     """Calls of functions, by their names, between the page's own scripts and this program.
 
-    The scripts add functions that viser does not have: widgets that span the page, complete
-    numbers instead of single digits, and reports of visible widgets.
+    The scripts add functions that viser does not have: widgets that span the page, number boxes
+    that send complete numbers instead of single digits, and reports of visible widgets.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
@@ -216,7 +216,7 @@ class Channel:
         self._run("dbb?.end(); window.dbb = window.dbbControls", self._box._impl.uuid, ranges)
 
     def tell(self, word: str, *values: Any) -> None:
-        """Call a function of the page with values of JSON types."""
+        """Call the function `word` of the page with values of JSON types."""
         self._run(f"dbb.{word}", *values)
 
     def on(self, word: str, act: Callable[..., None], kind: Callable[[Any], Any] = finite) -> None:
@@ -224,7 +224,7 @@ class Channel:
         self._acts[word] = act, kind
 
     def sight(self, name: str) -> None:
-        """Add a mark to the open GUI container: while it is visible, `seen` contains `name`."""
+        """Add a mark to the open GUI container: while the mark is visible, `seen` has `name`."""
         self._client.gui.add_html(f'<div data-seen="{name}"></div>')
 
     def _run(self, function: str, *values: Any) -> None:
@@ -266,8 +266,8 @@ class _Seen(NamedTuple):
 class Watchdog:
     """Detects viewers who do not answer, and closes connections without answers or deliveries.
 
-    A browser answers a ping even if its page is busy. Time is counted in checks by the receiving
-    thread, so that a delay of this program itself counts as one check.
+    A browser answers a ping even if its page is busy. The thread that receives the answers counts
+    time in checks, so that a delay of this program itself counts as one check.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
@@ -366,8 +366,9 @@ def _icon(name: str) -> str:
 
 
 def _replace_parts_of_viser() -> None:
-    """Replace the queue of messages, and two parts that repeat work for each widget of a page:
-    opening the archive of 4,000 icons, and evaluating the type hints of a class.
+    """Replace viser's queue of messages, and two parts that repeat work for each widget.
+
+    These parts open the archive of 4,000 icons, and evaluate the type hints of a class.
     """
     hints = cache(get_type_hints)
     of_class = property(lambda self: hints(type(self._impl.props)))

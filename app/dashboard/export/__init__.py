@@ -1,4 +1,4 @@
-"""Pictures, films and replays, drawn without a display."""
+"""Drawing of pictures, films and replays without a display; `Look` describes a picture."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -24,9 +24,9 @@ class Look:
     view: Side = "iso"
     """Camera view of the scene."""
     page: bool = False
-    """Picture of the whole dashboard instead of the scene alone."""
+    """Whether the picture shows the whole dashboard, not the scene alone."""
     light: bool = False
-    """Light background instead of a dark one."""
+    """Whether the background is light, not dark."""
     pair: str = ""
     """Pair of L_m whose border is shown; by default the first one."""
 

@@ -58,12 +58,12 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 
 
 def browser_path(bundled: str) -> str | None:
-    """Return the path of a browser, or None for playwright's own browser at `bundled`.
+    """Return the path of the browser to use, or None for playwright's own, which is at `bundled`.
 
     The path in `DBB_BROWSER` comes first, then an installed browser, then playwright's own.
 
     Raises:
-        BrowserError: There is no browser, or the file of the environment variable is missing.
+        BrowserError: No browser is found, or the path in `DBB_BROWSER` does not exist.
     """
     if chosen := os.environ.get(VARIABLE):
         if not Path(chosen).exists():
@@ -117,9 +117,10 @@ def chromium() -> Iterator[Browser]:
 def new_context(
     browser: Browser, size: tuple[int, int], *scripts: str, **more: Any
 ) -> BrowserContext:
-    """Make a browser context for pages of `size` (width, height) [px] with the helpers `dbbPage`.
+    """Create a browser context for pages of `size` (width, height) [px].
 
-    The pages run `scripts` first. `more` has further arguments of playwright's `new_context`.
+    Each page first runs `scripts`, then `browser.js`, which adds the functions `dbbPage`. `more`
+    has further arguments of playwright's `new_context`.
     """
     viewport: ViewportSize = {"width": size[0], "height": size[1]}
     context = browser.new_context(viewport=viewport, reduced_motion="reduce", **more)
@@ -130,7 +131,7 @@ def new_context(
 
 @contextmanager
 def _temporary_folder(folder: str) -> Iterator[None]:
-    """Let programs that start in this context write their temporary files to `folder`."""
+    """Set `TMPDIR`: programs that start in this context put temporary files into `folder`."""
     before = os.environ.get("TMPDIR")
     os.environ["TMPDIR"] = folder
     try:

@@ -45,17 +45,17 @@ if TYPE_CHECKING:
     import playwright.sync_api as web
 
 HOST = "127.0.0.1"
-BARRIER = "/sent"  # scene node whose x coordinate is the number of the last barrier
+BARRIER = "/sent"  # scene node whose x coordinate is the last number of `send_barrier`
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
 RATE = 25.0  # [Hz] frame rate of a replay
 _MEANINGS: dict[Layer, str] = {
-    "score": "yellow: high score, purple: low score; avoidance turns yellow parts to the arm",
-    "determinant": "yellow: the base moves the point well, purple: it cannot",
+    "score": "yellow: high score, purple: low score; avoidance turns yellow parts towards the arm",
+    "determinant": "yellow: the base moves the point well, purple: less well",
     "reachability": "yellow: the arm reaches the point well, purple: less well",
     "none": "",
 }
-"""Colours of a border in words, by the quantity."""
+"""Meaning of a border's colours, by the quantity that colours the border."""
 _TEXTS_EVERY = 5  # frames per update of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
 """Text colour on a dark and on a light background."""
@@ -86,7 +86,7 @@ class RecordedLoop(LoopHandle):
         self._times, self._at = [snapshot.t for snapshot in self.snapshots], 0
 
     def go_to(self, t: float) -> Snapshot:
-        """Go to the last snapshot at or before time `t` [s], or to the first snapshot."""
+        """Go to the last snapshot at or before `t` [s]; if all are later, go to the first one."""
         self._at = max(bisect_right(self._times, t + 1e-9) - 1, 0)
         return self.latest()
 
@@ -118,7 +118,7 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send all constant objects to a server that has only this scene, with or without labels.
+        """Send all constant objects to a server without other scenes; `labels`: draw labels too.
 
         Raises:
             AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -134,7 +134,7 @@ class OffscreenScene:
         self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-        """Set the camera so that it shows all snapshots; return its eye and target (3,) [m]."""
+        """Set a camera to show the robots of all snapshots; return its eye and target (3,) [m]."""
         window = Window.of(self._look.width, self._look.height)
         eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)
@@ -142,7 +142,7 @@ class OffscreenScene:
         return eye, target
 
     def outline(self, base_pose: np.ndarray) -> None:
-        """Draw a rectangle around the base at a pose (3,) [m, m, rad] on the floor."""
+        """Draw a rectangle on the floor: the outline of the base at a pose (3,) [m, m, rad]."""
         around = np.vstack([body.corners() for body in self._data.parts.bodies if not body.joint])
         (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
         corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
@@ -156,7 +156,7 @@ class OffscreenScene:
         )
 
     def draw(self, t: float, *, texts: bool = True) -> None:
-        """Draw the snapshot at time `t` [s]; update labels and trails if `texts`."""
+        """Draw the last snapshot at or before `t` [s]; update labels and trails only if `texts`."""
         snapshot = self._loop.go_to(t)
         self._data.update()
         self._scene.border.update(self._view, snapshot.border)
@@ -165,7 +165,7 @@ class OffscreenScene:
 
 
 def apply_look(view: View, look: Look) -> None:
-    """Set background and border of a view to those of a look, and hide all other borders."""
+    """Set theme, border and slice of a view to those of a look, and hide all other borders."""
     view.dark = look.dark
     view.slice = look.layer != "none"
     pair = look.pair or next((pair for pair, by in view.borders.items() if by != HIDDEN), "")
@@ -193,8 +193,8 @@ def replay_html(
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
-    The file shows the dashboard's scene with a bar for the time. `on_progress` gets the drawn
-    duration [s] once per second of the run.
+    The file shows the dashboard's scene with a bar for the time. After each drawn second of the
+    run, `on_progress` gets the total duration [s] drawn so far.
 
     Raises:
         AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -218,7 +218,7 @@ def replay_html(
 
 
 def _caption(log: Trace, chain: Sequence[str], layer: Layer) -> tuple[str, str]:
-    """Return the title of a replay, and its verdict with the scene's legend."""
+    """Return the title of a replay, and a text: the verdict on the run, and the scene's legend."""
     methods = ", then ".join(METHOD_WORDS.get(name, name) for name in log.controllers)
     title = f"{log.meta.scenario or 'Guiding by hand'}, {methods}"
     border = f"Coloured points: border around the base; {_MEANINGS[layer]}. "
@@ -244,14 +244,14 @@ def _titled(page: str, title: str, text: str) -> str:
 
 @contextlib.contextmanager
 def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServer, web.Page]]:
-    """Run a server and open an empty page of the pictures' size; close both at the end."""
+    """Run a server and open an empty page in the size of `look`; close both at the end."""
     context = new_context(browser, (look.width, look.height))
     with contextlib.closing(context), own_server() as server:
         yield server, context.new_page()
 
 
 def send_barrier(server: viser.ViserServer, number: int) -> None:
-    """Send a number as the x coordinate of `BARRIER`; it follows all earlier messages."""
+    """Send a number as the x coordinate of `BARRIER`: it arrives after all earlier messages."""
     server.scene.add_frame(BARRIER, show_axes=False, position=(float(number), 0.0, 0.0))
     server.flush()
 
@@ -287,9 +287,9 @@ def film_pictures(
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
     Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
-    turns about the vertical axis through its target by `orbit` [rad]. For a part of a side-by-side
-    film, `framed` has the snapshots of all robots: the camera shows all of them, and each picture
-    has the initial outline of the base and the lines of `story`.
+    turns about the vertical axis through its target by `orbit` [rad]. Each picture has the lines of
+    `captioned`. A part of a side-by-side film needs `framed`, the snapshots of all robots: the
+    camera shows them all, the base's initial outline is drawn, and `story` replaces `captioned`.
 
     Raises:
         AssetError: The robot's URDF or the mesh of a convex body is missing.
@@ -325,7 +325,7 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
-    """Describe a snapshot: method, task, clearance, displacement from `first`."""
+    """Return four lines: method, task, clearance, and the base's displacement since `first`."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
     near = nearness(shown, door=shown.door is not None)
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
@@ -343,9 +343,10 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
 def captioned(
     picture: Image.Image, shown: Snapshot, look: Look, *, named: bool = False, posed: bool = False
 ) -> Image.Image:
-    """Draw scenario and time, or a note if `posed`, then the clearance of each robot.
+    """Write scenario and time into a picture, then method and clearance of each robot.
 
-    Clearances are omitted if there are ghosts and the picture has their labels (`named`).
+    If `posed`, a note replaces scenario and time, because a posture is not simulated. If `named`,
+    method and clearance are omitted in a comparison, because the picture has labels with them.
     """
     scenario = f"{shown.scenario}, " if shown.scenario else ""
     lines: list[str | tuple[str, Rgb]] = [f"{scenario}t = {shown.t:.2f} s"]
@@ -369,7 +370,8 @@ def write_film(
     """Encode pictures of equal size, at least one, and return their number.
 
     The file is written completely or not at all. `rate` [1/s] is the frame rate, and `codec` is a
-    codec of the file's suffix in `CODECS`. `on_progress` gets the number of written pictures.
+    codec of the file's suffix in `CODECS`. Before each picture, `on_progress` gets the number of
+    pictures written so far.
 
     Raises:
         OutputError: The file cannot be written.

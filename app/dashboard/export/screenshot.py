@@ -37,10 +37,10 @@ def take_pictures(
     clouds: Mapping[str, Cloud],
     look: Look,
 ) -> list[Image.Image]:
-    """Take pictures at some times of a run; pictures of the scene have one common viewpoint.
+    """Take pictures at some times of a run.
 
-    Each picture shows the last snapshot at or before its time [s]; `clouds` has all P_i. If
-    `look.page` is true, each picture has its own viewpoint.
+    Each picture shows the last snapshot at or before its time [s]; `clouds` has all P_i. Pictures
+    of the scene have one common viewpoint; if `look.page`, each picture has its own viewpoint.
 
     Raises:
         BrowserError: The browser's page does not connect.
@@ -116,7 +116,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
-    """Return a picture of the page after all messages are drawn and the page has settled."""
+    """Return a picture of the page after all messages are drawn and the page stays unchanged."""
     n = next(_numbers)
     offscreen.send_barrier(server, n)
     page.wait_for_function(

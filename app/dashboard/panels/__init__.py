@@ -1,4 +1,4 @@
-"""The panels of the page, and the parts that they share."""
+"""Parts that all panels of the page share: viewer, base class, and status of a job."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Viewer:
         shared: SharedState,
         before: Viewer | None = None,
     ) -> None:
-        """Create the parts of a page; choices, camera and files are those of `before`, if any."""
+        """Create the parts of a page; view, camera and `files` are those of `before`, if any."""
         self.client, self.notifier, self.shared = client, notifier, shared
         self.panels: list[Panel] = []  # in the order of their creation
         plots = [plan.title for plan in shared.plans]
@@ -58,16 +58,16 @@ class Viewer:
         self.camera.extent = shared.parts.extent
         self.channel.on("scene", self.camera.cover)
         self.files = before.files if before else Job()
-        """Creates the viewer's files, at most one at a time."""
+        """Runs the jobs that create the viewer's files, at most one at a time."""
 
     def look(self, preset: str) -> None:
-        """Set the camera to a preset of `PRESETS`; raises `ConfigError` if its door is absent."""
+        """Set the camera to a preset of `PRESETS`; "door" without a door raises `ConfigError`."""
         if preset == "door" and self.timeline.shown().door is None:
             raise ConfigError("this scenario has no door")
         self.camera.wanted = preset
 
     def play(self, scenario: str) -> None:
-        """Play the scenario of this name, or continue from the free start if the name is empty."""
+        """Play the scenario of this name; if it is empty, start a run without a scenario."""
         loop = self.shared.loop
         if scenario:
             loop.send(Play(scenario_of(self.shared.model.description, scenario)))
@@ -79,7 +79,7 @@ class Viewer:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`; after the newest one, a paused run advances."""
+        """Move the shown instant by `seconds`; beyond the newest one, a paused run advances."""
         if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
             self.shared.loop.send(StepOnce(min(seconds, STEPS[1])))
         else:
@@ -93,16 +93,16 @@ class Moment(NamedTuple):
 
     @property
     def live(self) -> bool:
-        """Whether the present is shown; `shown` is read after `newest`, and can be newer."""
+        """Whether the present is shown; `shown` can be newer, because it is read after `newest`."""
         return self.shown.t >= self.newest.t
 
 
 class Panel:
-    """Widgets of one viewer, in the GUI container that is open during construction.
+    """Widgets of one viewer; the constructor adds them to the GUI container that is open.
 
-    The page updates all panels of its viewer, also those that other panels contain. Exceptions of
-    a widget's callback, which takes viser's event, are shown to the viewer who used the widget. An
-    `update` may assign all values each time, because viser sends only changes.
+    The page updates each panel, also one that is a part of another panel. The callback of a widget
+    gets viser's event; its exceptions are shown to the viewer who used the widget. An `update` may
+    assign all values each time, because viser sends only changes.
     """
 
     def __init__(self, viewer: Viewer) -> None:
@@ -113,7 +113,7 @@ class Panel:
         viewer.panels.append(self)
 
     def update(self, moment: Moment) -> None:
-        """Show changes; called by the drawing thread."""
+        """Show the moment; the drawing thread calls this method."""
 
     def on_update(self, handle: Any, act: Callable[[Any], None]) -> None:
         """Call `act` if a person changes a widget, but not if the program does."""
@@ -135,7 +135,7 @@ class Panel:
     def choice(
         self, label: str, titles: Mapping[str, str], act: Callable[[str], None], hint: str
     ) -> Any:
-        """Add a list of titles by name; `act` gets the name of the title that a person chooses."""
+        """Add a list of titles; `titles` has them by name; `act` gets the name of a chosen one."""
         names = {title: name for name, title in titles.items()}
         handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
         self.on_update(handle, lambda event: act(names[event.target.value]))
@@ -144,30 +144,30 @@ class Panel:
     def buttons(
         self, label: str, acts: Mapping[str, Callable[[], None]], hint: str | None = None
     ) -> None:
-        """Add a row of buttons; `acts` has the action of each button's text."""
+        """Add a row of buttons; `acts` has the action of each button by the button's text."""
         handle = self._gui.add_button_group(label, tuple(acts), hint=hint)
         handle.on_click(self._notifier.guard(lambda event: acts[event.target.value]()))
 
     def upload(self, label: str, act: Callable[[Any], None], **look: Any) -> Any:
-        """Add a button for the upload of a file; `act` then runs in a separate thread."""
+        """Add a button for uploads; after each upload, `act` runs in a separate thread."""
         handle = self._gui.add_upload_button(label, icon=viser.Icon.UPLOAD, **look)
         handle.on_upload(lambda event: self._notifier.attempt(event.client, lambda: act(event)))
         return handle
 
     def follow(self, handle: Any, value: Any) -> None:
-        """Assign a shared value to a widget only if this value has changed.
+        """Assign a shared value to a widget if this value has changed since the last call.
 
-        Otherwise a viewer's newer choice, which has not reached the simulation yet, would be reset.
+        An unchanged value would reset a viewer's newer choice before it reaches the simulation.
         """
         if self.followed.get(id(handle)) != value:
             self.followed[id(handle)] = handle.value = value
 
 
 class JobStatus(Panel):
-    """Progress or result of a job, and a button that cancels the job."""
+    """Progress of a running job with a button that cancels it; otherwise another text."""
 
     def __init__(self, viewer: Viewer, job: Job, idle: Callable[[], str] = lambda: "") -> None:
-        """Show the status of the job, or the HTML that `idle` returns if no job is running."""
+        """Show the progress of `job`; while it does not run, show the HTML that `idle` returns."""
         super().__init__(viewer)
         self._job, self._idle = job, idle
         self.text = self._gui.add_html("", visible=False)

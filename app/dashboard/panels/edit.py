@@ -60,7 +60,7 @@ class EditPanel(Panel):
                 }
                 for box in self._watched.values():
                     self.on_update(box, lambda _: self._switch_pairs())
-            hint = "The arm's posture in the scene: pull it, or use “Joint sliders” in Lab."
+            hint = "The shown posture. To change it, pull the arm, or use “Joint sliders” in Lab."
             ready, icon = "Use this posture as ready posture", viser.Icon.STRETCHING
             self.button(ready, lambda _: self._take_posture(), icon, hint=hint)
             own = self._robot.name if is_own(self._robot.name) else f"{self._robot.name}_by_hand"
@@ -140,7 +140,7 @@ class EditPanel(Panel):
         return node
 
     def _take_hold(self, key: str) -> tuple[viser.TransformControlsHandle, ...]:
-        """Add the gizmos of a body: one moves it; one at its corner resizes it."""
+        """Add the gizmos of a body: one moves and rotates it; one at its corner resizes it."""
         scene, shape = self._viewer.client.scene, self._shape(key)
         node, (position, wxyz) = f"{self._frame(key)}/{MOVE}", to_viser(shape.placement())
         whole = scene.add_transform_controls(
@@ -185,10 +185,10 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 
 
 def resized(shape: Shape, half: Array) -> Shape:
-    """Return the shape with the `half_extents` `half` (3,) [m].
+    """Return the shape, resized to `half_extents` of `half` (3,) [m].
 
-    A sphere's radius follows the axis that changes most; other radii follow the cross axis that
-    changes most.
+    The radius of a sphere becomes the entry of `half` that changes most. The radius of a cylinder
+    or a capsule becomes the entry for x or y that changes most.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]
@@ -213,7 +213,7 @@ def resized(shape: Shape, half: Array) -> Shape:
 
 
 def _ends(T: pin.SE3, half_length: float) -> dict[str, tuple[float, float, float]]:
-    """Return the ends of a capsule's axis at the pose T, with half its length [m]."""
+    """Return both ends of a capsule's axis, from the capsule's pose T and half its length [m]."""
     along = np.array([0.0, 0.0, half_length])
     return {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
 
@@ -224,7 +224,7 @@ def _three(values: Array) -> tuple[float, float, float]:
 
 
 def changes_html(changes: HandMade, robot: RobotDescription) -> str:
-    """List the unsaved changes to a robot."""
+    """Return a list of the unsaved changes to a robot, and a note about saved changes."""
     chain = tuple(body.name for body in robot.bodies)
     texts = [f"{words.body(body, chain)}: {s.type}" for (body, _), s in changes.shapes.items()]
     for pair in sorted(changes.unwatched.keys() ^ robot.unwatched.keys()):

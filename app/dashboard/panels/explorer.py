@@ -57,7 +57,7 @@ class ExplorerPanel(Panel):
     def shown(self, newest: Snapshot, shown: Snapshot) -> Snapshot:
         """Return the snapshot to draw: the response to the posture, or `shown` without a posture.
 
-        Posing ends if the simulation continues or restarts, or if the viewer goes to the past.
+        The posture is discarded if the simulation continues or restarts, or if the past is shown.
         """
         posture = self.posture
         if posture is None:
@@ -66,7 +66,7 @@ class ExplorerPanel(Panel):
         continued = not newest.follows(self._since) or (self._paused and not newest.paused)
         if continued or not self._viewer.timeline.live:
             cause = "the simulation continues" if continued else "the page shows the past"
-            text = f"The posture is dismissed: {cause}."
+            text = f"The posture is discarded: {cause}."
             self._viewer.notifier.tell(self._viewer.client, "Joint sliders", text)
             self._end()
             return shown
@@ -138,7 +138,7 @@ class ExplorerPanel(Panel):
             self._show(on=False)
 
     def _read(self) -> None:
-        """Read the posture from the sliders, within their ranges."""
+        """Set the posture from the sliders, within their ranges; no effect without a posture."""
         with self._lock:
             if self.posture is None:
                 return

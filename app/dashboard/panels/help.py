@@ -31,7 +31,7 @@ S is negative. When the arm is closer than d_b:
 1. p_n is the point of the border nearest to the arm. p_t is p_n moved along the border's tangent
    towards a higher score. The acting point p_act is the point of the border nearest to p_t.
 2. A virtual force acts on the base at p_act. It is larger for smaller distances. It pushes the
-   base away from the arm, and turns the base so that it can move away better.
+   base away from the arm, and turns the base so that the base can move away better.
 3. A quadratic program gives avoidance priority over the end-effector's task. The activation β
    rises from 0 at d_b to 1 at d_full, so that no command jumps. The arm gets torques at 1 kHz,
    the base gets velocities, by default at 10 Hz.
@@ -46,7 +46,7 @@ closes messages and leaves the past. `Shift` with the arrow keys, `Page Up` or `
 end-effector until `Shift` is released.
 Double click the scene to reset the view.
 
-Several people can use the page at once. Each has their own view and place in time; the simulation
+Several people can use the page at once. Each has their own view and point in time; the simulation
 is shared, and the forces of all who pull add up.
 """
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
@@ -101,8 +101,8 @@ CARDS = {
     ),
     "tour 2": Card(
         "2 of 5: Watch the base",
-        "The coloured border surrounds the base. Once the arm is inside, the base moves away, and "
-        "turns parts with a higher score towards it (yellow: high, purple: low).",
+        "The coloured border surrounds the base. Once the arm is inside it, the base moves away, "
+        "and turns parts with a higher score towards the arm (yellow: high, purple: low).",
         _STEP,
     ),
     "tour 3": Card(
@@ -132,7 +132,7 @@ SEEN = "dbb-tour-seen"
 
 
 class Shortcut(NamedTuple):
-    """A command of the list of commands (`Ctrl K`)."""
+    """An entry of the list of commands, which `Ctrl K` opens."""
 
     label: str
     key: Any  # the key that executes the command too, or None
@@ -164,17 +164,17 @@ class Guide(Panel):
         viewer.channel.on("card", self._press, str)
 
     def go(self, state: str) -> None:
-        """Show the card of a state, or no card if it is empty; end the guide's own comparison."""
+        """Show the card of a state, or none for ""; end a comparison that the guide has started."""
         with self._lock:
             before, self.state = self.state, state
             if self._compares:
                 self._end(anew=before == "demo" or state == "pull")
 
     def watch(self, state: str) -> None:
-        """Show a card, and play the demonstration on a robot and on a ghost without avoidance.
+        """Show a card; play the demonstration on the robot, and without avoidance on a ghost.
 
         Raises:
-            UnreachableError: The robot has no line for this scenario.
+            UnreachableError: The robot's description has no path for the scenario `SHOWN`.
         """
         with self._lock:
             scenario = scenario_of(self._shared.model.description, SHOWN)
@@ -207,7 +207,7 @@ class Guide(Panel):
     def _press(self, label: str) -> None:
         """Handle a click on a button of the card; ignore a label that the card does not have.
 
-        Without a card, the demonstration's labels count: the same click has just closed its card.
+        Without a card, `WATCH` and `PULL` are valid: the same click may have closed their card.
         """
         with self._lock:
             card = CARDS.get(self.state)
@@ -231,9 +231,9 @@ class Guide(Panel):
             self._viewer.play(SHOWN)
 
     def _end(self, *, anew: bool) -> None:
-        """End the guide's comparison, unless a viewer has chosen another one.
+        """End the guide's comparison; do nothing if a viewer has chosen another comparison.
 
-        With `anew`, also reset the robot to the free start, unless a viewer holds it.
+        With `anew`, also start a run without a scenario, unless a person holds the robot.
         """
         loop, self._compares = self._shared.loop, False
         if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:

@@ -59,9 +59,10 @@ class Plots(Panel):
         }
 
     def update(self, moment: Moment) -> None:
-        """Draw the time around the shown snapshot, if the viewer sees the tab.
+        """Draw the last `LENGTH` of the run, or up to `AHEAD` after a shown instant in the past.
 
-        A plot without values, such as that of an absent door, is hidden.
+        A plot that is not chosen or has no value, as for an absent door, is hidden. Nothing is
+        drawn if the viewer does not see the tab, or if the drawing of the present is not yet due.
         """
         newest, shown = moment.newest.t, moment.shown
         view, live, plans = self._viewer.view, moment.live, dict(self._plans)
@@ -100,7 +101,7 @@ class Plots(Panel):
         self._name.hint = f"Column of a log: {self._shared.quantities[self._name.value].hint}"
 
     def _change(self, *, add: bool = False) -> None:
-        """Remove the chosen quantity from the chosen plot, or append it if `add`; show the plot."""
+        """Remove the chosen quantity from the chosen plot, or add it if `add`; show the plot."""
         name, title = self._name.value, self._into.value
         plan, view = self._plans[title], self._viewer.view
         curves = tuple(curve for curve in plan.curves if curve.label != name)
@@ -115,7 +116,7 @@ class Plots(Panel):
         view.plots = view.plots | {title}
 
     def _make(self, plans: Mapping[str, PlotPlan]) -> None:
-        """Create the plots whose content has changed; called by the drawing thread."""
+        """Create each plot that is new or has another content; the drawing thread calls this."""
         for k, (title, plan) in enumerate(plans.items()):
             before, plot = self._plots.get(title, (None, None))
             if before == plan:
@@ -130,9 +131,9 @@ class Plots(Panel):
 
 
 def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHandle:
-    """Create an empty plot, with constant ranges, because a change would rebuild it in the browser.
+    """Create a plot without data; its options are constant, because a change would rebuild it.
 
-    The shown instant is a curve with its own scale, 0 to 1; all its other values are outside.
+    A curve with its own scale, 0 to 1, marks the shown instant: it is 1 there, and `OFF` elsewhere.
     """
     lines, hidden = [], uplot.Series_Points(show=False)
     for curve in (*plan.curves, _INSTANT):

@@ -53,7 +53,7 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """List of the robots; one of them is simulated for all viewers."""
+    """Tab "Robot": choice of the robot that is simulated for all viewers, and two folders."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -162,7 +162,7 @@ class NewRobotPanel(Panel):
         self.uploads.disabled = progress is not None
 
     def request(self) -> Request:
-        """Return the request for a robot from the fields that apply.
+        """Return the request for a robot, from the fields that apply to the chosen base and zip.
 
         Raises:
             ConfigError: There is no upload, a field is invalid, or fields contradict each other.
@@ -208,7 +208,7 @@ class NewRobotPanel(Panel):
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
 
     def _offer_links(self, package: Package) -> None:
-        """Offer links and wheel joints of the chosen URDF; preselect its root and `last` link."""
+        """Offer links and wheel joints of the chosen URDF; preselect its root and farthest link."""
         self._shown_urdf = self.fields["file"].value
         contents = package.urdfs.get(self._shown_urdf)
         if contents is None:  # a choice from the previous zip
@@ -224,7 +224,7 @@ class NewRobotPanel(Panel):
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """Describe a robot; `here` means that it is in use. Name the reason if it cannot be used."""
+    """Describe a robot, with the reason if it cannot be used; `here`: whether it is in use."""
     lines = (
         f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
         "In use." if here else "",

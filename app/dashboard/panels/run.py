@@ -84,7 +84,7 @@ class RunPanel(Panel):
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the readings from the shown one.
 
-        The list still shows a scenario that has ended, so that `FREE` remains a different choice.
+        The list still shows a scenario that has ended: a choice of `FREE` must change the list.
         """
         newest, shown, verdict = moment
         course = self._shared.course
@@ -143,7 +143,7 @@ class ComparePanel(Panel):
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the scores from the shown one.
 
-        A controller stays in its list if the viewer removes the controller of the other list.
+        If the viewer removes one of two controllers, the other one stays in its own list.
         """
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
@@ -201,7 +201,7 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 
 
 def _distance(d: float) -> str:
-    """Return a distance [m] in millimetres, on the colour of contact if it is negative."""
+    """Return a distance [m] as a number of millimetres, on the colour of contact if negative."""
     text = millimetres(d)[:-3]
     return text if d >= 0.0 else state_chip("contact", text)
 
@@ -216,9 +216,9 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
-    """Return preparation, progress or result of the scenario; empty before the first one.
+    """Return preparation, progress or result of the last scenario; empty before the first one.
 
-    `busy` is `Snapshot.busy`, and `robot` has the usual options of the scenario.
+    `busy` is `Snapshot.busy`. The description `robot` has the scenario's usual options.
     """
     if busy:
         title = f"{words.sentence(busy)} …"

@@ -38,7 +38,7 @@ class SavePanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._job = self._gui, viewer.files
-        self._drawn = viewer.timeline.shown(), False  # True: a posture, which is not simulated
+        self._drawn = viewer.timeline.shown(), False  # whether it is a posture, not simulated
         with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
@@ -69,7 +69,7 @@ class SavePanel(Panel):
         self._drawn = moment.shown, self._viewer.grip.reach is not None
 
     def _file(self, label: str, icon: Any, make: Callable[[], NamedFile], **look: Any) -> None:
-        """Add a button for a file, which `make` returns in a separate thread."""
+        """Add a button that sends a file to the viewer; `make` returns it in a separate thread."""
         client = self._viewer.client
 
         def send() -> None:
@@ -104,7 +104,7 @@ class SavePanel(Panel):
         return "scene.png", png(picture)
 
     def _scene(self, width: int, height: int) -> Image.Image:
-        """Return the scene from the viewer's browser, in a size [px]."""
+        """Return the scene as the viewer's browser draws it in a size [px]."""
         executor = ThreadPoolExecutor(1)
         future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
         executor.shutdown(wait=False)
@@ -121,10 +121,10 @@ class SavePanel(Panel):
         return whole.convert("RGB")
 
     def _of_interval(self, name: str, write: Callable[..., None], *more: Any) -> NamedFile:
-        """Return the file that `write(report, trace, path, *more)` creates in its own process.
+        """Return the file that `write(report, trace, path, *more)` creates in a separate process.
 
-        At its end, the process frees the memory of the libraries. If the interval begins in a
-        scenario, a report ends with it, because later rows would change its final values.
+        The end of the process frees the memory of the libraries. For an interval that begins in a
+        scenario, a report omits the time without a scenario, which would change the final values.
         """
         snapshots = self._viewer.timeline.interval()
         if write is write_report:

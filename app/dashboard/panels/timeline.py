@@ -34,7 +34,7 @@ class TimelinePanel(Panel):
             channel.on(word, act)
 
     def update(self, moment: Moment) -> None:
-        """Send new rows of the strip, new or changed events, and the viewer's point in time."""
+        """Send new rows of the strip, new or changed events, and times and state if changed."""
         newest, shown, _ = moment
         strip, line = self._strip, self._timeline
         runs, closed = self._sent

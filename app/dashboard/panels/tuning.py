@@ -22,7 +22,7 @@ _OPEN = "border"  # section whose folder is open at first
 
 
 class TuningPanel(Panel):
-    """The tab; all viewers share the configuration, and see the changes of all."""
+    """Tab "Tune"; all viewers share the parameters, and see the changes by the others."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -167,7 +167,7 @@ class ParameterWidget(Panel):
 
 
 def _value_of(power: float) -> float:
-    """Return 10 to the power, with three digits; ±inf or NaN if the power is too large."""
+    """Return 10 to the power, with three digits; ±inf for a power from ±300 on, NaN for NaN."""
     return float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
 
 

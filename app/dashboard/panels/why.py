@@ -40,7 +40,7 @@ _BEHIND = -0.5  # [-] x of a normal; above it, the near body is in front of the 
 
 
 class WhyPanel(Panel):
-    """The tab, and the header over the scene, which is visible with each tab."""
+    """Tab "Why", and the header over the scene, which is visible with every tab."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -62,7 +62,7 @@ class WhyPanel(Panel):
 
 
 def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
-    """Return the verdict, its cause in a sentence, and rows for force, base motion and limits."""
+    """Return verdict, cause of the motion in a sentence, and rows: force, base motion, limits."""
     colour = css(verdict.colour)
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
@@ -73,7 +73,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
 
 
 def details_html(snapshot: Snapshot) -> str:
-    """Return tables of the quantities behind the sentence, or one line if no pair is active."""
+    """Return tables of the quantities behind the sentence; a note if there are none to show."""
     why = snapshot.explanation
     if why is None:
         return small("There are no details for this instant.")
@@ -104,7 +104,7 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
 
 
 def _push(why: Explanation | None) -> list[float]:
-    """Return the sum (2,) [N] of the forces (14), in the base's frame."""
+    """Return the sum (2,) [N] of the forces (14), in the base's frame; 0 without explanation."""
     return _total(why, "f", 2) if why else [0.0, 0.0]
 
 
@@ -136,7 +136,7 @@ def state_chip(state: State, text: str = "") -> str:
 
 
 def sentence(snapshot: Snapshot) -> str:
-    """Return the cause of the robot's motion in a snapshot."""
+    """Return the reported contacts, if any, and the cause of the robot's motion in words."""
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
@@ -202,7 +202,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    """Describe the controller barrier, with its minimum distance instead of the buffer distance."""
+    """Describe the controller "barrier": the text has its minimum distance, not d_b."""
     limited = next((p for p in why.near if p.limited), None)
     shown = limited or pair
     cause = _cause(shown, why, None)
@@ -224,7 +224,7 @@ def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Return distance or overlap of a pair as text, with the buffer distance d_b [m] if any."""
+    """Return overlap or distance of a pair as text; with a distance also d_b [m], if not None."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
@@ -234,7 +234,7 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
-    """Return the motion of the base, or its next motion if it is at rest; None without both."""
+    """Describe the base's motion; at rest, the motion that is commanded next; None without both."""
     ahead = pair.n[0] > _BEHIND
     moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
     if moves is not None:
@@ -245,7 +245,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 
 
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
-    """Return the effect on person or task; `limited`: the controller limits the arm's approach."""
+    """Describe the effect on person or task; `limited`: the controller limits the approach."""
     if why.mode == "guiding":
         if limited or any(pair.limited or pushes_links_apart(pair) for pair in why.near):
             return "the arm resists further guiding"
@@ -292,7 +292,7 @@ def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str
 
 
 def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
-    """Return titles and widths of the columns of the forces; widths are constant in time."""
+    """Return titles and widths of the columns in the table of forces; widths never change."""
     heads = (
         f"{acceleration_symbol(axis)}<br>[{'rad/s²' if axis.angular else 'm/s²'}]" for axis in axes
     )
@@ -300,7 +300,7 @@ def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
 
 
 def _force_rows(why: Explanation) -> list[str]:
-    """Return rows for the resultant force, its two parts, and the base's accelerations."""
+    """Return rows: direction, two parts and sum of the force, and accelerations of the base."""
     n_b, f = len(why.axes), _push(why)
     away, turn = (
         (_total(why, part, 2), _total(why, f"{part}_acceleration", n_b))
@@ -373,5 +373,5 @@ def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
 
 
 def _total(why: Explanation, part: str, n: int) -> list[float]:
-    """Return the sum (n,) of the field `part` of all forces; zeros without forces."""
+    """Return the sum (n,) of the field `part` of `ForceSplit` over all forces; 0 without any."""
     return [sum(getattr(force, part)[i] for force in why.forces) for i in range(n)]

@@ -1,4 +1,4 @@
-"""Borders: coloured points that move with the base, their values under the pointer, and a slice."""
+"""Borders as coloured points that move with the base; a slice; and values under the pointer."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -47,7 +47,7 @@ class ColouredCloud(NamedTuple):
 
 
 class _Probe(NamedTuple):
-    """A point of the border, and the base's response to an arm at `_INSIDE` d_b from the base."""
+    """A point of the border, and the base's response to an arm near it, `_INSIDE` d_b from l_m."""
 
     p: Array  # (3,) [m] the point in the base's frame
     p_act: Array  # (3,) [m] acting point for the assumed arm, in the base's frame
@@ -72,9 +72,9 @@ class Borders:
     def coloured(
         self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
     ) -> ColouredCloud | None:
-        """Return at most `MAX_POINTS` of a border, coloured by a quantity of `QUANTITIES`.
+        """Return at most `MAX_POINTS` of a pair's border, coloured by one of `QUANTITIES`.
 
-        `whole` includes points above the base's top. Returns None if there is no point.
+        Points above the base's top are omitted unless `whole`. Returns None if there is no point.
         """
         key = pair, quantity, border.d_b, border.eps, None if whole else self.top
         if key not in self._kept:
@@ -106,9 +106,9 @@ class Borders:
         return ColouredCloud(points[keep], viridis(u), legend)
 
     def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:
-        """Return score, acting point and acceleration of the base for a point of a pair's border.
+        """Return the `_Probe` of the point p (3,) [m] of a pair's border, in the base's frame.
 
-        The point p (3,) [m] is in the base's frame. The arm is assumed at `_INSIDE` d_b from l_m.
+        The arm is assumed between p and l_m, at the distance `_INSIDE` d_b from l_m.
         """
         field, base, config = self.fields[pair], self._model.description.base, snapshot.config
         ends = self.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
@@ -145,7 +145,7 @@ class _Drawn(NamedTuple):
 
 
 class DrawnBorders:
-    """Draws the borders of a viewer, and the values at the border's point under the pointer."""
+    """Draws the borders of a viewer, a slice, and values of the point under the pointer."""
 
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
         self._scene, self._borders, self._model = scene, borders, model
@@ -161,7 +161,7 @@ class DrawnBorders:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each changed border; return whether there is one, so that `legends` is new.
+        """Draw each changed border; return whether there is any, and thus a new `legends`.
 
         This takes milliseconds: call it outside of `atomic`, which delays all messages.
         """
@@ -216,7 +216,7 @@ class DrawnBorders:
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, axes, top)
 
     def draw_slice(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the border at the height of p_b of the nearest pair of L_m."""
+        """Draw the border's contour at the height of p_b of the nearest pair of L_m."""
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.fields]
         if not mobile:
             return
@@ -230,7 +230,7 @@ class DrawnBorders:
             canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
 
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
-        """Return the probe at the drawn point under the `pointer` [px] nearest to the camera."""
+        """Return the probe of the frontmost drawn point within `_NEAR` of `pointer`, or None."""
         nearest, found = np.inf, None
         for pair, (cloud, _, _) in self._drawn.items():
             if cloud is None:

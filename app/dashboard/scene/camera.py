@@ -38,7 +38,7 @@ _OVER_DOOR = 0.15  # [m] height of the angle's label above the door
 
 
 class Window(NamedTuple):
-    """The part of a page in which the scene is drawn; parts of it can be covered."""
+    """The area of a page that shows the scene; its upper and lower ends can be covered."""
 
     aspect: float = 1.5  # [-] ratio of width to height
     covered: float = 0.0  # [-] share of the height that is covered from below
@@ -46,7 +46,7 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Create a window from the browser's sizes [px] and covered shares [-], within limits.
+        """Create a window from the browser's sizes [px] and covered shares [-], clipped to limits.
 
         Impossible values give `ANY_WINDOW`; a browser's sizes are 0 at first.
         """
@@ -66,7 +66,7 @@ ANY_WINDOW = Window()  # default of an unknown window
 
 
 class Preset(NamedTuple):
-    """A view of the robot, in the base's frame."""
+    """A view: the direction of the camera, in the base's frame, and its target."""
 
     away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
@@ -123,7 +123,7 @@ class Camera:
         return Window.of(*image_size(self._client), above / whole, below / whole)
 
     def cover(self, height: float, above: float, below: float) -> None:
-        """Store the page's report: heights [px] of scene, covered upper and lower part."""
+        """Store the page's report: heights [px] of the scene and of its covered ends."""
         self._page = height, above, below
 
     @property
@@ -139,7 +139,7 @@ class Camera:
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
-        """Look at the robot of a snapshot from a preset, a key of `PRESETS`."""
+        """Look at the robot of a snapshot from the preset of a `name`, a key of `PRESETS`."""
         camera, self._fitted, self._preset = self._client.camera, self.window, name
         eye, target = placed(PRESETS[name], [snapshot], self.extent, self._fitted)
         if self._set is None:
@@ -159,7 +159,7 @@ class Camera:
         return self._preset if self._waits() or away < _SAME else ""
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the wanted preset; otherwise fit the last preset to a changed window.
+        """Use the wanted preset, if any; fit the last preset again if the window has changed.
 
         The window changes because the panels narrow the scene only after the first picture, and a
         drawer opens later. The camera is not fitted while the viewer is `busy` with a pull, or if
@@ -194,13 +194,13 @@ class Camera:
         self._client.camera.position = self._set
 
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
-        """Use the preset again if the robot is out of sight; call it regularly.
+        """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        This happens in three cases. (a) A run has started. (b) The camera follows (`on`), and the
-        base has moved by more than `_MOVED` out of sight. (c) The camera follows and still has a
-        preset of the whole robot or of the pair, and the end-effector of the robot or of a ghost is
-        out of sight. A run with a door starts with the door's view, and the next run without a
-        door with "iso". While the viewer is `busy` with a pull, only these two changes happen.
+        The cases are: (a) The robot was not in sight since the start of a run. (b) The camera
+        follows (`on`), and the base has moved by more than `_MOVED` out of sight. (c) The camera
+        follows, still has a preset of the whole robot or of the pair, and does not show the
+        end-effector of the robot or of a near ghost. A run with a door starts with the preset
+        "door", the next run without a door with "iso", also while a viewer is `busy` with a pull.
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
@@ -226,7 +226,7 @@ class Camera:
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
-        """Whether the browser's answer to the last position is pending, at most `_PATIENCE`."""
+        """Whether the browser has yet to confirm the last position; False after `_PATIENCE`."""
         return self._set is not None and monotonic() < self._set_at + _PATIENCE
 
     def _left(self) -> bool:
@@ -258,12 +258,12 @@ def placed(
 ) -> tuple[Array, Array]:
     """Return eye and target (3,) [m] of a preset in the world.
 
-    The picture shows the robots of all snapshots `shown`, at least one. The view turns with the
-    base of the middle one; the view of a door turns with the door.
+    The picture shows the robots of all snapshots. The direction is relative to the heading of the
+    base in the middle snapshot, or relative to the closed door for the preset of a door.
 
     Args:
         preset: The view.
-        shown: The snapshots.
+        shown: The snapshots, at least one.
         extent: (N, 3) [m] points of the robot in its ready posture, in the base's frame.
         window: The part of the page with the scene.
     """
@@ -302,7 +302,7 @@ def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
 
 
 def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
-    """Whether the centre of points (N, 3) [m] is in the free part, and they look large enough."""
+    """Whether the mean of points (N, 3) [m] is in the free part, and they look large enough."""
     lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
     pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
@@ -324,13 +324,13 @@ def _axes(forward: Array) -> Array:
 
 
 def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None:
-    """Set eye and target (3,) [m] of new viewers in the world."""
+    """Set eye and target (3,) [m], in the world, of the camera with which a new viewer starts."""
     camera = server.initial_camera
     camera.position, camera.look_at, camera.fov = eye, target, FIELD_OF_VIEW
 
 
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
-    """Return the nearest camera that shows all points, centred in the free part.
+    """Return the nearest camera that shows all points, centred in the picture's free part.
 
     Args:
         points: (N, 3) [m] points.

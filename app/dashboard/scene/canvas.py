@@ -41,7 +41,7 @@ class Lens(NamedTuple):
     """[px] left, lower, right and upper edge of the uncovered part, in coordinates of `pixel`."""
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
-        """Return [px] to the right of and above the centre, and depth [m], of a place (3,) [m]."""
+        """Return [px] right of the centre, [px] above it, and depth [m] of a place (3,) [m]."""
         u, v, depth = map(float, self.axes @ (place - self.eye))
         scale = self.focal / max(depth, 1e-3)
         return scale * u, scale * v, depth
@@ -71,7 +71,7 @@ def set_apart(
 
     Args:
         labels: Coordinates [px] to the right and up, and text, by the label's name.
-        before: Spots in the previous picture; a label stays there until a nearer spot is free.
+        before: Spots in the previous picture; a label leaves a free spot only for a nearer one.
         free: [px] left, lower, right and upper edge of the area for labels.
         scale: [-] size of the labels, relative to `FONT_SCALE`.
     """
@@ -123,9 +123,9 @@ class Canvas:
 
     @contextmanager
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
-        """Draw a picture; the texts of existing labels change only if `texts`.
+        """Show only objects drawn in this context; change texts of old labels only if `texts`.
 
-        With a lens, labels overlap only if there is no free place. They prefer their last spots
+        With a lens, labels overlap only if there is no free spot. They prefer their last spots
         while the simulated time `t` [s] advances in short steps.
         """
         if not 0.0 < t - self._t < _SOON:
@@ -154,8 +154,8 @@ class Canvas:
     def lines(self, name: str, lines: Sequence[Array], colour: Rgb, pixels: float) -> None:
         """Draw lines of one colour, each through points (K, 3) [m], K ≥ 2; `pixels` is the width.
 
-        viser takes colours of single segments as linear colours, and a line that changes to those
-        sometimes stays white: all segments have one colour.
+        All segments have one colour: viser takes the colours of single segments as linear colours,
+        and a line that changes from one colour to such colours sometimes stays white.
         """
         ends = np.concatenate([np.stack([each[:-1], each[1:]], axis=1) for each in lines])
         self.segments(name, ends, np.array(colour, np.uint8), pixels)
@@ -203,7 +203,7 @@ class Canvas:
             self._handles[name].font_screen_scale = scale * FONT_SCALE
 
     def _node(self, name: str, add: Callable[..., Any], *values: Any, **look: Any) -> Any:
-        """Return the scene node of a name; at first, add it with its values and look."""
+        """Mark the scene node `name` as drawn, and return it; add it by `add` if it is missing."""
         self._drawn.add(name)
         if name not in self._handles:
             self._handles[name] = add(name, *values, visible=False, **look)

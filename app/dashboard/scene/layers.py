@@ -83,7 +83,7 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    Those of pairs outside the buffer d_b [m], or inside it if not `inside`, have length zero.
+    If `inside`, segments of pairs outside the buffer d_b [m] have length 0; otherwise those inside.
     """
     ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
     hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
@@ -92,7 +92,7 @@ def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
-    """Draw p_n, p_t, p_act and f of each noticeable force on the base with the height `top` [m]."""
+    """Draw p_n, p_t, p_act and f of each noticeable force; `top` [m] is the base's height."""
     for reading in snapshot.acting:
         size = np.linalg.norm(reading.f)
         if size < _LEAST_FORCE:
@@ -128,7 +128,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) of the base above its `top` [m], below the scene node `node`.
+    """Draw an acceleration (n_b,) above the base's `top` [m], in the frame of the scene node.
 
     The linear part is a straight arrow, the angular part ω̇ an arc with a head.
     """
@@ -160,7 +160,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """If a ghost is visible, label each robot with its controller and its clearance.
+    """If a ghost is apart from the robot, label all robots with their method and clearance.
 
     A label is at the position `at` (3,) [m] in the frame of the robot's base.
     """

@@ -14,7 +14,7 @@ QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")
 
 
 class BaseMeasure(NamedTuple):
-    """Words for the measure of the base in the score (10): `BaseKind.singularity`."""
+    """Words for the base's factor in the score (10), which `BaseKind.singularity` computes."""
 
     title: str = "Mobility of the base"  # HTML
     unit: str = ""  # of the measure and of the score; empty without one

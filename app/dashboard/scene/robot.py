@@ -49,7 +49,7 @@ class Visual(NamedTuple):
     colour: Rgb
 
     def corners(self, T: pin.SE3 | None = None) -> Array:
-        """Return the corners (8, 3) [m] of the bounding box, with the joint at T (the identity)."""
+        """Return the bounding box's corners (8, 3) [m]; T is the joint's pose, or the identity."""
         placed = self.placement if T is None else T * self.placement
         corners = trimesh.bounds.corners(self.mesh.bounds)
         return trimesh.transform_points(corners, placed.homogeneous)
@@ -186,7 +186,7 @@ def load_visuals(description: RobotDescription) -> list[Visual]:
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a mesh with duplicate vertices at sharp edges; decimate more than `MAX_FACES` faces.
+    """Return a mesh with duplicate vertices at sharp edges, decimated if over `MAX_FACES` faces.
 
     Without duplicates, the edges of a box would look round: the browser averages normals there.
     """

@@ -47,7 +47,7 @@ class SceneData:
         pairs = [pair for pair in first.pairs if pair.name != self.of_door]
         self.pairs = [pair.name for pair in pairs]
         self.mobile = [pair.name for pair in pairs if pair.mobile]
-        """Names of all link pairs, in the order of the snapshots; of the pairs of arm and base."""
+        """Names of all link pairs without a door, as in the snapshots; and of those of L_m."""
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
         self.parts = parts or RobotParts(model)
@@ -137,7 +137,7 @@ class RobotScene:
             frame.position, frame.wxyz = to_viser(poses[joint])
 
     def hide_links_near(self, other: "RobotScene") -> None:
-        """Hide each link at nearly the same place as the other robot's, which it would tint."""
+        """Hide each link that nearly coincides with the same link of `other`; show all others."""
         for joint, frame in self._frames.items():
             apart = other.world_pose(joint).actInv(self.world_pose(joint))
             turned = np.abs(pin.log3(apart.rotation)).max() if joint == 0 else 0.0  # not wheels
@@ -183,8 +183,8 @@ class Scene:
         """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
 
         Returns the verdict, which determines the colours of the lines. The lens determines the
-        positions of labels and the point under the pointer. `border.update` draws borders: it takes
-        milliseconds, and `atomic` would delay all messages.
+        positions of labels and the point under the pointer. The border's points are drawn by
+        `border.update`, outside of `atomic`, because this takes milliseconds.
         """
         view = self._view
         dark, light = view.dark, view.light  # the viewer can change them meanwhile
