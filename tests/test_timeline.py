@@ -114,6 +114,19 @@ def test_an_end_without_a_start_marks_the_longest_interval():
     assert timeline.begin == pytest.approx(30.0, abs=2 * BIN)
 
 
+@pytest.mark.parametrize("moved", ["the start", "the end"])
+def test_a_second_mark_cannot_exceed_the_longest_interval(moved):
+    timeline = line_of(Past(MOST_MARKED + 60.0))
+    first, second = (MOST_MARKED + 40.0, 10.0) if moved == "the start" else (1.0, 150.0)
+    mark(timeline, first, first + 1.0)
+    timeline.go_to(second)
+    timeline.mark_begin() if moved == "the start" else timeline.mark_end()
+    assert timeline.end - timeline.begin == pytest.approx(MOST_MARKED, abs=2 * BIN)
+    stored = timeline.interval()
+    assert stored[-1].t - stored[0].t <= MOST_MARKED + 1e-9
+    assert (timeline.begin if moved == "the start" else timeline.end) == pytest.approx(second)
+
+
 def test_plots_unpack_one_snapshot_per_interval(monkeypatch):
     past = Past(90.0)
     unpacked, loads = [], pickle.loads

@@ -108,18 +108,21 @@ class Timeline:
             self._shown = self._replay = None
 
     def mark_begin(self) -> None:
-        """Mark the shown instant as the interval's start; a later end in the same run remains."""
+        """Mark the shown instant as the start of the interval.
+
+        A later end in the same run remains, but it is at most `MOST_MARKED` after the start.
+        """
         with self._lock:
             self.begin, end = self.shown().t, None if self.earlier else self.end
             self.end = None
             self._marked = self._stored(self.begin)
             if end is not None and end > self.begin:
-                self._cut(end)
+                self._cut(min(end, self.begin + MOST_MARKED))
 
     def mark_end(self) -> None:
         """Mark the shown instant as the end of the interval.
 
-        Without an earlier start in this run, the interval begins at most `MOST_MARKED` before.
+        An earlier start in this run remains, but it is at most `MOST_MARKED` before the end.
 
         Raises:
             LogError: The shown instant is the marked start.
@@ -134,6 +137,8 @@ class Timeline:
             elif self.end is not None and self.end < at:
                 last = self._marked[-1].t if self._marked else self.begin
                 self._marked += [stored for stored in self._stored(self.begin) if stored.t > last]
+            self.begin = max(self.begin, at - MOST_MARKED)
+            self._marked = [stored for stored in self._marked if stored.t >= self.begin]
             self._cut(at)
 
     def unmark(self) -> None:
