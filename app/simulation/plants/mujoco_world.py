@@ -126,7 +126,7 @@ class MujocoWorld:
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step, as in `BulletRobot`; `speeds` are the references of the motors."""
+        """Advance by one step, as in `BulletRobot`; `speeds` has the command of each motor."""
         data = self.data
         mujoco.mj_step1(self.model, data)
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
@@ -138,7 +138,7 @@ class MujocoWorld:
         mujoco.mj_step2(self.model, data)
 
     def close(self) -> None:
-        """Do nothing: MuJoCo needs no end."""
+        """Do nothing: the plant has no resources to release."""
 
     def contacts(self) -> Contacts:
         """Contacts in the last step."""
@@ -183,7 +183,7 @@ def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
 
 @compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR, _VECTOR), None))
 def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None:
-    """Set the motors' references, the arm's torques and the person's force; clear other forces.
+    """Set the motors' references, the arm's torques and `force`; remove all other forces.
 
     MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint. A
     motor's reference acceleration is (speed - v) / dt. The solver starts from the accelerations

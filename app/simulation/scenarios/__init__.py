@@ -109,7 +109,11 @@ def free_start(
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
-    """Options of `Scenario.changed` with a robot's own line for a scenario, if there is one."""
+    """`start` and `move` of the robot's own line for a scenario; empty if there is none.
+
+    For the scenarios of `_SAME_LINE`, another scenario's line is the second choice. If a line of
+    the description belongs to no scenario, this raises a DescriptionError.
+    """
     lines = description.lines
     if unknown := sorted(lines.keys() - LINES.keys()):
         where = f"{description.name}: [lines.{unknown[0]}] in robot.toml"
