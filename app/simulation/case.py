@@ -97,15 +97,12 @@ class RunCase(Strict):
         return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
-        """The defaults, changed by the parameters of the case that still exist in this version.
-
-        An invalid value raises a ConfigError.
-        """
+        """The defaults, with the case's values of known parameters; can raise a ConfigError."""
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """Texts: another version wrote the case; a parameter no longer exists, or is not in it."""
+        """A line if another version wrote the case, and for each unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
         same = self.version == now
         return [

@@ -1,7 +1,6 @@
 """Pictures of the robot by pybullet's software renderer, without display, browser or graphics card.
 
-The renderer draws only bodies. Callers can draw other elements, such as lines, over the picture:
-`Picture.pixels` projects points.
+The renderer draws only bodies. Callers can draw other elements: `Picture.pixels` projects points.
 """
 
 import math

@@ -186,7 +186,7 @@ class Session:
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """Pose of the end-effector at the last step, as the controller knows it from readings."""
+        """Pose of the end-effector at the last step, estimated by the controller from readings."""
         return self.controller.state.T_world_ee
 
     @property
@@ -252,7 +252,7 @@ class Session:
         return step
 
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
-        """The loads with a mass; a key has name, mass [kg], centre [m] and begin of action [s].
+        """The loads with a mass; a key has name, mass [kg], centre [m] and time of beginning [s].
 
         A load with an unchanged key remains the same object, which stores its last velocity.
         """
@@ -310,8 +310,7 @@ class Disturbances:
     def configure(self, config: DisturbanceConfig) -> None:
         """Use these disturbances from the next step on.
 
-        If a delay increases, the oldest known command or reading is repeated until the next one is
-        due.
+        If a delay increases, the oldest known command or reading is repeated until the next is due.
         """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip, self._stamped = config.slip, config.time_stamps == "yes"
@@ -336,10 +335,9 @@ class Disturbances:
     def sensed(self, truth: Measurement) -> Measurement:
         """The readings that the controller receives in a control step.
 
-        Without disturbances of the readings, these are the true values.
-
-        With noise, `VelocityTracking` computes the joint velocities from the noisy positions, as on
-        a robot that has only encoders. The base's sensors have no noise.
+        Without disturbances, these are the true values. With noise, `VelocityTracking` computes the
+        joint velocities from the noisy positions, as on a robot that has only encoders. The base's
+        sensors have no noise.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -351,7 +349,7 @@ class Disturbances:
         return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
 
     def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings, new, late or repeated, that reach the controller, with any time stamps."""
+        """The readings that reach the controller: new, late or repeated, and stamped if configured."""
         step, self._steps = self._steps, self._steps + 1
         if not self._stamped:
             return self._transmitted(sent, step)
@@ -370,7 +368,7 @@ class Disturbances:
         return self._seen
 
     def arriving(self, command: Array) -> Array:
-        """The base command (n_b,) [m/s or rad/s] after delay and slip; zero until one arrives.
+        """The base command (n_b,) [m/s or rad/s] after delay and slip; 0 until the first arrives.
 
         `command` (n_b,) is the controller's command in this control step.
         """

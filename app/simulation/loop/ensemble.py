@@ -54,7 +54,7 @@ class Ensemble:
 
     @property
     def main(self) -> Session:
-        """The main robot's session: `free`, or after the start of a door's scenario its own one."""
+        """The main robot's session: `free`, or a separate one for a scenario with a door."""
         return self._led.session
 
     @property
@@ -88,10 +88,7 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Play the last scenario again; if the last start had no scenario, repeat the last `reset`.
-
-        If the robots cannot start there, this raises a DbbError, and the present run continues.
-        """
+        """Play the last scenario again; if the last start had none, repeat the last `reset`."""
         if self.scenario is None:
             self._enter(self._begun, None)
         else:
@@ -185,7 +182,7 @@ class Ensemble:
     def _enter(
         self, setting: Setting, scenario: Scenario | None, comparison: Compare | None = None
     ) -> None:
-        """Start main robot and ghosts at a setting; a DbbError is raised before any change.
+        """Start main robot and ghosts at a setting; a DbbError leaves the present run unchanged.
 
         Without `comparison`, the controllers of the present comparison are compared again.
         """
@@ -251,7 +248,7 @@ class Runner:
         self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """Execute one control step with the scenario's input and further holds."""
+        """Execute one `Session.step` with the scenario's input and the users' `holds`."""
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:

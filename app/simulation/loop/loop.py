@@ -41,14 +41,11 @@ class LoopHandle:
         self._alive = monotonic()  # [s] last heartbeat
 
     def begin(self) -> None:
-        """Start the loop, which makes its session, without waiting; `start` waits."""
+        """Start the loop without waiting for its session; `start` waits."""
         self._begun = True
 
     def start(self) -> None:
-        """Call `begin` if necessary, and wait for the first snapshot.
-
-        If the loop has failed, this raises a LoopError.
-        """
+        """Begin if necessary, and wait for the first snapshot; a failure raises a LoopError."""
         if not self._begun:
             self.begin()
         self._ready.wait()

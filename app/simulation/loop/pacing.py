@@ -41,7 +41,7 @@ class Pacer:
         self._works.append(duration)
 
     def wait(self) -> None:
-        """End a step: sleep until its period ends, but not for less than 0.2 ms."""
+        """End a step: sleep until its period ends; continue at once if less than 0.2 ms remain."""
         now = perf_counter()
         self._marks.append(now)
         while len(self._marks) > 2 and now - self._marks[0] > _WINDOW:
@@ -58,7 +58,7 @@ class Pacer:
 
     @property
     def realtime_factor(self) -> float:
-        """[-] ratio of simulated to real time in the last second; before two steps, `speed`."""
+        """[-] ratio of simulated to real time in the last second; `speed` before two steps."""
         if len(self._marks) < 2:
             return self.speed
         passed = self._marks[-1] - self._marks[0]

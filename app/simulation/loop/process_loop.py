@@ -83,10 +83,7 @@ class ProcessLoop(LoopHandle):
             thread.join(_PATIENCE)
 
     def _send(self, child: Child) -> None:
-        """Send `make_session` and `q_start`, then at intervals the commands.
-
-        During an interval, new commands can replace waiting ones.
-        """
+        """Send `make_session` and `q_start`; then send all waiting commands at intervals."""
         try:
             child.sender.send(self._task)
             self._task = None  # frees the robot and its border

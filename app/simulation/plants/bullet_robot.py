@@ -199,7 +199,7 @@ class BulletDoor(HeldDoor):
 
 
 def _plant_urdf(description: RobotDescription) -> str:
-    """URDF of the robot without visuals; only the planar joints of its root and the arm's move."""
+    """URDF of the robot, without visuals; only its planar joints and the arm's joints move."""
     tree = ElementTree.fromstring(planar_urdf(description))
     for link in tree.iterfind("link"):
         for visual in link.findall("visual"):  # pybullet would load its mesh

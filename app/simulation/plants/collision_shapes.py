@@ -82,7 +82,7 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of the links of each pair of `body_contact_pairs`, without the pairs in `nested`."""
+    """Pairs of links that the pairs of `body_contact_pairs` cover, without those in `nested`."""
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {

@@ -71,7 +71,7 @@ def compare_engines(
 
 
 def _picture(plants: tuple[Planar, Planar], base: Array, side: tuple[float, ...]) -> float:
-    """[-] share of the parallel rays from a side onto the robot whose hits differ."""
+    """[-] share of the rays onto the robot, all from one side, whose hits differ in the engines."""
     forward = -np.array(side) / np.linalg.norm(side)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)

@@ -108,8 +108,7 @@ def _move_arm(
 
     The joints have ideal stops: each joint that would leave its range in this step moves to its
     nearer limit. If an input is not finite, q and q̇ become NaN. `felt` (n_m,) are the joint torques
-    of the forces on the arm, `coupled` (n_m,) is M_ab q̈_b; M (n, n) and h = C q̇ + g (n,) are those
-    of (26). `lower` and `upper` (n_m,) are the joint limits.
+    of the forces on the arm, `coupled` is M_ab q̈_b; M (n, n) and h = C q̇ + g (n,) are as in (26).
     """
     n = len(q)
     A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled

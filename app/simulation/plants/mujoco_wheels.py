@@ -176,7 +176,7 @@ class MujocoWheels(Physics):
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Execute steps with a fixed arm and wheel speeds (n,) [rad/s]; return each ω [rad/s]."""
+        """Execute steps with a fixed arm and wheel speeds (n,) [rad/s]; return ω of each step."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN

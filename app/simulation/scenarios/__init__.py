@@ -109,11 +109,7 @@ def free_start(
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
-    """`start` and `move` of the robot's own line for a scenario; empty if there is none.
-
-    For the scenarios of `_SAME_LINE`, another scenario's line is the second choice. If a line of
-    the description belongs to no scenario, this raises a DescriptionError.
-    """
+    """Options with the robot's line for a scenario, else for the one of `_SAME_LINE`, if any."""
     lines = description.lines
     if unknown := sorted(lines.keys() - LINES.keys()):
         where = f"{description.name}: [lines.{unknown[0]}] in robot.toml"

@@ -156,10 +156,7 @@ class PostureSearch:
         return self.state.J_ee[:, self.model.n_b :]
 
     def beyond(self, p: Array) -> float:
-        """[m] lower bound of the distance of a point p (3,) [m] from the arm's workspace.
-
-        It is at most 0 for each point in the workspace.
-        """
+        """[m] lower bound of the distance of a point p (3,) [m] from the workspace; ≤ 0 inside."""
         x, y, heading = self._base_pose
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
         return float(np.linalg.norm(p - at)) - self._length
@@ -182,8 +179,7 @@ class PostureSearch:
     def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
         """The reason why the present posture is invalid, or an empty string if it is valid.
 
-        The arm must be more than `floor` [m] above the floor, and the distance of each pair greater
-        than d_b + `margin` [m].
+        The arm must be higher than `floor` [m], and the smallest distance above d_b + `margin` [m].
         """
         if self.above_floor() <= floor:
             return "the arm would touch the floor"

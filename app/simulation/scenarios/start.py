@@ -46,7 +46,7 @@ class StartSolver:
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its position limits.
     Any direction of the end-effector is accepted if the arm cannot choose this direction freely,
-    and the search finds no other posture from which the arm can follow the whole path.
+    and the search finds no posture as above from which the arm can follow the whole path.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -276,10 +276,7 @@ class _GraspSearch:
         return self._door.handle(angle) * turn
 
     def _judge(self, roll: float, q_m: Array) -> float | str:
-        """[-] quality of a posture at the handle, or the reason why the posture is invalid.
-
-        The quality is the number of further door angles that the arm can reach, plus margins.
-        """
+        """[-] `_room_ahead` of a posture at the handle, or the reason why it is no valid grasp."""
         room = self._room(self._grasp(self._angle, roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
         if not isinstance(room, str):
             room = self._room_ahead(roll, q_m, room)

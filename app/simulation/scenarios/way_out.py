@@ -45,11 +45,10 @@ class WayOutScenario(Scenario):
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
 
-        First a case is drawn: a pair and, for a pair of arm and base, whether the arm is above the
-        base or beside it. Then random postures are tried until one belongs to this case, because
-        some cases are rare among uniformly random postures. If all tries fail, another case is
-        drawn. If all cases fail, this raises an UnreachableError. It raises the error of
-        `check_avoidance` too.
+        A case is drawn first, because some cases are rare among random postures: a pair and, for a
+        pair of arm and base, whether the arm is above the base or beside it. Then random postures
+        are tried until one belongs to the case; if all fail, another case is drawn. If all cases
+        fail, this raises an UnreachableError. It also raises the error of `check_avoidance`.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch

@@ -248,7 +248,7 @@ def config_changes(take: Take) -> Quantity:
 
 
 def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
-    """A quantity for a tuple of named tuples of type `kind`, as JSON; an empty tuple is no text."""
+    """A quantity for a tuple of named tuples of type `kind`, as JSON; "" for an empty tuple."""
     hints = get_type_hints(kind)
 
     def inner(name: str, data: Any) -> Any:

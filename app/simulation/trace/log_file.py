@@ -62,8 +62,8 @@ class LogHeader(Strict):
 def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
 
-    Another ending raises a LogError; if the file cannot be written, an OutputError is raised. Only
-    the log of a trace with snapshots can be read again.
+    Another ending raises a LogError; if the file cannot be written, an OutputError is raised.
+    `read_trace` cannot read the file of a trace without snapshots.
     """
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)
@@ -90,10 +90,7 @@ def read_trace(path: Path) -> Trace:
 
 
 def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
-    """Make a trace from the header `text` and the table `found` of a file.
-
-    A fault, or more content than the memory of the `budget`, raises a LogError.
-    """
+    """A trace from a file's header `text` and table `found`; a fault raises a LogError."""
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
     names = _quantities(found.column_names, meta)
@@ -119,10 +116,7 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
 
 
 def _quantities(found: Sequence[str], meta: TraceMeta) -> list[str]:
-    """Names of the quantities that a file with the columns `found` has, or must have.
-
-    An older file can lack quantities whose field of `Snapshot` has a default value.
-    """
+    """Names of the quantities with a column in `found`, and of all without a default value."""
     optional = {each.name for each in fields(Snapshot) if each.default is not MISSING}
     present = frozenset(found)
     return [
@@ -204,7 +198,7 @@ def _check_times(times: np.ndarray) -> None:
 
 
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
-    """The cells of a column for a file; None becomes an empty cell, as does an optional NaN."""
+    """The cells of a column for a file; None, or NaN in an optional column, becomes empty."""
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):
         return pa.array(values, kind, from_pandas=column.optional)

@@ -270,7 +270,7 @@ def _model(
 
 
 def _markers(s: Snapshot) -> list[fg.SceneEntity]:
-    """Entities for closest points, acting points and forces; each replaces the last of its id."""
+    """Entities for closest points, acting points and forces; they replace the previous ones."""
     lines = [
         fg.LinePrimitive(
             type=fg.LinePrimitiveLineType.LineList,

@@ -64,7 +64,7 @@ def touches(figures: dict[str, Any]) -> list[str]:
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     """The result of a run in words: contact, smallest distance and remaining error.
 
-    The text also states which distances, and whether the error, are missing: None or not finite.
+    The text also names missing values: distances and a final error that are None or not finite.
     `chain` has the names of the robot's bodies from the base outwards, for the displayed names of
     link pairs; if it is empty, the pairs' own names are used.
     """
@@ -112,7 +112,7 @@ def largest(values: Array, at_least: float = 0.0) -> float:
 
 
 def jumps(run: Trace, quantity: str) -> dict[str, float]:
-    """Largest change of a base acceleration between rows, for linear and for angular axes."""
+    """Largest change of a base acceleration from row to row, for linear and angular axes."""
     linear, angular = (np.abs(np.diff(each, axis=0)) for each in _by_axis(run, quantity))
     return {"linear_mps2": largest(linear), "angular_radps2": largest(angular)}
 
@@ -309,11 +309,9 @@ FIGURES: dict[str, Figure] = {
     "fault_s": Figure(
         "Time of the first report of each fault of the readings.", lambda r: r.meta.faults
     ),
-    "step_p50_us": Figure(
-        "Median of the controller's time in a control step.", lambda r: _percentile(r, 50)
-    ),
+    "step_p50_us": Figure("Median time of the controller in a step.", lambda r: _percentile(r, 50)),
     "step_p99_us": Figure(
-        "99th percentile of the controller's time in a step.", lambda r: _percentile(r, 99)
+        "99th percentile of the time of the controller in a step.", lambda r: _percentile(r, 99)
     ),
 }
 """Figures of every run, by their keys."""

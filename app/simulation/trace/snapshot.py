@@ -102,7 +102,7 @@ class GhostReading(NamedTuple):
 
 
 class Score(NamedTuple):
-    """Results of a robot from the start of a comparison until now, or until its scenario ends."""
+    """Results of a robot since the start of a comparison; they end with its scenario's motion."""
 
     controller: str
     clearance: float
@@ -169,10 +169,7 @@ def _pairs() -> Quantity:
 
 
 def _acting() -> Quantity:
-    """Make the quantity `acting`: p_n, p_t, p_act and f of each pair with an acting point.
-
-    The value is empty while the base's rows of T_sca are not active.
-    """
+    """Make the quantity `acting`, which is empty while the base's rows are not active."""
     vectors = (("p_n", "m"), ("p_t", "m"), ("p_act", "m"), ("f", "n"))
     templates = [f"{vector}_{{mobile}}_{{xyz}}_{unit}" for vector, unit in vectors]
 

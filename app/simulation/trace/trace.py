@@ -221,7 +221,7 @@ class Recorder:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """The recorded trace, of one step or more."""
+        """The recorded trace; at least one step must be recorded."""
         assert self._meta is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last

@@ -23,7 +23,7 @@ def body(name: str, chain: Sequence[str]) -> str:
     """The displayed name of a body by its position in the chain, such as "base" or "forearm".
 
     `chain` has the names of all bodies from the mobile base outwards, with a held door as `door`. A
-    body with four or more bodies of the arm outside of it is displayed as "link", then its name.
+    body with four or more bodies of the arm farther outwards is called "link", then its own name.
     """
     if name == chain[0]:
         return "base"
