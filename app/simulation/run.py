@@ -51,9 +51,8 @@ def steps_of(
 ) -> Generator[tuple[Session, Step], None, None]:
     """Execute the control steps of a run; yield each step with the session after the step.
 
-    The session is closed after the last step, after an error, or when the iterator is closed. A
-    DbbError is raised if the robot cannot start the scenario, if `begin` cannot make the session,
-    or by `Session.step`.
+    The session is closed after the last step, after an error, or when the iterator is closed. This
+    raises the errors of `Scenario.setting`, `begin`, `Scenario.driver` and `Session.step`.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)

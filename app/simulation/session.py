@@ -349,7 +349,7 @@ class Disturbances:
         return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
 
     def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings that reach the controller: new, late or repeated, and stamped if configured."""
+        """The readings that reach the controller: new, late or repeated; stamped if configured."""
         step, self._steps = self._steps, self._steps + 1
         if not self._stamped:
             return self._transmitted(sent, step)

@@ -73,7 +73,7 @@ class Release(Command):
 
 @dataclass(frozen=True)
 class Configure(Adjustment):
-    """Use this configuration from now on."""
+    """Use these parameters for all robots from now on."""
 
     config: Config
 
@@ -90,7 +90,7 @@ class Choose(Adjustment):
 
 @dataclass(frozen=True)
 class Pause(Adjustment):
-    """Pause (True) or continue (False)."""
+    """Pause the simulation (True), or continue it (False)."""
 
     paused: bool
 
@@ -172,11 +172,11 @@ class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
     A `Pull` or `Release` replaces a waiting `Pull` or `Release` of the same person. A `Beginning`
-    replaces a waiting `Beginning`, but a `Restart` is dropped instead. Any other command replaces
-    a waiting command of the same class. An `Adjustment` takes the place of the replaced command in
-    the queue, so that a `Beginning` later in the queue uses the newest value. All other commands go
-    to the end of the queue. While `MAX_WAITING` commands wait, the pull of a person without a
-    waiting command is refused; no other command is refused.
+    replaces a waiting `Beginning`; only a `Restart` does not, and is dropped. Each other command
+    replaces a waiting command of the same class. An `Adjustment` takes the place of the replaced
+    command, so that a `Beginning` later in the queue uses the newest value. All other commands go
+    to the end of the queue. While `MAX_WAITING` commands wait, a pull that replaces none of them is
+    refused; no other command is refused.
     """
 
     def __init__(self) -> None:
@@ -188,7 +188,7 @@ class Mailbox:
     def put(self, command: Command, links: Collection[str]) -> None:
         """Add a command; a pull whose link is not in `links` raises an UnknownNameError.
 
-        While `MAX_WAITING` commands wait, the pull of a further person raises a LoopError.
+        While `MAX_WAITING` commands wait, a pull that replaces none of them raises a LoopError.
         """
         pulls, key = isinstance(command, Pull), _key(command)
         if pulls and command.link is not None:

@@ -104,7 +104,7 @@ class Ensemble:
         If the control period is too long for a gain, this raises a ConfigError, without a change.
         """
         adapted = self.scenario.adapted(config) if self.scenario else config
-        for runner in (self._led, *self.ghosts):  # of equal periods, so only the first can refuse
+        for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
         self._config = config
 
@@ -219,7 +219,7 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        """Replace the ghosts, and close the sessions that no new ghost uses."""
+        """Replace the ghosts, close their unused sessions, and set `scored` of all robots."""
         kept = {id(ghost.session) for ghost in ghosts}
         ended = [ghost.session for ghost in self.ghosts if id(ghost.session) not in kept]
         self.ghosts = ghosts

@@ -66,8 +66,8 @@ class LoopHandle:
     def send(self, command: commands.Command) -> None:
         """Send a command, which the loop executes before one of the next control steps.
 
-        It can replace a waiting command, such as an older pull of the same person. `Mailbox.put`
-        has the rules and the errors.
+        The command can replace a waiting one, such as an older pull of the same person. `Mailbox`
+        has the rules, and `Mailbox.put` the errors.
         """
         self._mailbox.put(command, self.links)
 

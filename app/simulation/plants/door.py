@@ -130,7 +130,7 @@ class Door:
 
 
 class DoorView(NamedTuple):
-    """A door that the end-effector holds; after the scenario, unknown values are NaN."""
+    """A door that the end-effector holds; after the scenario, both radial values are NaN."""
 
     door: Door
     """The door's constant geometry; `door.pose(angle)` is T_world_door."""

@@ -43,8 +43,8 @@ def compare_engines(
 ) -> Difference:
     """Put both planar plants into random postures, and compare contacts and pictures.
 
-    Contacts are compared in each posture; depth images, each from three sides, only in the first
-    `pictures` of the postures. This raises the errors of `make_physics`.
+    Contacts are compared in each posture; depth images, one from each of three sides, only in the
+    first `pictures` postures. This raises the errors of `make_physics`.
     """
     state, rng = RobotState(model), np.random.default_rng(seed)
     picture = depth = 0.0

@@ -123,8 +123,8 @@ class RobotSpec:
     ) -> None:
         """Add a joint with a velocity-controlled motor of limited force or torque.
 
-        The motor is dry friction up to `limit` [N or N m] relative to a moving reference. MuJoCo's
-        solver treats it together with contacts and limits. `axis` (3,) is in the body's frame.
+        The motor is dry friction up to `limit` [N or N m] relative to a moving reference. MuJoCo
+        solves this friction together with contacts and limits. `axis` (3,) is in the body's frame.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(limit))
         self.motors.append(name)

@@ -98,14 +98,14 @@ class MujocoWorld:
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
-        """As in `BulletRobot`."""
+        """Put the robot at rest at q, as `BulletRobot.reset`."""
         self.rewind()
         self._planar_q[:] = q
         if self.door is not None:
             self.door.take_hold(self)
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """As in `BulletRobot`."""
+        """Copies of the positions and velocities, as `BulletRobot.read`."""
         base_q, base_v, q_m, qd_m = self._read
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
@@ -117,7 +117,7 @@ class MujocoWorld:
         return M
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """As in `BulletRobot`, for a robot without a door; also moves the robot to q and v."""
+        """As `BulletRobot.mass_and_bias`, only without a door; also moves the robot to q and v."""
         self.rewind()
         self.q[:], self.v[:] = q, v
         mujoco.mj_forward(self.model, self.data)
@@ -148,7 +148,7 @@ class MujocoWorld:
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
     def depths(self) -> dict[str, float]:
-        """As in `BulletWorld`."""
+        """[m] depths of the contacts, as `BulletWorld.depths`."""
         deepest: dict[str, float] = {}
         contacts = self.data.contact
         for (a, b), distance in zip(contacts.geom.tolist(), contacts.dist, strict=True):
@@ -157,7 +157,7 @@ class MujocoWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """As in `BulletWorld`."""
+        """(n,) [m] lengths of rays up to the first hit, as `BulletWorld.seen`."""
         mujoco.mj_kinematics(self.model, self.data)
         found, hit = np.full(len(begins), np.inf), np.zeros(1, np.int32)
         for i, (begin, way) in enumerate(zip(begins, ends - begins, strict=True)):

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 class Planar(Physics):
-    """`Physics` in which motors with the traction limit move the base on planar joints."""
+    """The plant with planar joints, whose motors are limited to the traction of the wheels."""
 
     def __init__(self, model: RobotModel, world: BulletRobot | MujocoWorld, dt: float) -> None:
-        """Start with the robot of an engine's world at rest in the ready posture."""
+        """Start at rest in the ready posture; `world` has the robot in an engine."""
         self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
         base = model.description.base

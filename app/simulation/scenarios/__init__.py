@@ -1,4 +1,4 @@
-"""Scenarios: the start of a run, and the motion of the end-effector."""
+"""All scenarios by their names, with the robot's own lines, and the start of free motion."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def scenario_by_name(name: str) -> Scenario:
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
     """The scenario with a name, for a robot.
 
-    A line of the description (start and displacement of the end-effector) replaces the scenario's
-    own line; `changes`, options as in `Scenario.changed`, override both.
+    A line of the robot's description (start and displacement of the end-effector) replaces the
+    scenario's own line; `changes`, options as in `Scenario.changed`, override both.
 
     Raises:
         UnknownNameError: The scenario does not exist.

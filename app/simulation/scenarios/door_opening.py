@@ -151,7 +151,7 @@ class DoorOpening:
         return gains.speed * begun**2 * (3 - 2 * begun) * _share(slack) * _share(left)
 
     def _lead(self, T_world_ee: pin.SE3, velocity: Array, turning: Array) -> None:
-        """Advance the reference pose by one step; its position stays within `leash` of p_ee."""
+        """Advance the reference pose by one step, at most `leash` away from the end-effector."""
         lead = self._pose.translation + velocity * self._dt - T_world_ee.translation
         longest = max(float(np.linalg.norm(lead)) / self._gains.leash, 1.0)
         self._pose.translation = T_world_ee.translation + lead / longest

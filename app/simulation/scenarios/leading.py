@@ -86,7 +86,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """A configuration with the changes that this scenario requires.
+        """The configuration `config` with the changes that this scenario requires.
 
         The live loop also adapts a configuration that the user changes during the scenario.
         """
@@ -94,7 +94,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def driver(self, session: Session) -> Driver:
-        """Make the driver for a session at its start; this can fail only if there is a door."""
+        """Make the driver for a session at its start; only a scenario with a door can fail here."""
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some fields changed; a value of None changes nothing.

@@ -22,7 +22,7 @@ _BUFFER_MARGIN = 0.005  # [m] required distance of each pair beyond d_b at the s
 _FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
 _LOST = 1e-3  # [m/rad or -] largest singular value that counts as a lost direction
 _UPRIGHT = 0.94  # [-] smallest z component of an upright axis: a tilt of 20 degrees
-_WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm
+_WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm, 1 mrad
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
 _CACHED = 100  # largest number of cached starts of a robot
 
@@ -271,7 +271,7 @@ class _GraspSearch:
         return best.q_m, target
 
     def _grasp(self, angle: float, roll: float) -> pin.SE3:
-        """Pose of the end-effector at the handle at a door angle, with a roll about its z axis."""
+        """End-effector pose at the handle, for a door angle and a roll about its z axis [rad]."""
         turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
         return self._door.handle(angle) * turn
 

@@ -134,7 +134,7 @@ class Trace:
 
     @property
     def groups(self) -> dict[str, list[str]]:
-        """Names of the columns of each quantity in the table, without the time."""
+        """Names of the columns of each quantity in the table, by quantity, without the time."""
         every = np.array([column.name for column in self.columns])
         found = {name: every[at] for name, at in self._slices.items() if name != "t"}
         return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}

@@ -46,7 +46,7 @@ def spoken(name: str, chain: Sequence[str]) -> str:
 
 
 def outcome(least: float, *, touched: bool) -> Outcome:
-    """Classify a run by its smallest distance [m] and by `touched`: the plant reported a contact.
+    """Classify a run by its smallest distance [m], and by whether bodies `touched` in the plant.
 
     Distances are between convex bodies that enclose the links, so bodies can overlap without a
     contact.
