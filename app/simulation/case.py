@@ -97,7 +97,7 @@ class RunCase(Strict):
         return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
-        """The defaults, with the case's values of known parameters; can raise a ConfigError."""
+        """The defaults, with the case's known parameters; an invalid value raises a ConfigError."""
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 

@@ -148,7 +148,7 @@ class StartSolver:
         return found.q_m is not None
 
     def _direction(self, target: Array, pitch: float) -> Array:
-        """Horizontal unit vector (3,) from the mount to a target, tilted down by `pitch` [rad]."""
+        """Horizontal unit vector (3,) to a target (+x above the mount), tilted down by `pitch`."""
         outwards = target[:2] - self._model.p_base()[:2]
         length = np.hypot(*outwards)
         outwards = outwards / length if length > 1e-6 else np.array([1.0, 0.0])

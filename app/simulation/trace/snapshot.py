@@ -102,7 +102,7 @@ class GhostReading(NamedTuple):
 
 
 class Score(NamedTuple):
-    """Results of a robot since the start of a comparison; they end with its scenario's motion."""
+    """Results of a robot in a comparison; steps after its scenario's motion do not count."""
 
     controller: str
     clearance: float
@@ -266,10 +266,10 @@ def _force_bound() -> Quantity:
 def _smallest_force_bound(session: Session, step: Step) -> float:
     """[N] largest force of a person that the arm can resist.
 
-    `force_bound` computes a bound for each pair inside its buffer and, without the stop of a pair,
-    a bound for the force on the end-effector. The result is the smallest bound. It is NaN if there
-    is no bound, if no person holds the robot, and in a step with the fallback command, which does
-    not respect limits.
+    It is the smallest result of `force_bound` for the pairs inside their buffers and for the force
+    on the end-effector, which has no distance in which the arm must stop. It is NaN without such a
+    pair and force, if no person holds the robot, and in a step with the fallback command, which
+    does not respect limits.
     """
     if not (step.pulls and step.control.solved):
         return NAN

@@ -118,7 +118,7 @@ class Trace:
         return self.table[:, self.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) values of a quantity, a field of `Snapshot`; each row is one of the table.
+        """(N,) or (N, k) values of a quantity, a field of `Snapshot`, in each row of the table.
 
         If the table does not have the quantity, as in an older log, this raises a LogError.
         """
