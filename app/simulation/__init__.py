@@ -1,1 +1,1 @@
-"""Simulation: plants, scenarios, the live loop and the record of a run."""
+"""Simulation: plants, people, scenarios, sessions, runs, the live loop and traces of runs."""

@@ -1,4 +1,4 @@
-"""A planned run, and a case: a file that repeats a run exactly, with the same code and robot."""
+"""Planned runs, and case files; with the same code and robot, a case file repeats a run exactly."""
 
 import json
 from functools import cache
@@ -38,7 +38,7 @@ class RunSpec(NamedTuple):
 
 
 class RunCase(Strict):
-    """The run of a case file, which `dbb run`, `film`, `serve` and other commands repeat."""
+    """The contents of a case file: `dbb run`, `dbb serve` and other commands repeat its run."""
 
     dbb_case: Literal[1] = 1
     """Version of the file format."""
@@ -58,7 +58,7 @@ class RunCase(Strict):
     @model_validator(mode="before")
     @classmethod
     def _drop_figures(cls, data: Any) -> Any:
-        """Drop the results, which files of former versions have."""
+        """Drop the entry `figures`: earlier versions wrote the results of the run into the file."""
         return {k: v for k, v in data.items() if k != "figures"} if isinstance(data, dict) else data
 
     @field_validator("parameters")
@@ -97,12 +97,12 @@ class RunCase(Strict):
         return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
-        """The defaults with the known parameters; an invalid value raises a ConfigError."""
+        """The defaults, with the case's known parameters; an invalid value raises a ConfigError."""
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """Changes of version and list of parameters since the case was written, one line each."""
+        """A line if another version wrote the case, and for each unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
         same = self.version == now
         return [
@@ -123,7 +123,7 @@ class RunCase(Strict):
 
     @classmethod
     def read(cls, text: str, where: object) -> Self:
-        """Read a case from the text of the file `where`; raises a CaseError with the fault."""
+        """Read a case from a text; raises a CaseError that names the file `where` and the fault."""
         try:
             content = parsed(json.loads, text)
         except ValueError as error:
@@ -156,7 +156,7 @@ def read_case(path: Path) -> RunCase:
 
 @cache
 def _options_of(kind: type[Scenario]) -> type[Strict]:
-    """The pydantic model of the fields of a scenario class; None means no change of a field."""
+    """A pydantic model with the fields of a scenario class, each None by default."""
     options: dict[str, Any] = {
         name: (hint | None, None) for name, hint in get_type_hints(kind).items()
     }

@@ -82,7 +82,7 @@ class People:
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
-        """Compute the pull of each person in one control step, and all forces.
+        """Compute the pull of each person in one control step, and the forces on the robot.
 
         Each person has at most one hold. A person without a hold releases the robot. A person who
         changes to another point releases the previous point; the spring of the new hold starts
@@ -107,16 +107,17 @@ class People:
 
 
 class PersonHand:
-    """One hold of a person: F = K (p - p_ee) - D v_ee on the held point p_ee, limited to f_max.
+    """The hand of a person during one hold of a point of the robot, at p_ee with velocity v_ee.
 
-    p starts at the held point and moves towards the latest target as a critically damped point with
-    limited speed; thus F has no steps, even if the target jumps. The damper acts against the world:
-    while p rests, the person only absorbs energy.
+    A hand without a mass exerts F = K (p - p_ee) - D v_ee on the held point, limited to f_max. p,
+    the free end of the hand's spring, starts at p_ee and moves towards the latest target as a
+    critically damped point with limited speed; thus F has no steps, even if the target jumps. The
+    damper acts against the world: while p rests, the person only absorbs energy.
 
-    If the hand has a mass, F moves the mass, and the robot receives the force that the grip
-    transmits. The grip's force is smaller than F while F accelerates the mass, equals F at rest,
-    and is larger than F, possibly above f_max, while the robot stops the mass. Spring, damper, mass
-    and grip are passive, so such a hand also only absorbs energy while p rests.
+    If the hand has a mass, F moves the mass, and the robot receives the force of the grip, a spring
+    and a damper between mass and robot. This force is smaller than F while F accelerates the mass,
+    equals F at rest, and is larger than F, possibly above f_max, while the robot stops the mass.
+    All these parts are passive, so such a hand also only absorbs energy while p rests.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
@@ -131,7 +132,7 @@ class PersonHand:
 
     @property
     def motion(self) -> Array:
-        """(2, 3) p [m] and its velocity [m/s]; NaN before the first call of `force`."""
+        """(2, 3) position p [m] and velocity ṗ [m/s]; NaN before the first call of `force`."""
         return self._motion[:2].copy()
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
@@ -187,7 +188,7 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
 
 
 def _finite(point: Sequence[float] | Array, name: str) -> Array:
-    """The point as an array (3,); a TargetError with its `name` if it is not finite numbers."""
+    """The point as an array (3,); raises a TargetError if it is not three finite numbers."""
     try:
         place = np.asarray(point, dtype=float)
         x, y, z = place.tolist()
@@ -211,14 +212,14 @@ def _shorten(vector: Array, longest: float) -> None:
 def _push_mass(
     x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the mass in the hand for one step; m ẍ = F - G, by the implicit Euler rule.
+    """Move the mass m of the hand for one step of m ẍ = F - G, by the implicit Euler rule.
 
-    F = K' (p - x) - D ẋ, limited to f_max, acts on the mass. The grip's force G = k (x - p_ee) +
-    c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the end of the step; the position
-    of the held point is extrapolated with its velocity. K' and k in series have the stiffness K.
-    The rule is stable for every mass, spring and damper. The force limit does not change the
-    direction of F. `x` and `x_dot` (3,) are changed in place; the result `force` (3,) [N] is G. The
-    other arguments are as in `_pull`; p is that of `PersonHand`.
+    F = K' (p - x) - D ẋ, limited to f_max, acts on the mass at x. The force G = k (x - p_ee) +
+    c (ẋ - v_ee) of the grip, with stiffness k and damping c, acts on the robot. Both forces are
+    evaluated at the end of the step, for a held point with constant velocity. K' and k in series
+    have the stiffness K of `PersonHand`. The rule is stable for every mass, spring and damper. The
+    force limit does not change the direction of F. `x` [m] and `x_dot` [m/s] (3,) are changed in
+    place; the result `force` (3,) [N] is G. The other arguments are those of `_pull`.
     """
     stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)
@@ -243,10 +244,10 @@ def _pull(
 
     The free end p of the hand's spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
     `motion` (4, 3), which is changed in place, has p [m] and ṗ [m/s], then position and velocity of
-    the hand's mass. It is NaN before the first step; without a mass, the last two rows are always
-    NaN. `p_ee` and `v_ee` are position and velocity of the held point. `spring` (5,) has the
-    stiffness [N/m], the damping against the world [N s/m], the largest force [N], the mass of the
-    hand [kg] and the step [s]. The result `force` (3,) [N] acts on the held point.
+    the hand's mass. Before the first step, `motion` is NaN; without a mass, the mass's position
+    remains NaN. `p_ee` and `v_ee` are position and velocity of the held point. `spring` (5,) has
+    the stiffness [N/m], the damping against the world [N s/m], the largest force [N], the mass of
+    the hand [kg] and the step [s]. The result `force` (3,) [N] acts on the held point.
     """
     p, v, x, x_dot = motion
     stiffness, damping, f_max, mass, dt = spring

@@ -1,6 +1,6 @@
 """Pictures of the robot by pybullet's software renderer, without display, browser or graphics card.
 
-The renderer draws only bodies. A figure draws other elements, such as lines, at `Picture.pixels`.
+The renderer draws only bodies. Callers can draw other elements: `Picture.pixels` projects points.
 """
 
 import math
@@ -25,7 +25,7 @@ _LIGHT = (2.0, -2.5, 5.0)  # [m] vector to the light at yaw 0; it turns with the
 
 
 class Camera(NamedTuple):
-    """Viewpoint of a picture."""
+    """Viewpoint, field of view and size of a picture."""
 
     target: Array
     """(3,) [m] point in the world at the centre of the picture."""
@@ -50,9 +50,9 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """The same camera, moved so that points (N, 3) [m] in the world fill the picture.
+        """A copy of the camera, moved so that points (N, 3) [m] in the world fill the picture.
 
-        `margin` [-] is the smallest empty part of the picture on each side.
+        `margin` [-] is the smallest empty part of the picture's width or height on each side.
         """
         camera = self
         for _ in range(8):  # the perspective changes a little each time
@@ -88,7 +88,7 @@ class Solid(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A picture with the data for drawing further elements on top."""
+    """A picture, with the data that a caller needs to draw further elements over it."""
 
     rgb: Array
     """(height, width, 3) colours, uint8."""
@@ -115,7 +115,7 @@ class Photographer:
     """Takes pictures of one robot in a separate pybullet client."""
 
     def __init__(self, model: RobotModel) -> None:
-        """Load the robot's visual meshes; raises the errors of `BulletWorld`."""
+        """Load the robot's visual meshes; raises the errors of `planar_urdf` and `BulletWorld`."""
         self._world = BulletWorld(planar_urdf(model.description), DT)
         self._client = self._world.client
         self._client.removeBody(self._world.floor)
@@ -135,7 +135,7 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """Take a picture of the robot and the `solids`, or with `robot` False only of the `solids`.
+        """Take a picture of the robot and the `solids`; without `robot`, only of the `solids`.
 
         `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
         positions.
@@ -197,7 +197,7 @@ def _smaller(image: Array) -> Array:
 
 
 def _project(points: Array, to_clip: Array) -> Array:
-    """Project points (N, 3) [m]: (N, 2) right and up, from −1 to 1 between the picture's edges."""
+    """(N, 2) [-] coordinates right and up of points (N, 3) [m]; −1 and 1 at the picture's edges."""
     clip = np.column_stack([points, np.ones(len(points))]) @ to_clip.T
     return clip[:, :2] / clip[:, 3:]
 

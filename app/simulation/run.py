@@ -1,4 +1,4 @@
-"""A scenario from start to end, headless and as fast as possible."""
+"""Run a scenario from start to end, without a display and as fast as possible."""
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -29,7 +29,7 @@ def begin(
 ) -> Session:
     """Make a session at the start of a setting; `robot` is the robot without a held door.
 
-    This raises the errors of `Session`, and a TargetError for a joint beyond its limits.
+    This raises the errors of `Session`, and a TargetError for an invalid posture.
     """
     check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
@@ -51,8 +51,8 @@ def steps_of(
 ) -> Generator[tuple[Session, Step], None, None]:
     """Execute the control steps of a run; yield each step with the session after the step.
 
-    The session is closed after the last step, or when the iterator is closed. This raises a
-    DbbError if the robot cannot start the scenario, or `begin` cannot make the session.
+    The session is closed after the last step, after an error, or when the iterator is closed. This
+    raises the errors of `Scenario.setting`, `begin`, `Scenario.driver` and `Session.step`.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)
@@ -130,10 +130,11 @@ def filmed(
     times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
-    """Execute a run up to the last of some simulated times, and return its snapshots.
+    """Execute a run until the latest of the simulated `times` [s], and return its snapshots.
 
-    There are snapshots at 50 Hz, and additional ones at `times` [s], one or more; a time after the
-    run's end means the last step. `run_from_spec` documents the other arguments and the errors.
+    The snapshots are those at 50 Hz, and one at each of the times. There must be at least one time;
+    a time after the end of the run selects its last step. `run_from_spec` documents the other
+    arguments and the errors.
     """
     scenario, snapshots = run.scenario, []
     last = round(scenario.duration / DT) - 1

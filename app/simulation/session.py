@@ -85,7 +85,7 @@ class Step(NamedTuple):
 
 
 def check_avoidance(model: RobotModel, data: BorderData) -> None:
-    """Raise a DescriptionError if no monitored part of the arm can meet the base."""
+    """Raise a DescriptionError if L_m is empty: no link pair consists of base and arm."""
     if not data.pairs.mobile:
         raise DescriptionError(
             f"{model.description.name}: no monitored part of the arm can meet the base, so no "
@@ -111,8 +111,9 @@ class Session:
     ) -> None:
         """Set up the session at rest in the robot's ready posture.
 
-        `plant` is the plant's robot if the robot `model` of the controller has a held object as an
-        additional body. `seed` is that of all random numbers; `door` is held by the end-effector.
+        `model` is the robot of the controller, and by default also of the plant. If `model` has a
+        held object as an additional body, `plant` is the robot without this object. `seed` is the
+        seed of all random numbers. The end-effector holds the `door`, if there is one.
 
         This raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
@@ -152,7 +153,7 @@ class Session:
         self._loads = self._loads_of(self.config)
 
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """`reset` with other parameters, also with another `disturbance.stated_period`.
+        """Reset, as `reset`, with other parameters, including `disturbance.stated_period`.
 
         A TargetError for the posture, or a ConfigError if the stated control period is too long for
         a gain, is raised before any change.
@@ -185,7 +186,7 @@ class Session:
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """The controller's pose of the end-effector at the last step, from the readings."""
+        """Pose of the end-effector at the last step, estimated by the controller from readings."""
         return self.controller.state.T_world_ee
 
     @property
@@ -204,8 +205,9 @@ class Session:
     ) -> Step:
         """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
 
-        The arguments are the fields of `StepInput`. With `forces`, these forces replace those of
-        the people's springs; the error of the end-effector still refers to the people's targets.
+        The first four arguments are the fields of `StepInput`. If `forces` are specified, they
+        replace the forces of `pull` and `holds`, and `Step.pulls` is empty; `Step.ee_error` still
+        refers to the target of the person at the end-effector.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -250,9 +252,9 @@ class Session:
         return step
 
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
-        """The loads by name, mass [kg], centre [m] and time [s] at which each begins to act.
+        """The loads with a mass; a key has name, mass [kg], centre [m] and time of beginning [s].
 
-        An unchanged load remains the same object, which has the load's last velocity.
+        A load with an unchanged key remains the same object, which stores its last velocity.
         """
         load, disturbance = config.payload, config.disturbance
         loads = (
@@ -270,8 +272,9 @@ class Session:
     ) -> tuple[RobotState, Array]:
         """The robot's true state, and the distances (n_p,) [m] of all pairs.
 
-        Without sensor errors both are those of the controller, which saves a second computation.
-        With the default parameters, they deviate from the truth by less than 0.1 mm.
+        Without sensor errors, both are taken from the controller, which saves a second computation.
+        With the default parameters, the controller's values deviate from the truth by less than
+        0.1 mm.
         """
         if sensed is truth:
             self.state = self.controller.state
@@ -290,10 +293,10 @@ class Session:
 
 
 class Disturbances:
-    """The disturbances between the controller and the robot.
+    """The disturbances of the signals between the controller and the robot.
 
-    The error of the arm's masses is in the controller's model (`RobotState`). The unknown load, and
-    the control period that the controller assumes (`stated_period`), are in `Session`.
+    `Session` causes the other disturbances: the error of the arm's masses in the controller's
+    model, the unknown load, and the control period that the controller assumes (`stated_period`).
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
@@ -307,7 +310,7 @@ class Disturbances:
     def configure(self, config: DisturbanceConfig) -> None:
         """Use these disturbances from the next step on.
 
-        After a delay becomes longer, the oldest known command and reading are used at first.
+        If a delay increases, the oldest known command or reading is repeated until the next is due.
         """
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip, self._stamped = config.slip, config.time_stamps == "yes"
@@ -321,7 +324,7 @@ class Disturbances:
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
-        """Restart the random numbers, and forget all commands and readings."""
+        """Restart the random numbers from the seed, and forget all commands and readings."""
         self._rng = np.random.default_rng(self._seed)
         self._tracking = None
         self._commands.clear()
@@ -330,10 +333,11 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """The sensors' readings in a control step; without disturbances, the true values.
+        """The readings that the controller receives in a control step.
 
-        With noise, `VelocityTracking` computes the joint velocities from the noisy positions, as on
-        a robot that has only encoders. The base's sensors have no noise.
+        Without disturbances, these are the true values. With noise, `VelocityTracking` computes the
+        joint velocities from the noisy positions, as on a robot that has only encoders. The base's
+        sensors have no noise.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -345,7 +349,7 @@ class Disturbances:
         return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
 
     def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings that reach the controller: new, late or repeated; perhaps with stamps."""
+        """The readings that reach the controller: new, late or repeated; stamped if configured."""
         step, self._steps = self._steps, self._steps + 1
         if not self._stamped:
             return self._transmitted(sent, step)
@@ -364,7 +368,7 @@ class Disturbances:
         return self._seen
 
     def arriving(self, command: Array) -> Array:
-        """The base command (n_b,) [m/s or rad/s] after delay and slip; zero before the first one.
+        """The base command (n_b,) [m/s or rad/s] after delay and slip; 0 until the first arrives.
 
         `command` (n_b,) is the controller's command in this control step.
         """
@@ -385,8 +389,8 @@ class VelocityTracking:
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
         """Start as after a long motion with constant velocities.
 
-        `q` (n,) [rad or m] and `qd` (n,) are the present positions and velocities; `dt` [s] is the
-        time between two calls of `update`.
+        `q` (n,) [rad or m] and `qd` (n,) [rad/s or m/s] are positions and velocities at the time of
+        the first `update`; `dt` [s] is the time between two calls of `update`.
         """
         pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
@@ -402,7 +406,7 @@ class VelocityTracking:
 
 
 def check_posture(model: RobotModel, q_m: Array) -> None:
-    """Check that no joint position (n_m,) is beyond a limit: a plant would push the joint back.
+    """Check the joint positions `q_m` of a start: a plant would push a joint back to its limit.
 
     A wrong number of joints, or a joint beyond its limits, raises a TargetError.
     """

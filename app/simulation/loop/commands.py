@@ -1,8 +1,8 @@
 """Commands to the live loop: immutable records that check their values, and their mailbox.
 
-The constructor of a command with an invalid value raises a ConfigError, an UnknownNameError for a
-name, or a TargetError for a position. If the loop cannot execute a command later, a snapshot's
-`refusal` reports the reason.
+The constructor of a command raises an error if a value is invalid: an UnknownNameError for a name,
+a TargetError for a position or posture, otherwise a ConfigError. If the loop cannot execute a
+command later, the field `refusal` of the snapshots reports the reason.
 """
 
 import math
@@ -33,11 +33,11 @@ class Command:
 
 
 class Adjustment(Command):
-    """A command that sets a value; it replaces a waiting command of the same type in the queue."""
+    """A command that sets a value; it takes the place of a waiting command of the same class."""
 
 
 class Beginning(Command):
-    """A command that starts a run; it replaces a waiting command of this class (see `Mailbox`)."""
+    """A command that starts a run; at most one such command waits (see `Mailbox`)."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Release(Command):
 
 @dataclass(frozen=True)
 class Configure(Adjustment):
-    """Use this configuration from now on."""
+    """Use these parameters for all robots from now on."""
 
     config: Config
 
@@ -90,14 +90,14 @@ class Choose(Adjustment):
 
 @dataclass(frozen=True)
 class Pause(Adjustment):
-    """Pause (True) or continue (False)."""
+    """Pause the simulation (True), or continue it (False)."""
 
     paused: bool
 
 
 @dataclass(frozen=True)
 class Watch(Adjustment):
-    """Report whether a viewer is connected; without a viewer the simulation pauses."""
+    """Report to the loop whether a viewer is connected; without a viewer the simulation pauses."""
 
     watched: bool
 
@@ -115,7 +115,7 @@ class Speed(Adjustment):
 
 @dataclass(frozen=True)
 class StepOnce(Command):
-    """Pause, and advance the simulation by some time."""
+    """Pause, and advance the simulation by `seconds`."""
 
     seconds: float = 0.02
     """[s] simulated time from the newest snapshot to the next one, within `STEPS`."""
@@ -126,10 +126,10 @@ class StepOnce(Command):
 
 @dataclass(frozen=True)
 class Reset(Beginning):
-    """Start again without a scenario, at the free start or at a posture."""
+    """Start again without a scenario, at the loop's start posture or at another posture."""
 
     q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] joint positions of the arm; empty means the free start."""
+    """(n_m,) [rad or m] joint positions of the arm; empty means the loop's start posture."""
     base_pose: Point = (0.0, 0.0, 0.0)
     """[m, m, rad] x, y and heading of the base in the world; ignored if `q_m` is empty."""
 
@@ -152,7 +152,7 @@ class Play(Beginning):
 
 @dataclass(frozen=True)
 class Compare(Command):
-    """Start a comparison at the present posture or at the scenario's start, or end a comparison."""
+    """Start a comparison of controllers, or end a comparison, as in `Ensemble.compare`."""
 
     controllers: tuple[str, ...] = ()
     """Controllers of the compared robots, at most two; if there are none, the comparison ends and
@@ -171,11 +171,12 @@ class Compare(Command):
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
-    A new command replaces a waiting command of the same kind, or of the same person. While
-    `MAX_WAITING` commands wait, pulls of further people are refused, but no other commands.
-    An `Adjustment` takes the place of the replaced command in the queue, so that a run whose start
-    waits behind it uses the newest value. Other commands, such as a pull, go to the end of the
-    queue. A `Restart` is dropped if a `Beginning` already waits.
+    A `Pull` or `Release` replaces a waiting `Pull` or `Release` of the same person. A `Beginning`
+    replaces a waiting `Beginning`; only a `Restart` does not, and is dropped. Each other command
+    replaces a waiting command of the same class. An `Adjustment` takes the place of the replaced
+    command, so that a `Beginning` later in the queue uses the newest value. All other commands go
+    to the end of the queue. While `MAX_WAITING` commands wait, a pull that replaces none of them is
+    refused; no other command is refused.
     """
 
     def __init__(self) -> None:
@@ -187,7 +188,7 @@ class Mailbox:
     def put(self, command: Command, links: Collection[str]) -> None:
         """Add a command; a pull whose link is not in `links` raises an UnknownNameError.
 
-        While `MAX_WAITING` commands wait, the pull of a further person raises a LoopError.
+        While `MAX_WAITING` commands wait, a pull that replaces none of them raises a LoopError.
         """
         pulls, key = isinstance(command, Pull), _key(command)
         if pulls and command.link is not None:

@@ -32,7 +32,8 @@ class Ensemble:
     def __init__(self, free: Session, q_start: Array) -> None:
         """Start the free motion, with the arm at the joint positions `q_start` (n_m,) [rad or m].
 
-        The parameters, plant and seed of the session `free` also apply to all scenarios.
+        `free` is the main robot's session. Its plant and seed also apply to all scenarios, and so
+        do its parameters until `configure` changes them.
         """
         self._free = free
         self._led = Runner(free, None)
@@ -53,7 +54,7 @@ class Ensemble:
 
     @property
     def main(self) -> Session:
-        """The session of the main robot: `free`, or a new one from a scenario's start on."""
+        """The main robot's session: `free`, or a separate one for a scenario with a door."""
         return self._led.session
 
     @property
@@ -78,7 +79,7 @@ class Ensemble:
     ) -> None:
         """Start again without a scenario; the arguments are those of the command `Reset`.
 
-        If the posture is invalid, this raises a TargetError, and the present run continues.
+        If the robots cannot start there, this raises a DbbError, and the present run continues.
         """
         begun = self._start
         if q_m:
@@ -87,7 +88,7 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Repeat the last start, as `play` or `reset`."""
+        """Play the last scenario again; if the last start had none, repeat the last `reset`."""
         if self.scenario is None:
             self._enter(self._begun, None)
         else:
@@ -103,7 +104,7 @@ class Ensemble:
         If the control period is too long for a gain, this raises a ConfigError, without a change.
         """
         adapted = self.scenario.adapted(config) if self.scenario else config
-        for runner in (self._led, *self.ghosts):  # of equal periods, so only the first can refuse
+        for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
         self._config = config
 
@@ -127,7 +128,7 @@ class Ensemble:
     def pull(self, pull: Pull) -> None:
         """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
 
-        If the largest number of people already holds the robot, this raises a TargetError.
+        If `MAX_PULLS` other people already hold the robot, this raises a TargetError.
         """
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
@@ -154,7 +155,7 @@ class Ensemble:
         return step
 
     def scores(self) -> tuple[Score, ...]:
-        """Scores of the main robot and the ghosts since the start of the comparison, if any."""
+        """Scores of main robot and ghosts in the present comparison; empty without a comparison."""
         compared = (self._led, *self.ghosts) if self.ghosts else ()
         return tuple(runner.score() for runner in compared)
 
@@ -181,9 +182,9 @@ class Ensemble:
     def _enter(
         self, setting: Setting, scenario: Scenario | None, comparison: Compare | None = None
     ) -> None:
-        """Move the robot and its ghosts to the start of a setting.
+        """Start main robot and ghosts at a setting; a DbbError leaves the present run unchanged.
 
-        Without `comparison`, the controllers of the last comparison are compared again.
+        Without `comparison`, the controllers of the present comparison are compared again.
         """
         comparison = comparison or self.comparison
         config = scenario.adapted(self._config) if scenario else self._config
@@ -218,7 +219,7 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        """Replace the ghosts, and close the sessions that no new ghost uses."""
+        """Replace the ghosts, close their unused sessions, and set `scored` of all robots."""
         kept = {id(ghost.session) for ghost in ghosts}
         ended = [ghost.session for ghost in self.ghosts if id(ghost.session) not in kept]
         self.ghosts = ghosts
@@ -232,7 +233,7 @@ class Runner:
     """One robot of the ensemble: its session, its driver and its results (`Score`)."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
-        """Use a session at its start; `driver` computes a scenario's input; None: no scenario."""
+        """Use a session at its start, and the driver of its scenario; None without a scenario."""
         self.session, self._driver, self.scored = session, driver, False
         """`scored` states whether the robot takes part in a comparison."""
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
@@ -242,12 +243,12 @@ class Runner:
         self._angular = np.array([axis.angular for axis in session.model.description.base.axes])
 
     def let_go(self) -> None:
-        """End the scenario's motion, if any; the steps after it do not count in the score."""
+        """End the scenario's motion, if any; later steps then do not count in the score."""
         self._complete = self._complete or self._driver is not None
         self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """Execute one control step, as in `Session.step`."""
+        """Execute one `Session.step` with the scenario's input and the users' `holds`."""
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:

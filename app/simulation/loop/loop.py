@@ -1,7 +1,7 @@
 """Live loop: a thread that runs a session in real time, executes commands and publishes snapshots.
 
 The dashboard uses only `LoopHandle`: it sends commands and reads immutable snapshots, and shares no
-other data with the loop. Thus the thread can run in another process.
+other data with the loop. Therefore the loop can also run in another process (`ProcessLoop`).
 """
 
 import threading
@@ -34,18 +34,18 @@ class LoopHandle:
     """Names of the arm's frames that people can pull, known after the start."""
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
-        """Start without commands and snapshots; at most the newest `stored` snapshots are kept."""
+        """Start without commands and snapshots; `stored` is the largest number of snapshots."""
         self._mailbox, self._history = commands.Mailbox(), History(stored)
         self._ready = threading.Event()
         self._begun = False
         self._alive = monotonic()  # [s] last heartbeat
 
     def begin(self) -> None:
-        """Start to make the session; `start` waits for the session."""
+        """Start the loop without waiting for its session; `start` waits."""
         self._begun = True
 
     def start(self) -> None:
-        """Begin and wait for the first snapshot; raises a LoopError if the loop has failed."""
+        """Begin if necessary, and wait for the first snapshot; a failure raises a LoopError."""
         if not self._begun:
             self.begin()
         self._ready.wait()
@@ -66,8 +66,8 @@ class LoopHandle:
     def send(self, command: commands.Command) -> None:
         """Send a command, which the loop executes before one of the next control steps.
 
-        It can replace a waiting command, such as an older pull of the same person. `Mailbox.put`
-        has the rules and the errors.
+        The command can replace a waiting one, such as an older pull of the same person. `Mailbox`
+        has the rules, and `Mailbox.put` the errors.
         """
         self._mailbox.put(command, self.links)
 
@@ -83,7 +83,7 @@ class LoopHandle:
         return [stored.snapshot for stored in self.stored(after)]
 
     def stored(self, after: float = -1.0) -> list[Stored]:
-        """The same snapshots in the form in which they are stored: the older ones are packed."""
+        """The snapshots of `history`, each in the form in which it is stored (`Stored`)."""
         return self._history.after(after)
 
 
@@ -93,7 +93,7 @@ class SimulationLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, *, stored: int = SNAPSHOTS_STORED
     ) -> None:
-        """Prepare the loop; `start` starts it.
+        """Prepare the loop; `begin` or `start` starts it.
 
         `make_session` is called once, in the loop's own thread, which then owns the session. The
         arm is at `q_start` (n_m,) [rad or m] when the loop starts, and after a `Reset` without a
@@ -211,7 +211,7 @@ class SimulationLoop(LoopHandle):
             self._start_again(command, ensemble)
 
     def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
-        """Pause, and publish the first new step `seconds` or more after the newest snapshot."""
+        """Pause, and step until `seconds` [s] after the newest snapshot; publish the last step."""
         self._paused = True
         due = self._history.latest.t + seconds
         step = ensemble.step()

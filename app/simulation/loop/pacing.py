@@ -41,7 +41,7 @@ class Pacer:
         self._works.append(duration)
 
     def wait(self) -> None:
-        """End a step: sleep until the end of its period, or continue at once if it has passed."""
+        """End a step: sleep until its period ends; continue at once if less than 0.2 ms remain."""
         now = perf_counter()
         self._marks.append(now)
         while len(self._marks) > 2 and now - self._marks[0] > _WINDOW:
@@ -58,7 +58,7 @@ class Pacer:
 
     @property
     def realtime_factor(self) -> float:
-        """[-] ratio of simulated to real time in the last second; at first, the desired ratio."""
+        """[-] ratio of simulated to real time in the last second; `speed` before two steps."""
         if len(self._marks) < 2:
             return self.speed
         passed = self._marks[-1] - self._marks[0]
@@ -66,7 +66,7 @@ class Pacer:
 
     @property
     def step_time_us(self) -> float:
-        """[µs] mean real time of the controller in the steps of the last simulated second."""
+        """[µs] mean real time of the controller in the last simulated second; 0 before a step."""
         return 1e6 * sum(self._works) / len(self._works) if self._works else 0.0
 
 
@@ -75,8 +75,8 @@ def gc_frozen() -> Iterator[None]:
     """Exclude existing objects from garbage collection during the `with`.
 
     The collector takes milliseconds to scan the many objects of a robot's border. A nested call has
-    no effect. Afterwards the collector includes all objects again; otherwise solvers in reference
-    cycles would be reported as leaks.
+    no effect. Afterwards the collector includes all objects again; otherwise it would never delete
+    solvers in reference cycles, which would be reported as leaks.
     """
     outermost = gc.get_freeze_count() == 0
     if outermost:

@@ -1,7 +1,7 @@
 """The live loop in a child process, where drawing and network traffic cannot delay it.
 
-Python runs one thread at a time, so in the server's process a drawing thread that the system has
-suspended would delay the simulation. Two pipes carry the commands and the snapshots.
+Python runs one thread at a time: in the server's process, the simulation would have to wait for a
+drawing thread, also while the system suspends that thread. Two pipes carry commands and snapshots.
 """
 
 import gc
@@ -42,7 +42,7 @@ def loop_child() -> Child:
     to a `ProcessLoop` later. The process receives a function that makes the session, and the
     arm's start posture; then it receives commands. It sends the outcome of the start (the names of
     the frames at which people can hold the arm), then snapshots, and None as a heartbeat while
-    there are none. After a failure it sends an outcome with an error.
+    there are no new ones. After a failure it sends an outcome with an error.
     """
     return Child(_run_loop)
 
@@ -56,7 +56,7 @@ class ProcessLoop(LoopHandle):
         """Prepare the loop, as in `SimulationLoop`.
 
         `make_session` must be picklable, such as `functools.partial(Session, model, data, config)`.
-        `child` is a process of `loop_child`; default: a new process.
+        `child` is a process of `loop_child`; without one, `begin` starts a new process.
         """
         super().__init__()
         self._stopping = threading.Event()
@@ -83,7 +83,7 @@ class ProcessLoop(LoopHandle):
             thread.join(_PATIENCE)
 
     def _send(self, child: Child) -> None:
-        """Send the task, then commands at intervals, so that new ones can replace waiting ones."""
+        """Send `make_session` and `q_start`; then send all waiting commands at intervals."""
         try:
             child.sender.send(self._task)
             self._task = None  # frees the robot and its border
@@ -151,7 +151,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
     """Forward commands and snapshots until the loop fails; then send the loop's exception.
 
-    If the parent has closed its end or has ended, this raises an EOFError or an OSError.
+    If the parent has ended, or has closed its end of a pipe, this raises an EOFError or OSError.
     """
     posted, beat = None, monotonic()
     while loop.error is None:

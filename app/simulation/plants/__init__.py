@@ -1,4 +1,4 @@
-"""Plants: pybullet, MuJoCo and a simple plant without an engine, with one interface."""
+"""Plants, which simulate the robot: with pybullet, with MuJoCo, or without a physics engine."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant from its present or former name; None: the `default_plant`.
+    """The present name of a plant with a present or former name; without a name, `default_plant`.
 
     If the plant does not exist, this raises an UnknownNameError.
     """
@@ -37,13 +37,13 @@ def make_physics(
 ) -> Physics:
     """Make the plant `kind` with steps of `dt` [s], at rest in the robot's ready posture.
 
-    The end-effector holds a `door` after each reset.
+    If there is a `door`, the end-effector holds it, also after each reset.
 
     Raises:
         UnknownNameError: The plant does not exist.
         ConfigError: The plant does not suit the door or the base, or pybullet is not installed.
-        AssetError: A mesh is missing, or pybullet cannot load the robot.
-        RobotFileError: As for `collision_shapes`, with MuJoCo.
+        AssetError: With `planar`, a mesh is missing, or pybullet cannot load the robot.
+        RobotFileError: With MuJoCo, the meshes exceed the limits of `collision_shapes`.
     """
     kind = chosen_plant(kind)
     # Imported here, because each plant must work without the libraries of the other plants.

@@ -199,7 +199,7 @@ class BulletDoor(HeldDoor):
 
 
 def _plant_urdf(description: RobotDescription) -> str:
-    """The robot's URDF on planar joints, without visuals; only these and the arm's joints move."""
+    """URDF of the robot, without visuals; only its planar joints and the arm's joints move."""
     tree = ElementTree.fromstring(planar_urdf(description))
     for link in tree.iterfind("link"):
         for visual in link.findall("visual"):  # pybullet would load its mesh
@@ -213,11 +213,11 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge fixed links that have the parent's contacts, or no collision shape, into the parent.
+    """Merge links on fixed joints into their parents, because pybullet loads at most 128 links.
 
-    Links have contacts with the same parts if the same body covers them, and they are nested with
-    the same links. pybullet treats each link as a joint, and loads at most 128. The end-effector's
-    link is not merged into its parent, because pulls are expressed in the frame of this link.
+    A link is merged if it has no collision shape, or can touch the same parts as its parent: the
+    same body covers both, or none does, and `nested` pairs both with the same links. The
+    end-effector's link is never merged, because pulls are expressed in the frame of this link.
     """
     nested = description.nested
     touched = {
@@ -279,7 +279,7 @@ def _part(element: Element, tag: str) -> Element:
 
 
 def _refrigerator_urdf(door: Door, cabinet: Cabinet) -> str:
-    """The URDF of a box with a board on a hinge; the root's frame is at the box's centre."""
+    """URDF of the cabinet with the door on a hinge; the root's frame is at the cabinet's centre."""
     lower, upper = door.joint_range
     return f"""<robot name="refrigerator">
 <link name="body">{_box(cabinet.size, cabinet.inertia)}</link>

@@ -1,4 +1,4 @@
-"""One pybullet client with a robot and a floor; only selected pairs can touch."""
+"""One pybullet client with a robot and a floor; only selected pairs of links can touch."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ _UNDAMPED = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
 
 
 class Client:
-    """pybullet's functions, all for the same client with the number `id`."""
+    """A pybullet client with the number `id`; its attributes are pybullet's functions for it."""
 
     def __init__(self) -> None:
         self.id = pybullet.connect(pybullet.DIRECT)
@@ -122,9 +122,10 @@ class BulletWorld:
     def load(
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
-        """Load a body without damping, and return its index; its root is at `place` (3,) [m].
+        """Load a body from a URDF's text, without damping, and return its index.
 
-        With `self_collision` links that are not neighbours can touch, and the root is fixed.
+        Its root is at `place` (3,) [m]. With `self_collision`, links that are not neighbours can
+        touch, and the root is fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:
@@ -167,7 +168,7 @@ class BulletWorld:
         return Contacts.of(filter(None, groups))
 
     def depths(self) -> dict[str, float]:
-        """[m] depth of the deepest contact of each present kind, by the fields of `Contacts`."""
+        """[m] depth of the deepest contact for each field of `Contacts` that has a contact."""
         deepest: dict[str, float] = {}
         for c in self.client.getContactPoints(self.robot):
             group = self._contact_of.get(c[1:5])

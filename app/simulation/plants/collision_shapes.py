@@ -66,8 +66,9 @@ class CollisionShapes(NamedTuple):
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
     """Pairs of bodies between which contacts are computed.
 
-    A body in `reachability` has a pair with l_m and a pair with the floor. Two bodies of the arm
-    are a pair if they are not neighbours in the chain, and not in `unwatched`.
+    Each body of the arm that the description's `reachability` contains has a pair with l_m and a
+    pair with the floor. Any two bodies of the arm are a pair if they are not neighbours in the
+    chain, and the description's `unwatched` does not contain them.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -81,7 +82,7 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links whose bodies are in `body_contact_pairs`, without the pairs in `nested`."""
+    """Pairs of links that the pairs of `body_contact_pairs` cover, without those in `nested`."""
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {
@@ -138,7 +139,7 @@ def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
 
 
 def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
-    """Convex shapes of a shape: as in pybullet, an OBJ file has a hull for each object or group."""
+    """Parts of a shape: as in pybullet, a hull for each object or group of an OBJ file."""
     if not placed.meshPath.lower().endswith(".obj"):
         return [placed.geometry]
     points: list[list[float]] = []

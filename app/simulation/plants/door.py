@@ -97,7 +97,7 @@ class Door:
     def handle(self, angle: float) -> pin.SE3:
         """Pose in the world of an end-effector at the handle, at an opening angle [rad].
 
-        z points into the door, x up.
+        The z axis of the end-effector points into the door, and its x axis up.
         """
         place = np.array(
             [
@@ -115,7 +115,7 @@ class Door:
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the board's corners, if the door's frame has the pose T."""
+        """The hyper-ellipsoid through the board's corners, for the pose T of the door's frame."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
@@ -130,7 +130,7 @@ class Door:
 
 
 class DoorView(NamedTuple):
-    """A door that the end-effector holds; after the scenario, unknown values are NaN."""
+    """A door that the end-effector holds; after the scenario, both radial values are NaN."""
 
     door: Door
     """The door's constant geometry; `door.pose(angle)` is T_world_door."""
@@ -177,7 +177,7 @@ class Cabinet:
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:
-    """Size [m] and pose in the world of a refrigerator's boxes, at an opening angle [rad]."""
+    """Size [m] and pose of each box of a refrigerator, in the world, at an opening angle [rad]."""
     cabinet, opened = Cabinet(door), door.pose(angle)
     handle = door.pose(0.0).actInv(door.handle(0.0)).translation
     return {
@@ -190,13 +190,14 @@ def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float,
 def with_door(
     model: RobotModel, data: BorderData, door: Door, T_ee_door: pin.SE3
 ) -> tuple[RobotModel, BorderData]:
-    """The robot that holds a door: the door is the arm's last body, and ⟨l_m, door⟩ is in L_m.
+    """Model and data of a robot that holds a door, its last body; ⟨l_m, door⟩ is in L_m.
 
-    The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
-    grasp is rigid. The door has the reachability coefficients of the last body that has any, and no
-    sampled border; the acting point is found on the exact offset surface of l_m.
+    The body is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
+    grasp is rigid. `T_ee_door` is the door's pose in the end-effector's frame. The door has the
+    reachability coefficients of the last body that has any, and no sampled border: the acting point
+    is found on the exact offset surface of l_m.
 
-    If no body has these coefficients, this raises a DescriptionError.
+    If no body has reachability coefficients, this raises a DescriptionError.
     """
     description = model.description
     link = description.arm.end_effector_link

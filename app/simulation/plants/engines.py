@@ -43,8 +43,8 @@ def compare_engines(
 ) -> Difference:
     """Put both planar plants into random postures, and compare contacts and pictures.
 
-    Each of the first `pictures` postures has pictures from three sides. This raises the errors of
-    `make_physics`.
+    Contacts are compared in each posture; depth images, one from each of three sides, only in the
+    first `pictures` postures. This raises the errors of `make_physics`.
     """
     state, rng = RobotState(model), np.random.default_rng(seed)
     picture = depth = 0.0
@@ -71,7 +71,7 @@ def compare_engines(
 
 
 def _picture(plants: tuple[Planar, Planar], base: Array, side: tuple[float, ...]) -> float:
-    """[-] share of the rays to the robot whose hits differ between the engines, all parallel."""
+    """[-] share of the rays onto the robot, all from one side, whose hits differ in the engines."""
     forward = -np.array(side) / np.linalg.norm(side)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)

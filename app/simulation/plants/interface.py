@@ -14,7 +14,7 @@ from app.strict import Array
 
 
 class Contacts(NamedTuple):
-    """Whether parts touched in the last step: those of `body_contact_pairs`, or a held door."""
+    """Whether parts touched in the last step: pairs of `body_contact_pairs`, or base and door."""
 
     arm_base: bool = False
     arm_arm: bool = False
@@ -25,7 +25,7 @@ class Contacts(NamedTuple):
 
     @classmethod
     def of(cls, groups: Iterable[str]) -> Self:
-        """The contacts with the fields of these names true."""
+        """The contacts in which the fields with these names are True, and all others False."""
         return cls(**dict.fromkeys(groups, True))
 
 
@@ -90,10 +90,10 @@ class Physics(ABC):
     ) -> None:
         """Advance by `dt`.
 
-        The torques `u_a` (n_m,) [N m or N] of the arm are constant meanwhile. The drive follows the
-        command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
-        limits. `hand_force` (3,) [N] acts on the end-effector's origin, in the world, `pushes` on
-        other points of the arm.
+        The arm's torques `u_a` (n_m,) [N m or N] are constant during the step. The drive follows
+        the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
+        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin; the `pushes`
+        act on other points of the arm.
         """
 
     @abstractmethod
@@ -112,7 +112,7 @@ class PointLoad:
     """
 
     def __init__(self, model: RobotModel, mass: float, centre: Array, dt: float) -> None:
-        """A mass [kg] at `centre` (3,) [m] in the end-effector's frame; `dt` [s] is the step."""
+        """`mass` [kg] at `centre` (3,) [m] in the end-effector's frame; steps last `dt` [s]."""
         self._model, self._mass, self._centre, self._dt = model, mass, centre, dt
         self._joint = model.pin.njoints - 1
         self._at = model.pin.frames[model.ee_frame].placement.act(centre)
@@ -157,7 +157,7 @@ class Drive:
         """(n_d,) further states of the drive, such as a steering angle [rad]."""
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
-        """(n_b,) [m/s or rad/s] the velocity after one step with the velocity command (n_b,)."""
+        """Execute one step with the command (n_b,) [m/s or rad/s], and return the new velocity."""
         command = np.asarray(v_cmd).tolist()
         self.velocity, self.state = self._follow(self.velocity, self.state, command)
         return self.velocity

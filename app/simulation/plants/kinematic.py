@@ -1,9 +1,9 @@
 """A simple plant without a physics engine, which integrates the equation of motion.
 
 The base moves exactly with its drive's velocity; the arm follows
-M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f. Only joint limits stop the arm: contacts are overlaps of
-the convex bodies, which are reported and cause no force. The plant is for tests, and for an
-independent check of the engines.
+M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f with external forces f. Only joint limits stop the arm:
+contacts are overlaps of the convex bodies, which are reported and cause no force. The plant is for
+tests, and for an independent check of the engines.
 """
 
 import math
@@ -25,7 +25,7 @@ from app.strict import Array
 
 
 class Kinematic(Physics):
-    """A plant that uses only pinocchio."""
+    """The plant `kinematic`, which uses only pinocchio."""
 
     door = None
 
@@ -70,7 +70,7 @@ class Kinematic(Physics):
         self._stepped = True
 
     def contacts(self) -> Contacts:
-        """Overlaps of the convex bodies, which are larger than the links."""
+        """Overlaps of the convex bodies, which are larger than the links; none before a step."""
         if not self._stepped:
             return NO_CONTACTS
         q, arm = self._model.configuration(self._base_pose, self._q), self._model.pin
@@ -108,7 +108,7 @@ def _move_arm(
 
     The joints have ideal stops: each joint that would leave its range in this step moves to its
     nearer limit. If an input is not finite, q and q̇ become NaN. `felt` (n_m,) are the joint torques
-    of the forces on the arm, `coupled` is M_ab q̈_b; M (n, n) and h (n,) are those of (26).
+    of the forces on the arm, `coupled` is M_ab q̈_b; M (n, n) and h = C q̇ + g (n,) are as in (26).
     """
     n = len(q)
     A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled
@@ -138,7 +138,7 @@ _move_arm_once = direct(_move_arm)
 
 
 def _contact_geometry(model: RobotModel) -> tuple[pin.GeometryModel, list[str]]:
-    """The bodies and the floor with the pairs that can touch; each pair's field of `Contacts`."""
+    """Bodies and floor with the pairs that can touch, and the field of `Contacts` of each pair."""
     geometry, groups = model.geometry.copy(), list[str]()
     floor = geometry.addGeometryObject(
         pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))

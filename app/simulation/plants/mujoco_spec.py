@@ -103,7 +103,7 @@ class RobotSpec:
         T: pin.SE3 | None = None,
         mesh: str = "",
     ) -> None:
-        """Add a shape to a body at the pose T; the shape touches only geoms that `allow` names.
+        """Add a shape to a body at the pose T; it can touch only geoms of its pairs in `allow`.
 
         `size` [m] has up to three sizes, as MuJoCo defines them for the kind of geom; `mesh` is the
         name of the mesh.
@@ -123,8 +123,8 @@ class RobotSpec:
     ) -> None:
         """Add a joint with a velocity-controlled motor of limited force or torque.
 
-        The motor is dry friction up to `limit` [N or N m] relative to a moving reference, which
-        MuJoCo's solver treats together with contacts and limits. `axis` (3,) is in the body.
+        The motor is dry friction up to `limit` [N or N m] relative to a moving reference. MuJoCo
+        solves this friction together with contacts and limits. `axis` (3,) is in the body's frame.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(limit))
         self.motors.append(name)
@@ -220,7 +220,7 @@ class RobotSpec:
 
 
 def _solid(points: Array) -> Array:
-    """(N, 3) [m] the points of a hull; a flat one, which MuJoCo refuses, gets a thickness."""
+    """(N, 3) [m] points of a hull; a flat hull, which MuJoCo refuses, receives a thickness."""
     extents, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[1:]
     if extents[2] > _FLAT * extents[0]:
         return points

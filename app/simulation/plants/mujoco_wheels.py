@@ -2,7 +2,7 @@
 
 A skid-steer base stands on all its wheels; all wheels are driven and have the same friction along
 and across. The effective track depends on the load of each wheel. Therefore a turn on the spot at
-the start calibrates the drive. A base with two wheels also stands on casters, which are
+the start calibrates the drive. A base with all wheels on one axle also stands on casters, which are
 frictionless and slightly soft: the spheres at the floor in the URDF, or, without such spheres, one
 at each corner of the base.
 """
@@ -51,7 +51,7 @@ class Wheels:
     """The driven wheels in the frame of the root, which is on the floor."""
 
     def __init__(self, model: RobotModel) -> None:
-        """Read the wheels from the URDF; without named wheels, assume two at the half track."""
+        """Read the wheels from the URDF; if the description names none, assume one on each side."""
         base = differential(model.description)
         self.radius = r = base.wheel_radius_m
         full = pin.buildModelFromXML(bare_urdf(model.description))
@@ -107,14 +107,14 @@ class MujocoWheels(Physics):
         self.reset(*ready)
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest; the base stands on its wheels, tilted by the arm's weight."""
+        """Put the robot at rest on its wheels, tilted by the arm's weight; grasp any door."""
         self._stand(base_pose, q_m)
         self._drive.reset()
         if self.door is not None:
             self.door.take_hold(self.world)
 
     def _stand(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest, as `reset`, but without a door."""
+        """Put the robot at rest, as `reset`, but with any door far away."""
         world = self.world
         self._rewind()
         world.q[world.arm_q] = q_m
@@ -176,7 +176,7 @@ class MujocoWheels(Physics):
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Execute steps with wheel speeds (n,) [rad/s], arm fixed; return turn rates [rad/s]."""
+        """Execute steps with a fixed arm and wheel speeds (n,) [rad/s]; return ω of each step."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN
@@ -212,7 +212,7 @@ def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> Non
 
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
-    """Add casters if needed; other shapes of the base touch the floor only if the base tips."""
+    """Add casters, if needed; let the base's higher shapes touch the floor, if the base tips."""
     casters: list[tuple[float, Array]] = []
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:

@@ -98,14 +98,14 @@ class MujocoWorld:
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
-        """As in `BulletRobot`."""
+        """Put the robot at rest at q, as `BulletRobot.reset`."""
         self.rewind()
         self._planar_q[:] = q
         if self.door is not None:
             self.door.take_hold(self)
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """As in `BulletRobot`."""
+        """Copies of the positions and velocities, as `BulletRobot.read`."""
         base_q, base_v, q_m, qd_m = self._read
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
@@ -117,7 +117,7 @@ class MujocoWorld:
         return M
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """As in `BulletRobot`, for a robot without a door; also moves the robot to q and v."""
+        """As `BulletRobot.mass_and_bias`, only without a door; also moves the robot to q and v."""
         self.rewind()
         self.q[:], self.v[:] = q, v
         mujoco.mj_forward(self.model, self.data)
@@ -126,7 +126,7 @@ class MujocoWorld:
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step, as in `BulletRobot`; `speeds` are the references of the motors."""
+        """Advance by one step, as in `BulletRobot`; `speeds` has the command of each motor."""
         data = self.data
         mujoco.mj_step1(self.model, data)
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
@@ -138,7 +138,7 @@ class MujocoWorld:
         mujoco.mj_step2(self.model, data)
 
     def close(self) -> None:
-        """Do nothing: MuJoCo needs no end."""
+        """Do nothing: the plant has no resources to release."""
 
     def contacts(self) -> Contacts:
         """Contacts in the last step."""
@@ -148,7 +148,7 @@ class MujocoWorld:
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
     def depths(self) -> dict[str, float]:
-        """As in `BulletWorld`."""
+        """[m] depths of the contacts, as `BulletWorld.depths`."""
         deepest: dict[str, float] = {}
         contacts = self.data.contact
         for (a, b), distance in zip(contacts.geom.tolist(), contacts.dist, strict=True):
@@ -157,7 +157,7 @@ class MujocoWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """As in `BulletWorld`."""
+        """(n,) [m] lengths of rays up to the first hit, as `BulletWorld.seen`."""
         mujoco.mj_kinematics(self.model, self.data)
         found, hit = np.full(len(begins), np.inf), np.zeros(1, np.int32)
         for i, (begin, way) in enumerate(zip(begins, ends - begins, strict=True)):
@@ -183,7 +183,7 @@ def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
 
 @compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR, _VECTOR), None))
 def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None:
-    """Set the motors' references, the arm's torques and the person's force; clear other forces.
+    """Set the motors' references, the arm's torques and `force`; remove all other forces.
 
     MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint. A
     motor's reference acceleration is (speed - v) / dt. The solver starts from the accelerations

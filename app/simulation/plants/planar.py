@@ -1,7 +1,7 @@
-"""The planar plant: a base on planar joints that follow the drive's velocity, in any engine.
+"""The planar plant, with pybullet or MuJoCo: planar joints move with the drive's velocity.
 
-Motors on x, y and yaw move the base with the drive's velocity. Their force is limited to the
-traction of the wheels. The wheels are only animated. The base cannot tip.
+Motors on the joints x, y and yaw move the base. Their force is limited to the traction of the
+wheels. Wheels turn only in pictures, without an effect on the base. The base cannot tip.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 class Planar(Physics):
-    """`Physics` in which motors with the traction limit move the base on planar joints."""
+    """The plant with planar joints, whose motors are limited to the traction of the wheels."""
 
     def __init__(self, model: RobotModel, world: BulletRobot | MujocoWorld, dt: float) -> None:
-        """Start with the robot of an engine's world at rest in the ready posture."""
+        """Start at rest in the ready posture; `world` has the robot in an engine."""
         self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
         base = model.description.base
@@ -97,10 +97,10 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """The mean twist (3,) in the world during a step of dt [s], for a twist in the base's frame.
+    """The mean twist (3,) in the world during a step, for a constant twist in the base's frame.
 
-    Both twists are v_x, v_y [m/s] and ω [rad/s]; `heading` [rad] is that at the start of the step.
-    The mean has the direction in the middle of the step.
+    Both twists are v_x, v_y [m/s] and ω [rad/s]. `heading` [rad] is the base's heading at the start
+    of the step, which lasts `dt` [s]. The mean uses the heading in the middle of the step.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt

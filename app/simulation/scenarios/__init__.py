@@ -1,4 +1,4 @@
-"""Scenarios: the start of a run, and the motion of the end-effector."""
+"""All scenarios by their names, with the robot's own lines, and the start of free motion."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def scenario_by_name(name: str) -> Scenario:
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
     """The scenario with a name, for a robot.
 
-    A line of the description (start and displacement of the end-effector) replaces the scenario's
-    own line; `changes`, options as in `Scenario.changed`, override both.
+    A line of the robot's description (start and displacement of the end-effector) replaces the
+    scenario's own line; `changes`, options as in `Scenario.changed`, override both.
 
     Raises:
         UnknownNameError: The scenario does not exist.
@@ -109,7 +109,7 @@ def free_start(
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
-    """Options of `Scenario.changed` with a robot's own line for a scenario, if there is one."""
+    """Options with the robot's line for a scenario, else for the one of `_SAME_LINE`, if any."""
     lines = description.lines
     if unknown := sorted(lines.keys() - LINES.keys()):
         where = f"{description.name}: [lines.{unknown[0]}] in robot.toml"

@@ -151,7 +151,7 @@ class DoorOpening:
         return gains.speed * begun**2 * (3 - 2 * begun) * _share(slack) * _share(left)
 
     def _lead(self, T_world_ee: pin.SE3, velocity: Array, turning: Array) -> None:
-        """Advance the reference, up to its largest distance from the end-effector."""
+        """Advance the reference pose by one step, at most `leash` away from the end-effector."""
         lead = self._pose.translation + velocity * self._dt - T_world_ee.translation
         longest = max(float(np.linalg.norm(lead)) / self._gains.leash, 1.0)
         self._pose.translation = T_world_ee.translation + lead / longest
@@ -159,10 +159,10 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens the held door of a session, which is at its start.
+    """The driver that opens the door in a session; the session is at its start.
 
-    `rate` [deg/s] is the desired rotation rate of the door; `guess` [deg] is the error of the first
-    estimate of the direction to the hinge.
+    `rate` [deg/s] is the desired rotation rate of the door. `guess` [deg] is the error of the first
+    estimate of the direction to the hinge, as in `RefrigeratorScenario.radial_guess`.
     """
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)

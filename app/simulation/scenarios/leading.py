@@ -40,11 +40,11 @@ class StepInput(NamedTuple):
 
 
 Driver = Callable[["Session"], StepInput]
-"""A function that computes the input of the next control step from the session's sensors."""
+"""A function that computes the input of the next control step from the session."""
 
 
 class Setting(NamedTuple):
-    """The robot, its pose and posture, and the parameters at the start of a run."""
+    """The robot, the base's pose, the arm's posture and the parameters at the start of a run."""
 
     model: RobotModel
     """The robot model of the controller."""
@@ -86,7 +86,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """A configuration with the changes that this scenario requires.
+        """The configuration `config` with the changes that this scenario requires.
 
         The live loop also adapts a configuration that the user changes during the scenario.
         """
@@ -94,7 +94,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def driver(self, session: Session) -> Driver:
-        """The driver for a session at the start; only with a door, this can raise an error."""
+        """Make the driver for a session at its start; only a scenario with a door can fail here."""
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some fields changed; a value of None changes nothing.
@@ -122,7 +122,7 @@ class Scenario(ABC):
 
 @cache
 def _choices(kind: type[Scenario]) -> dict[str, tuple[str, ...]]:
-    """The valid values of each field that has the type of a `Literal`."""
+    """The valid values of each field whose type is a `Literal`."""
     hints = get_type_hints(kind).items()
     return {name: get_args(hint) for name, hint in hints if get_origin(hint) is Literal}
 

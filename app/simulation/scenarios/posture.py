@@ -50,7 +50,7 @@ class PostureSearch:
     """Tries postures of the arm and evaluates them."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare the search for a robot, its relevant pairs and a buffer distance `d_b` [m]."""
+        """Prepare the search for a robot, its link pairs and a buffer distance `d_b` [m]."""
         self.model, self.d_b, self.state = model, d_b, RobotState(model)
         """The robot, the buffer distance [m], and the state in the last posture."""
         self.span = model.q_upper - model.q_lower
@@ -65,7 +65,7 @@ class PostureSearch:
         self._shoulder, self._length = _arm_length(model)
 
     def stand(self, base_pose: Array) -> None:
-        """Set the base's pose for the next `place`: x, y [m] and heading [rad]; initially zero."""
+        """Set x, y [m] and heading [rad] of the base from the next `place` on; initially zero."""
         self._base_pose, self._placed = base_pose, None
 
     def place(self, q_m: Array) -> None:
@@ -131,7 +131,7 @@ class PostureSearch:
         ).x
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
-        """The weighted error (k,) of the end-effector, and its Jacobian (k, n_m).
+        """`place` the arm; return the end-effector's weighted error (k,) and its Jacobian (k, n_m).
 
         For a pose, the error is the logarithm of the displacement in the end-effector's frame,
         otherwise the error of the position and of the direction, if any.
@@ -156,17 +156,17 @@ class PostureSearch:
         return self.state.J_ee[:, self.model.n_b :]
 
     def beyond(self, p: Array) -> float:
-        """[m] lower bound of the distance of a point p (3,) [m] from the arm's workspace."""
+        """[m] lower bound of the distance of a point p (3,) [m] from the workspace; ≤ 0 inside."""
         x, y, heading = self._base_pose
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
         return float(np.linalg.norm(p - at)) - self._length
 
     def distances(self) -> tuple[float, ...]:
-        """[m] distances of all pairs in the present posture."""
+        """[m] signed distances of all pairs in the present posture."""
         return self.monitor.distances()
 
     def beyond_buffer(self) -> float:
-        """[m] smallest distance of a pair beyond its buffer; infinite without pairs."""
+        """[m] smallest distance of a pair, minus d_b; infinite without pairs."""
         return min(self.distances(), default=np.inf) - self.d_b
 
     def above_floor(self) -> float:
@@ -179,14 +179,14 @@ class PostureSearch:
     def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
         """The reason why the present posture is invalid, or an empty string if it is valid.
 
-        The arm must be higher than `floor` [m], and each pair `margin` [m] outside of its buffer.
+        The arm must be higher than `floor` [m], and the smallest distance above d_b + `margin` [m].
         """
         if self.above_floor() <= floor:
             return "the arm would touch the floor"
         return "" if self.beyond_buffer() > margin else self.buffer_flaw()
 
     def buffer_flaw(self) -> str:
-        """The reason why a posture is invalid whose nearest pair is inside its buffer."""
+        """The reason why the present posture is invalid: its nearest pair is inside its buffer."""
         pair = self.names[int(np.argmin(self.distances()))]
         return f"{pair} would be inside its buffer of {self.d_b:g} m"
 
@@ -199,8 +199,8 @@ class PostureSearch:
 def _arm_length(model: RobotModel) -> tuple[Array, float]:
     """Position (3,) [m] of the arm's first joint for a base at the origin, and the arm's reach [m].
 
-    The reach is an upper bound: the sum of all offsets between joints and of the largest
-    displacements of prismatic joints from zero.
+    The reach is an upper bound: the sum of all offsets from joint to joint and to the end-effector,
+    and of the largest displacements of prismatic joints from zero.
     """
     arm, ee = model.pin, model.pin.frames[model.ee_frame]
     chain = [j for j in arm.supports[ee.parentJoint] if j > 1]
@@ -211,7 +211,7 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
 
 
 def _with_floor(model: RobotModel) -> tuple[pin.GeometryModel, pin.GeometryData]:
-    """The robot's bodies and the floor; the only pairs are a body of the arm and the floor."""
+    """The robot's bodies and the floor, with a pair of each body of the arm and the floor."""
     geometry, slab = model.geometry.copy(), coal.Box(20.0, 20.0, 1.0)
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
     floor = geometry.addGeometryObject(pin.GeometryObject("floor", 0, 0, place, slab))

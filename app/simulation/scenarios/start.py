@@ -22,7 +22,7 @@ _BUFFER_MARGIN = 0.005  # [m] required distance of each pair beyond d_b at the s
 _FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
 _LOST = 1e-3  # [m/rad or -] largest singular value that counts as a lost direction
 _UPRIGHT = 0.94  # [-] smallest z component of an upright axis: a tilt of 20 degrees
-_WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm
+_WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm, 1 mrad
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
 _CACHED = 100  # largest number of cached starts of a robot
 
@@ -45,8 +45,8 @@ class StartSolver:
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its position limits.
-    If the search finds no such posture from which the arm can follow the given path, and the arm
-    cannot choose the end-effector's direction freely, any direction is accepted.
+    Any direction of the end-effector is accepted if the arm cannot choose this direction freely,
+    and the search finds no posture as above from which the arm can follow the whole path.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -71,10 +71,11 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        With a path, that is further positions `along` of (3,) [m] each, the best posture is the one
-        from which the arm follows most of the path, while the base is at rest and the end-effector
-        keeps its starting orientation. Among equal postures, the one with the largest margins is
-        best. The arm need not reach the end of the path, because the base can move during a run.
+        `along` has further positions (3,) [m], a path. The best posture is the one from which the
+        arm follows most of the path, while the base is at rest and the orientation of the
+        end-effector is constant. Among postures that are equal in this, or without a path, the one
+        with the largest margins is best. The arm need not reach the end of the path, because the
+        base can move during a run.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -131,8 +132,8 @@ class StartSolver:
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether a search finds a posture with the end-effector at `p_ee` (3,) [m].
 
-        The end-effector can have any direction. With few `tries` from random starting points, the
-        search can miss the posture.
+        The end-effector can have any direction; distances of pairs and floor are not checked. With
+        few `tries` from random starting points, the search can miss the posture.
         """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
@@ -147,7 +148,7 @@ class StartSolver:
         return found.q_m is not None
 
     def _direction(self, target: Array, pitch: float) -> Array:
-        """Horizontal unit vector (3,) from the mount to a target, tilted down by `pitch` [rad]."""
+        """Horizontal unit vector (3,) to a target (+x above the mount), tilted down by `pitch`."""
         outwards = target[:2] - self._model.p_base()[:2]
         length = np.hypot(*outwards)
         outwards = outwards / length if length > 1e-6 else np.array([1.0, 0.0])
@@ -170,10 +171,11 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] number of positions of the path that the arm reaches, plus the margins up to there.
+        """[-] number of positions that the arm reaches on the path, plus the margins up to there.
 
-        The arm reaches them in their order, with the base at rest. The margins are the smallest
-        joint margin and the smallest manipulability, which count up to 0.15 and 0.1.
+        The positions are tried in their order, with the base at rest, until the first failure. The
+        margins are the smallest joint margin, at most 0.15, and the smallest manipulability, at
+        most 0.1.
         """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
@@ -204,8 +206,7 @@ def find_start(
 ) -> Array:
     """Find a posture of the arm (n_m,), read-only and cached, by `StartSolver.solve`.
 
-    With `move` (3,) [m], the end-effector will track a line of this displacement from the start
-    with a constant orientation.
+    With `move` (3,) [m], the path of `solve` is the straight line of this displacement from `p_ee`.
     """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
@@ -270,14 +271,12 @@ class _GraspSearch:
         return best.q_m, target
 
     def _grasp(self, angle: float, roll: float) -> pin.SE3:
-        """Pose of the end-effector at the handle, rolled about its z axis by `roll` [rad]."""
+        """End-effector pose at the handle, for a door angle and a roll about its z axis [rad]."""
         turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
         return self._door.handle(angle) * turn
 
     def _judge(self, roll: float, q_m: Array) -> float | str:
-        """[-] quality of a posture at the handle: number of reachable door angles, plus margins; or
-        the reason why the posture is invalid.
-        """
+        """[-] `_room_ahead` of a posture at the handle, or the reason why it is no valid grasp."""
         room = self._room(self._grasp(self._angle, roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
         if not isinstance(room, str):
             room = self._room_ahead(roll, q_m, room)
@@ -287,7 +286,8 @@ class _GraspSearch:
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
         """[-] number of further door angles that the arm can reach, plus the smallest `_room`.
 
-        As in the controller, the arm stays near its starting posture in the task's null space.
+        `room` is the `_room` of the starting posture. As in the controller, the arm stays near this
+        posture in the task's null space.
         """
         q_m, followed = q_start, 0
         for turned in _AHEAD:
@@ -303,7 +303,7 @@ class _GraspSearch:
         return followed + room
 
     def _backed_off(self, angle: float) -> Array:
-        """(3,) the base's pose, moved back if the door's free edge is within d_b of its front."""
+        """(3,) pose of the base, moved back if the door's free edge is within d_b of its front."""
         door = self._door
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         x, y, heading = self._base_pose
@@ -319,9 +319,10 @@ class _GraspSearch:
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float | str:
-        """[-] margins of a posture, below one; or the reason why it is invalid.
+        """[-] margins of a posture, below one; or the reason why the posture is invalid.
 
-        It is invalid too if a pair is not `least` [m] beyond its buffer.
+        The end-effector must be at `target` within the `tolerance` [m and rad], each pair at least
+        `least` [m] outside its buffer (inside, if negative), and no joint near its limit.
         """
         search = self._search
         search.place(q_m)

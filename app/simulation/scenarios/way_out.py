@@ -33,7 +33,7 @@ _TRIES = 20_000  # [-] random postures for each pair and direction
 
 @dataclass(frozen=True)
 class WayOutScenario(Scenario):
-    """The arm starts in a random posture inside a buffer or in penetration, without a person."""
+    """The run starts in a random posture with a pair inside its buffer or in penetration."""
 
     name: str = "way-out"
     duration: float = 3.0
@@ -45,10 +45,10 @@ class WayOutScenario(Scenario):
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
 
-        The pair is drawn first. For a pair of arm and base, the direction is drawn too: the arm is
-        above the base or beside it. Some of these cases are rare among uniformly random postures.
-        After a case without a result, the next one is drawn; without any result, this raises an
-        UnreachableError. It raises the error of `check_avoidance` too.
+        A case is drawn first, because some cases are rare among random postures: a pair and, for a
+        pair of arm and base, whether the arm is above the base or beside it. Then random postures
+        are tried until one belongs to the case; if all fail, another case is drawn. If all cases
+        fail, this raises an UnreachableError. It also raises the error of `check_avoidance`.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
@@ -89,8 +89,9 @@ def _judge(
 ) -> float:
     """1 if the search's present posture is a valid start, otherwise 0.
 
-    Pair i must be the nearest one, at a distance in the range `depth` [m], and the arm 1 cm above
-    the floor. `above`: the arm must be above the base (True), beside it (False), anywhere (None).
+    Pair i must be the nearest one, and its distance in the range `depth` [m]. The arm must be more
+    than 1 cm above the floor. It must be above the base if `above` is True, beside the base if
+    `above` is False, and anywhere if `above` is None.
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]

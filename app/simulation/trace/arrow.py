@@ -23,7 +23,7 @@ pa.set_memory_pool(pa.system_memory_pool())  # the default pool reserves 1 GB of
 
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
-    """Read the header and the columns of an untrusted file.
+    """Read the header and the table of an untrusted file.
 
     A missing or damaged file, or one beyond the limits of `within_budget`, raises a LogError.
     """
@@ -48,10 +48,10 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write a table completely or not at all, as CSV or Parquet according to the file's ending.
+    """Write a table completely or not at all: as CSV if the name ends in .csv, else as Parquet.
 
-    The header becomes a comment on the first line of CSV, or metadata of Parquet. Equal tables
-    produce equal bytes.
+    A header that is not empty becomes a comment on the first line of CSV, or metadata of Parquet.
+    Equal tables produce equal bytes.
     """
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":

@@ -115,7 +115,7 @@ def _rate_columns(axis: Axis) -> tuple[str, str]:
 
 
 def column_names(template: str, meta: TraceMeta) -> list[str]:
-    """The names of a quantity's columns, which end in the unit.
+    """The names of a quantity's columns, which end in the unit, if any.
 
     Templates are such as `p_ee_{xyz}_m` for x, y and z; `u_{joint}_{effort}` for the joints, in N m
     or N; `base_{velocity}` for the base's axes, in m/s or rad/s; `d_{pair}_m` for the link pairs.
@@ -141,7 +141,7 @@ class Column(NamedTuple):
     """A column of a trace."""
 
     name: str
-    """Name, which ends in the unit."""
+    """Name, which ends in the unit, if any."""
     kind: Kind = "float"
     optional: bool = False
     """Whether a cell can be empty; in memory, an empty cell is NaN."""
@@ -166,10 +166,10 @@ class Quantity(NamedTuple):
     """Attributes of a control step, such as `truth.q_m`, with the numbers and float arrays that are
     recorded at each control step."""
     row: Take | None = None
-    """Computation of the numbers that are recorded at each control step; None for a quantity with
-    `paths`, and for one that is recorded at snapshots only.
-    It is called at 50 Hz, and the cells of the other steps are empty; while the end-effector holds
-    a door, it is called at each control step."""
+    """Computation of the numbers in the table that are not attributes of a control step; None for a
+    quantity with `paths`, and for one that is recorded at snapshots only. In a session with a door,
+    it is called at each control step, otherwise at 50 Hz: the cells of the other steps are then
+    empty."""
 
 
 def number(
@@ -183,10 +183,10 @@ def number(
 ) -> Quantity:
     """A quantity of one number or text.
 
-    `source` is the attribute of the control step with the value, as in `Quantity.paths`, or its
-    computation, as in `Quantity.take`. If `often`, the value is recorded at each control step, and
-    `row` is required unless `source` is an attribute; otherwise it is recorded at snapshots only.
-    If `optional`, the value can be None.
+    `source` is the name of the value's attribute of `Step`, as in `Quantity.paths`, or the value's
+    computation, as in `Quantity.take`. If `often`, the value is recorded at each control step;
+    then a quantity without an attribute requires `row`, or a ValueError is raised. If not `often`,
+    the value is recorded only at snapshots. If `optional`, the value can be None.
     """
     if often and row is None and not isinstance(source, str):
         raise ValueError(
@@ -208,7 +208,7 @@ def number(
 def numbers(
     template: str, source: str | Take, *, often: bool = True, optional: bool = False
 ) -> Quantity:
-    """A quantity of an array (k,); see `column_names` for `template`, `number` for the others."""
+    """A quantity of an array (k,); `template` is as in `column_names`, the rest as in `number`."""
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(n, "float", optional, often) for n in column_names(template, meta)]
@@ -226,7 +226,7 @@ def numbers(
 def _source(
     source: str | Take | None, convert: Callable[[Any], Any]
 ) -> tuple[Take | None, tuple[str, ...]]:
-    """`take` and `paths` of a quantity; `convert` converts the value of an attribute."""
+    """`take` and `paths` of a quantity with a `source`; `convert` converts an attribute's value."""
     if not isinstance(source, str):
         return source, ()
     read = attrgetter(source)
@@ -248,7 +248,7 @@ def config_changes(take: Take) -> Quantity:
 
 
 def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
-    """A quantity for a tuple of named tuples of type `kind`, as JSON; empty for an empty tuple."""
+    """A quantity for a tuple of named tuples of type `kind`, as JSON; "" for an empty tuple."""
     hints = get_type_hints(kind)
 
     def inner(name: str, data: Any) -> Any:

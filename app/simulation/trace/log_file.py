@@ -37,7 +37,7 @@ class LogHeader(Strict):
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """Read a header from JSON; raises a LogError for another text or format."""
+        """Read a header from JSON; a text that is no header of this format raises a LogError."""
         if len(text) > LARGEST_DATA:
             raise LogError("the metadata are too long for a log")
         try:
@@ -63,6 +63,7 @@ def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
 
     Another ending raises a LogError; if the file cannot be written, an OutputError is raised.
+    `read_trace` cannot read the file of a trace without snapshots.
     """
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)
@@ -89,7 +90,7 @@ def read_trace(path: Path) -> Trace:
 
 
 def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
-    """Make a trace from the header `text` and the table `found` of a file, within a budget."""
+    """A trace from a file's header `text` and table `found`; a fault raises a LogError."""
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
     names = _quantities(found.column_names, meta)
@@ -115,7 +116,7 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
 
 
 def _quantities(found: Sequence[str], meta: TraceMeta) -> list[str]:
-    """The quantities of the columns `found`; an older file can lack those with a default."""
+    """Names of the quantities with a column in `found`, and of all without a default value."""
     optional = {each.name for each in fields(Snapshot) if each.default is not MISSING}
     present = frozenset(found)
     return [
@@ -144,7 +145,7 @@ def _snapshots(
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
-    """The cells of a column in the rows with snapshots; an empty one is NaN or an empty text."""
+    """The cells of a column in the rows with snapshots; an empty cell becomes NaN or ""."""
     if not column.often:
         _cast(column, values, len(drawn))
     nothing = "" if column.kind == "text" else NAN
@@ -155,7 +156,7 @@ def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> l
 
 
 def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
-    """Convert a column to its type; unless it is optional or text, it must have `filled` values."""
+    """Convert a column to its type; unless optional or text, it must have `filled` values."""
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
         raise LogError(
@@ -197,7 +198,7 @@ def _check_times(times: np.ndarray) -> None:
 
 
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
-    """The cells of a column for a file; None, and NaN in an optional column, is an empty cell."""
+    """The cells of a column for a file; None, or NaN in an optional column, becomes empty."""
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):
         return pa.array(values, kind, from_pandas=column.optional)

@@ -5,15 +5,16 @@
 | `/robot_description` | `std_msgs/msg/String`, the URDF with local paths of meshes | once |
 | `/joint_states` | `sensor_msgs/msg/JointState`, the joints of arm and wheels | each snapshot |
 | `/tf` | `tf2_msgs/msg/TFMessage`, the links in the world | each snapshot |
-| `/curves/…` | `sensor_msgs/msg/JointState`, the columns of a quantity by name | each snapshot |
+| `/curves/…` | `sensor_msgs/msg/JointState`, a quantity's columns as joints | each snapshot |
 | `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, with their meshes | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
 | `/markers` | `foxglove.SceneUpdate`, closest points, acting points, forces | each snapshot |
-| `/step` | `dbb.Step`, columns with a number at each step, special characters as `_` | each row |
-| `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | start, each change |
+| `/step` | `dbb.Step`, columns of the table, their special characters as `_` | each row |
+| `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | at the start and each change |
 
-The schemas `foxglove.…` and `dbb.…` are Protobuf, the others are ROS 2 messages, because Rerun
-reads robots and named curves only from these. A file of `--ros` has only the first three topics.
+The schemas `foxglove.…` and `dbb.…` are Protobuf. The others are ROS 2 messages, because Rerun
+reads robots and named curves only from ROS 2 messages. With `--ros`, a file has only the first
+three topics.
 """
 
 import io
@@ -112,7 +113,7 @@ class _Log:
         self.put(topic, t, bytes(content), _ros_schema(kind))
 
     def put_joints(self, topic: str, t: float, joints: Mapping[str, Any]) -> None:
-        """Append names, positions and perhaps velocities and efforts of joints at time t [s]."""
+        """Append names, positions and optionally velocities and efforts of joints at time t [s]."""
         states = {"velocity": _NONE, "effort": _NONE, **joints}
         self.put_ros(topic, t, "sensor_msgs/msg/JointState", header=_header(t, ""), **states)
 
@@ -147,7 +148,7 @@ def _poses(trace: Trace, model: RobotModel) -> Iterator[list[tuple[str, str, pin
 
 
 def _joints_of(s: Snapshot, model: RobotModel) -> dict[str, Any]:
-    """The states of the joints of arm and wheels at a snapshot; NaN is unknown."""
+    """The states of the joints of arm and wheels at a snapshot; unknown values are NaN."""
     positions = model.joint_positions(s.q_m, s.wheel_angles)
     unknown = [nan] * (len(positions) - model.n_m)
     velocity = _NONE if s.qd_m is None else np.array([*s.qd_m, *unknown])
@@ -205,7 +206,7 @@ def _flat(config: Config) -> dict[str, Any]:
 def _put_records(
     log: _Log, topic: str, name: str, records: Iterable[tuple[float, Mapping[str, Any]]]
 ) -> None:
-    """Write records of numbers and texts at times [s]; the first one determines their fields."""
+    """Write records of numbers and texts, each with a time [s]; the first defines the fields."""
     records = iter(records)
     begin, example = next(records)
     file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
@@ -220,7 +221,7 @@ def _put_records(
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """Names of Protobuf fields for columns, which differ in more than underscores and case."""
+    """Names of Protobuf fields for columns; they differ in more than underscores and case."""
     found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
@@ -269,7 +270,7 @@ def _model(
 
 
 def _markers(s: Snapshot) -> list[fg.SceneEntity]:
-    """Closest points, acting points and forces; a later entity replaces one with the same name."""
+    """Entities for closest points, acting points and forces; they replace the previous ones."""
     lines = [
         fg.LinePrimitive(
             type=fg.LinePrimitiveLineType.LineList,

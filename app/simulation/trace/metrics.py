@@ -35,7 +35,7 @@ class Figure(NamedTuple):
 def metrics(run: Trace) -> dict[str, Any]:
     """Compute all figures of a run; the key of a figure with a unit ends in the unit.
 
-    The figures of `DOOR` are included only if the run has the opening of a door. Figures of changes
+    The figures of `DOOR` are included only if a door was opened in the run. Figures of changes
     between control steps are None if the trace does not have a row for each control step. Figures
     of a quantity that an older log does not have are None.
     """
@@ -64,9 +64,9 @@ def touches(figures: dict[str, Any]) -> list[str]:
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     """The result of a run in words: contact, smallest distance and remaining error.
 
-    Values that are None or not finite are missing, which the words state. `chain` has the names of
-    the robot's bodies from the base outwards, for the displayed names of link pairs; if it is
-    empty, the pairs' own names are used.
+    The text also names missing values: distances and a final error that are None or not finite.
+    `chain` has the names of the robot's bodies from the base outwards, for the displayed names of
+    link pairs; if it is empty, the pairs' own names are used.
     """
     touched = touches(figures)
     distances = figures["min_distance_m"].items()
@@ -96,7 +96,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
-    """[m] smallest distance of the pairs with the base (`mobile`) or within the arm, if any."""
+    """[m] smallest distance of the pairs with the base (`mobile`) or within the arm, or None."""
     chosen = [(pair in run.meta.mobile_pairs) == mobile for pair in run.meta.pairs]
     return float(run.distances[:, chosen].min()) if any(chosen) else None
 
@@ -112,13 +112,13 @@ def largest(values: Array, at_least: float = 0.0) -> float:
 
 
 def jumps(run: Trace, quantity: str) -> dict[str, float]:
-    """Largest change of a base acceleration in one step, for linear and angular axes."""
+    """Largest change of a base acceleration from row to row, for linear and angular axes."""
     linear, angular = (np.abs(np.diff(each, axis=0)) for each in _by_axis(run, quantity))
     return {"linear_mps2": largest(linear), "angular_radps2": largest(angular)}
 
 
 def sign_changes(values: Array, band: float) -> int:
-    """Largest number of sign changes in a column of `values` (N, k) without values in ±`band`."""
+    """Largest number of sign changes in a column of `values` (N, k); ignores values in ±`band`."""
     signs = (np.sign(column[np.abs(column) > band]) for column in values.T)
     return max((int((s[1:] != s[:-1]).sum()) for s in signs), default=0)
 
@@ -129,7 +129,7 @@ def _base_sign_changes(run: Trace, quantity: str) -> dict[str, int]:
 
 
 def _by_axis(run: Trace, quantity: str) -> tuple[Array, Array]:
-    """(N, k) and (N, l) values of a quantity of the base for its linear and angular axes."""
+    """Values of a quantity of the base: (N, k) for its linear axes, (N, l) for its angular ones."""
     values = run.of(quantity)
     return values[:, ~run.angular], values[:, run.angular]
 
@@ -260,7 +260,7 @@ FIGURES: dict[str, Figure] = {
         lambda r: largest(_force(r)),
     ),
     "hand_force_clear_max_n": Figure(
-        "The same force until two bodies first come nearer than 10 mm.", _clear_force
+        "As `hand_force_max_n`, until two bodies first come nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
         "Smallest value during the run of the largest force of a person that the arm can resist, "
@@ -279,8 +279,8 @@ FIGURES: dict[str, Figure] = {
         _unsaturated_speed_share,
     ),
     "clear_since_s": Figure(
-        "Time after which no pair is fully activated; null if a pair is fully activated at the "
-        "end.",
+        "Time after which no pair is fully activated; 0 if none ever was, null if a pair is fully "
+        "activated at the end.",
         _clear_since,
     ),
     "approach_speed_max_mps": Figure(
@@ -288,7 +288,7 @@ FIGURES: dict[str, Figure] = {
         lambda r: r.buffer.approach_speed_max,
     ),
     "buffer_needed_m": Figure(
-        "The d_b that this approach requires; null if no d_b is sufficient.",
+        "The d_b that the approach of `approach_speed_max_mps` requires; null if none suffices.",
         lambda r: _finite(r.buffer.needed_max),
     ),
     "solver_failures": Figure(
@@ -309,9 +309,9 @@ FIGURES: dict[str, Figure] = {
     "fault_s": Figure(
         "Time of the first report of each fault of the readings.", lambda r: r.meta.faults
     ),
-    "step_p50_us": Figure("Median time of a control step.", lambda r: _percentile(r, 50)),
+    "step_p50_us": Figure("Median time of the controller in a step.", lambda r: _percentile(r, 50)),
     "step_p99_us": Figure(
-        "99th percentile of the time of a control step.", lambda r: _percentile(r, 99)
+        "99th percentile of the time of the controller in a step.", lambda r: _percentile(r, 99)
     ),
 }
 """Figures of every run, by their keys."""
@@ -355,7 +355,7 @@ DOOR: dict[str, Figure] = {
         lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
     ),
     "radial_error_at_5s_rad": Figure(
-        "Error of the estimated radial direction after 5 s.", _radial_error
+        "Error of the estimated radial direction after 5 s; null in a shorter run.", _radial_error
     ),
     "base_back_off_s": Figure(
         "Time at which the base is first 10 mm from its start; null if never.",

@@ -102,7 +102,7 @@ class GhostReading(NamedTuple):
 
 
 class Score(NamedTuple):
-    """Results of a robot from the start of a comparison until now or the end of its scenario."""
+    """Results of a robot in a comparison; steps after its scenario's motion do not count."""
 
     controller: str
     clearance: float
@@ -137,7 +137,7 @@ class Refusal(NamedTuple):
 
 
 def _pairs() -> Quantity:
-    """The quantity of d, β, p_a and p_b of each pair."""
+    """Make the quantity `pairs`: d, β, p_a and p_b of each pair."""
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         often = [n for x in ("d_{pair}_m", "beta_{pair}") for n in column_names(x, meta)]
@@ -169,7 +169,7 @@ def _pairs() -> Quantity:
 
 
 def _acting() -> Quantity:
-    """The quantity of p_n, p_t, p_act and f of each pair with the base; empty without them."""
+    """Make the quantity `acting`, which is empty while the base's rows are not active."""
     vectors = (("p_n", "m"), ("p_t", "m"), ("p_act", "m"), ("f", "n"))
     templates = [f"{vector}_{{mobile}}_{{xyz}}_{unit}" for vector, unit in vectors]
 
@@ -201,7 +201,7 @@ def _acting() -> Quantity:
 
 
 def _buffer() -> Quantity:
-    """The quantity of the arm's approach speed and the d_b that this speed requires."""
+    """Make the quantity `buffer`: approach speeds, the d_b that they require, and two flags."""
     numbers = "approach_speed_mps buffer_needed_m approach_speed_max_mps buffer_needed_max_m"
     flags = "buffer_too_small buffer_too_small_ever"
     columns = [
@@ -218,7 +218,7 @@ def _buffer() -> Quantity:
 
 
 def _door() -> Quantity:
-    """The quantity of the door: its geometry as JSON (empty without a door), and its state."""
+    """Make the quantity `door`: its geometry as JSON (empty without a door), and its state."""
     names = [f"door_force_{axis}_n" for axis in "xyz"]
     names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (
@@ -255,7 +255,7 @@ def _door() -> Quantity:
 
 
 def _force_bound() -> Quantity:
-    """The quantity `force_bound` of a snapshot, computed at 50 Hz."""
+    """Make the quantity `force_bound`, which is computed at 50 Hz."""
 
     def row(session: Session, step: Step) -> Sequence[float]:
         return (NAN if round(step.t / DT) % EVERY else _smallest_force_bound(session, step),)
@@ -264,11 +264,12 @@ def _force_bound() -> Quantity:
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] largest force of a person that the arm can resist (`force_bound`).
+    """[N] largest force of a person that the arm can resist.
 
-    Each pair in its buffer has a bound, and the force on the end-effector a further one, up to
-    which each joint can hold its speed. The result is the smallest bound; NaN if there is none, if
-    no person holds the robot, and for the fallback command, which does not respect limits.
+    It is the smallest result of `force_bound` for the pairs inside their buffers and for the force
+    on the end-effector, which has no distance in which the arm must stop. It is NaN without such a
+    pair and force, if no person holds the robot, and in a step with the fallback command, which
+    does not respect limits.
     """
     if not (step.pulls and step.control.solved):
         return NAN
@@ -281,7 +282,7 @@ _VECTOR = types.Array(types.f8, 1, "A")
 
 @compiled(Signature(types.f8, (STEP.type, _VECTOR, types.f8, _VECTOR), None))
 def _least_bound(w: Any, force: Array, size: float, tau_max: Array) -> float:
-    """[N] smallest `force_bound`, or NaN; `size` [N] is the norm of the hand's `force` (3,) [N]."""
+    """[N] smallest `force_bound`, or NaN; `size` [N] is the norm of the person's `force` (3,)."""
     qdd, n_b, least = w.qdd.copy(), len(w.qdd) - len(tau_max), np.inf
     qdd[n_b:] += w.x_est[2]
     load = steady_torques(w.M, w.h, qdd)
@@ -302,11 +303,12 @@ _least_bound_once = direct(_least_bound)
 class Snapshot:
     """The whole simulation at one instant.
 
-    Most fields are quantities with one or several columns in a trace. A quantity of `number` or
-    `numbers` is recorded at each control step, one of `drawn` at snapshots. The declaration names
-    the attribute of `Step` with the value, or computes it from the session s after the step and the
-    step o; otherwise the publisher of the snapshot sets it. Of the fields without columns, a file
-    has only `physics` and `seed`.
+    Most fields are quantities with one or several columns in a trace. A quantity that `number` or
+    `numbers` declares is recorded at each control step; `drawn` and `drawn_numbers` declare
+    quantities that are recorded only at snapshots. A declaration names the attribute of `Step` with
+    the value, or computes the value from the session s after the step and the step o; otherwise the
+    publisher of the snapshot sets the value. Of the fields without columns, files store only
+    `physics` and `seed`.
     """
 
     t: Annotated[float, number("t_s", "float", "t")]
@@ -438,7 +440,7 @@ class Snapshot:
     def border(self) -> BorderConfig:
         """The border's parameters with the present buffer distance, in 5 mm steps while it changes.
 
-        The controller's acting points already are on the border at the configured d_b.
+        The acting points of the controller already belong to the border at the configured d_b.
         """
         commanded = self.config.border
         if abs(self.d_b - commanded.d_b) < _D_B_STEP or not math.isfinite(self.d_b):
@@ -481,9 +483,9 @@ def make_snapshot(
 ) -> Snapshot:
     """Make a snapshot in separate, read-only memory, from the last step and the session after it.
 
-    The `pacer` has the real-time statistics; a run without a clock has none, and its snapshots are
+    The `pacer` has the real-time statistics. A run without a clock has no pacer; its snapshots are
     reproducible except for `duration_us`. If `explained`, the snapshot has the explanation of the
-    motion, which no file stores. `fields` are further fields of `Snapshot`.
+    motion, which no file stores. `fields` are values of further fields of `Snapshot`.
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     computed = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}

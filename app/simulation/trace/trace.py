@@ -1,4 +1,4 @@
-"""The trace of a run: a table of the quantities of each control step, and snapshots of all."""
+"""The trace of a run, its recorder, the stored snapshots of the live loop, and a stuck arm."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _PUSHED = 0.01  # [m/s²] smallest acceleration away from the target that counts
 
 
 class Trace:
-    """A run over time."""
+    """A run over time: a table with quantities of each recorded step, and snapshots."""
 
     def __init__(
         self,
@@ -87,10 +87,10 @@ class Trace:
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
-        """Make a trace with a row for each snapshot; the first one determines the run's data.
+        """Make a trace with a row for each snapshot; the first one determines `meta`.
 
-        Without snapshots, and if their times are not in order or their pairs differ, this raises a
-        LogError.
+        If there are no snapshots, if their times do not increase, or if their pairs differ, this
+        raises a LogError.
         """
         if not snapshots:
             raise LogError("there are no snapshots for a log")
@@ -118,9 +118,9 @@ class Trace:
         return self.table[:, self.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) values of a quantity, a field of `Snapshot`; each row is one of the table.
+        """(N,) or (N, k) values of a quantity, a field of `Snapshot`, in each row of the table.
 
-        If an older log does not have the quantity, this raises a LogError.
+        If the table does not have the quantity, as in an older log, this raises a LogError.
         """
         if quantity not in self._slices:
             raise LogError(f"the log does not have {quantity!r}")
@@ -134,7 +134,7 @@ class Trace:
 
     @property
     def groups(self) -> dict[str, list[str]]:
-        """Names of the columns of each quantity in the table, without the time."""
+        """Names of the columns of each quantity in the table, by quantity, without the time."""
         every = np.array([column.name for column in self.columns])
         found = {name: every[at] for name, at in self._slices.items() if name != "t"}
         return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
@@ -156,7 +156,7 @@ class Trace:
 
     @property
     def buffer(self) -> BufferReading:
-        """Reading of the buffer watch at the last row."""
+        """Reading of the `BufferWatch` at the last row."""
         return BufferReading(*self.of("buffer")[-1].tolist())
 
     @property
@@ -191,7 +191,7 @@ class Recorder:
     """Records every control step of a run."""
 
     def __init__(self, scenario: Scenario | None = None, *, drawn: bool = False) -> None:
-        """Start with no steps; with `drawn`, there are snapshots at 50 Hz from the first step."""
+        """Start without steps; with `drawn`, snapshots are made at 50 Hz from the first step on."""
         self._scenario, self._drawn = scenario, drawn
         self._meta: TraceMeta | None = None
         self._rows = bytearray()  # needs a fifth of a list's memory, and no garbage collection
@@ -221,7 +221,7 @@ class Recorder:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """The recorded trace."""
+        """The recorded trace; at least one step must be recorded."""
         assert self._meta is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
@@ -236,7 +236,7 @@ class Recorder:
         return Trace(meta, table, self.snapshots)
 
     def _begin(self, session: Session, step: Step) -> None:
-        """Prepare the rows: quantities of the control step, arrays, numbers, computed numbers."""
+        """Prepare the rows: arrays of `ControlStep`, other arrays, numbers, computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
         self._meta = TraceMeta.of(
@@ -272,9 +272,9 @@ class Recorder:
 
 
 class Stored:
-    """A snapshot, after `pack` as bytes: as an object it takes about five times the memory.
+    """A snapshot; `pack` converts it to bytes, which take about a fifth of an object's memory.
 
-    Many snapshots share one configuration, which is not part of the bytes.
+    The configuration is not part of the bytes, because many snapshots share it.
     """
 
     __slots__ = ("_config", "_content", "run", "t")
@@ -304,7 +304,7 @@ def _unpacked(stored: Stored) -> Snapshot:
 
 
 class History:
-    """The newest snapshots of a run in order of time; only the newest 1050 are not packed."""
+    """The newest snapshots of a run in order of time; all but the newest 1050 are packed."""
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
         """Start empty; `stored` is the largest number of snapshots."""
@@ -318,9 +318,10 @@ class History:
         return self._latest
 
     def add(self, snapshot: Snapshot) -> None:
-        """Append a snapshot; it replaces the newest one of the same time, and all of another run.
+        """Append a snapshot, which replaces the newest one if both have the same time.
 
-        Other threads read the history meanwhile, so it is never empty after the first snapshot.
+        A snapshot of another run, or of an earlier time, replaces all. Other threads read the
+        history meanwhile, so it is never empty after the first snapshot.
         """
         newest, stored = self._latest, Stored(snapshot)
         if newest is not None and not snapshot.follows(newest):
@@ -371,7 +372,7 @@ class Stuck(NamedTuple):
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
-    """The state of an end-effector that does not reach a resting reference in a step, or None."""
+    """The end-effector's state if it is more than 1 mm away from a resting reference, or None."""
     reference = step.reference
     if reference is None or step.ee_error <= SHORT:
         return None
@@ -383,9 +384,9 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Where the end-effector is in a step, and all reasons why it is not at its target.
 
-    "links too near": rows that separate links of the arm precede the end-effector's task.
-    "border against end-effector": the avoidance moves the base, and thus the end-effector, away
-    from the target.
+    "links too near" means that rows of T_sca for pairs within the arm are active: they precede the
+    end-effector's task. "border against end-effector" means that the avoidance moves the base, and
+    thus the end-effector, away from the target.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)

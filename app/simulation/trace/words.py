@@ -20,9 +20,10 @@ _NOTHING = 5e-7  # [-] numbers below this one count as rounding errors
 
 
 def body(name: str, chain: Sequence[str]) -> str:
-    """The displayed name of a body by its position: base, shoulder, ..., forearm, end-effector.
+    """The displayed name of a body by its position in the chain, such as "base" or "forearm".
 
-    `chain` has the names of all bodies from the mobile base outwards, with a held door as `door`.
+    `chain` has the names of all bodies from the mobile base outwards, with a held door as `door`. A
+    body with four or more bodies of the arm farther outwards is called "link", then its own name.
     """
     if name == chain[0]:
         return "base"
@@ -45,7 +46,7 @@ def spoken(name: str, chain: Sequence[str]) -> str:
 
 
 def outcome(least: float, *, touched: bool) -> Outcome:
-    """Classify a run by its smallest distance [m], and whether the plant reported a contact.
+    """Classify a run by its smallest distance [m], and by whether bodies `touched` in the plant.
 
     Distances are between convex bodies that enclose the links, so bodies can overlap without a
     contact.
@@ -73,9 +74,9 @@ def outcome_text(least: float, *, touched: bool) -> str:
 def number_text(value: Any, none: str = "–") -> str:
     """A result as text, also a list or dictionary of results; `none` is the text for None.
 
-    A number that is not finite counts as None. The text has three significant digits, but at most
-    six decimals; from 100 on it is an integer. Numbers below 5e-7, which are rounding errors,
-    become 0.
+    A float that is not finite counts as None. The text of another float has three significant
+    digits, but at most six decimals; from a magnitude of 100 on, it is an integer. Magnitudes below
+    5e-7 are rounding errors and become 0.
     """
     if isinstance(value, dict):
         texts = (f"{name} {number_text(each, none)}" for name, each in value.items())
