@@ -1,10 +1,11 @@
 """Random use of the dashboard in two viewers: `python -m benchmarks.actions [--actions 20000]`.
 
-A seeded random generator clicks, drags, scrolls and types in two pages of one `dbb serve`, and
-changes the robot from time to time. At each check the simulation is paused, and in both pages the
-drawn end-effector must be at the gizmo. The results are the errors of the pages, the exceptions of
-the server, the largest distance between end-effector and gizmo, and the server's memory for each
-robot. The status is 1 after an error, an exception or too large a distance.
+The program clicks, drags, scrolls and types at random in two pages of one `dbb serve`, and changes
+the robot from time to time; a seed determines the actions. At each check the simulation is paused,
+and in both pages the drawn end-effector must be at the gizmo. The results are the errors of the
+pages, the exceptions of the server, the largest distance between end-effector and gizmo, and the
+server's memory for each robot. The status is 1 after an error of a page, after an exception, and if
+a distance is too large.
 """
 
 from __future__ import annotations
@@ -226,8 +227,9 @@ class _Run:
     def _change(self, robot: str) -> None:
         """Choose another robot in the first page, and wait until both pages show it.
 
-        The old simulation ends afterwards, so wait for this too: a check can follow at once. If the
-        random actions have covered the button, reload the page, which the results report.
+        Then wait until the old simulation has ended, because a check can follow at once. If the
+        robot cannot be chosen, for example because a random action has covered the button, reload
+        the page and choose again; the results report this.
         """
         try:
             self._choose(robot)
@@ -252,7 +254,7 @@ class _Run:
         first.click("Use this robot")
 
     def _use(self, name: str) -> None:
-        """Store the position of a robot's end-effector in the frame of the arm's last joint."""
+        """Store a robot's name, and the end-effector's position in the frame of the last joint."""
         robot = RobotModel(load_robot(name))
         arm, poses = robot.description.arm, LinkPoses(robot)
         q_m = np.array(arm.ready_position)
@@ -264,7 +266,7 @@ class _Run:
         self._robot, self._ee = name, (node_of(poses.model, last), found.actInv(p_ee))
 
     def _calm(self, tab: DashboardTab) -> None:
-        """Release everything, close all overlays, and go to the present."""
+        """Close all overlays and viser's settings, remove the focus, and go to the present."""
         for _ in range(3):
             tab.page.keyboard.press("Escape")
         tab.page.evaluate(_LEAVE_SETTINGS)
@@ -295,7 +297,11 @@ class _Run:
             self._press("Continue")
 
     def _press(self, name: str) -> bool:
-        """Press the pause button while its text is `name`; return whether it was another text."""
+        """Press the pause button until its text is no longer `name`, or time is up.
+
+        Returns:
+            Whether the button had another text before.
+        """
         page, deadline = self._tabs[0].page, time.monotonic() + PATIENCE
         page.wait_for_timeout(1000)  # the effect of the last action has arrived
         absent = page.evaluate(_PAUSES) != name
@@ -305,9 +311,10 @@ class _Run:
         return absent
 
     def _settled(self, tab: DashboardTab) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (3,) [m] of the drawn end-effector and the gizmo when they agree or time is up.
+        """Wait until end-effector and gizmo agree, or time is up; return both positions (3,) [m].
 
-        If the connection of a page was closed, the page reconnects; until then it has no scene.
+        The drawn end-effector comes first. A page whose connection was closed reconnects; until
+        then it has no scene.
         """
         deadline = time.monotonic() + PATIENCE
         node, point = self._ee

@@ -1,6 +1,7 @@
 """A viewer of the dashboard in its own process: `python -m benchmarks.client KIND ADDRESS SECONDS`.
 
-KIND is websocket, browser or drag. The viewer prints `ready` once connected, at the end its counts.
+KIND is websocket, browser or drag (a browser that drags the end-effector). The viewer prints
+`ready` when it is connected, and a JSON object with its counts at the end.
 """
 
 from __future__ import annotations
@@ -48,7 +49,11 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 
 
 def _sweep(tab: DashboardTab, end: float) -> int:
-    """Drag the end-effector in `SWEEPS` sweeps, release it, press Restart; return their number."""
+    """Drag the end-effector to the base and back until `SWEEPS` sweeps are done or time is `end`.
+
+    Then release it and press Restart. If the robot is not visible yet, only press Restart. Returns
+    the number of complete sweeps.
+    """
     try:
         arrow, start = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
     except LookupError:  # on a busy machine the robot is not visible yet

@@ -3,11 +3,11 @@
 Each try starts a command in a separate folder. Then one of its processes is killed, terminated,
 interrupted, suspended for a second, or suspended while the command is terminated; or all its
 processes get the signal of a terminal. Other faults are a full disk and a folder without write
-access. When all processes have ended, or after twelve seconds, the program counts the remains
-(processes, open ports, incomplete results, and, except after the fault "kill", unfinished or
-temporary files) and the wrong statuses. An interrupted study is continued, and its results must be
-identical to those of a study without a fault. One of the commands hangs in a library that does not
-release Python's lock.
+access; then a process is killed too. When all processes have ended, or after twelve seconds, the
+program counts the remains: processes, open ports, incomplete results and, except after the fault
+"kill", unfinished or temporary files. It also counts wrong statuses. A study is then continued, and
+its results must be identical to those of a study without a fault. One of the commands hangs in a
+library that does not release Python's lock.
 """
 
 from __future__ import annotations
@@ -240,7 +240,11 @@ def _started(
 def _strike(
     command: subprocess.Popen[bytes], fault: str, in_child: bool, rng: np.random.Generator
 ) -> str:
-    """Signal the command, a child process or the whole group; return the name of the process."""
+    """Send the signals of a fault to the command, a random child process, or the whole group.
+
+    Returns:
+        `_COMMAND` or the command line of the chosen process; "no process" if it has ended.
+    """
     with suppress(psutil.NoSuchProcess, ProcessLookupError):
         struck = psutil.Process(command.pid)
         children = struck.children(recursive=True)
@@ -264,7 +268,7 @@ def _strike(
 
 
 def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Left:
-    """Wait up to `_PATIENCE` until all processes end; return the remains, and kill processes."""
+    """Wait up to `_PATIENCE` until all processes end; kill the others, and return all remains."""
     end = time.monotonic() + _PATIENCE
     while (alive := _alive(folder)) and time.monotonic() < end:
         time.sleep(0.1)
@@ -325,7 +329,10 @@ def _is_whole(path: Path) -> bool:
 
 
 def _studied(folder: Path) -> dict[str, bytes]:
-    """Run or continue the study in a folder to its end, and return its results."""
+    """Run or continue the study in a folder to its end, and return the bytes of its table.
+
+    If the study fails, its output replaces the table.
+    """
     (folder / _TEMPORARY).mkdir(parents=True, exist_ok=True)
     command = _started(_STUDY, folder)
     if command.wait() != 0:

@@ -1,9 +1,8 @@
 """Duration of `make run` in a fresh clone: `python -m benchmarks.fresh_clone`.
 
-The measurement ends when the page answers.
 The committed state is cloned into a folder with a space in its path, and installed with packages
-from the user's caches. The kernels are compiled again. `download_mb` is the size of all wheels,
-which a machine with empty caches downloads first.
+from the user's caches. The kernels are compiled again. The measurement ends when the page answers.
+`download_mb` is the size of all wheels, which a machine with empty caches downloads first.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ def start(clone: Path, python: str) -> dict[str, float]:
 
 
 def wheels(clone: Path) -> int:
-    """[bytes] size of all wheels of the environment of a clone."""
+    """[bytes] size of all wheels of the environment of a clone, which are downloaded into it."""
     download = "-m pip download --quiet --no-deps -r requirements/all.txt --dest wheels"
     subprocess.run([".venv/bin/python", *download.split()], cwd=clone, check=True)
     return sum(file.stat().st_size for file in (clone / "wheels").iterdir())

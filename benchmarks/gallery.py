@@ -1,9 +1,9 @@
 """Robots without manual tuning: `python -m benchmarks.gallery --robots all|NAME,... [--quick]`.
 
 `dbb new-robot` creates each robot from its options alone, and `dbb check-robot` checks it. Both run
-in separate processes, so a crash is a row of the table. With `--quick` and without `--json`, the
-rows are those of the documentation's table: finished rows are stored, and the next call measures
-only the missing ones.
+in separate processes, so a crash becomes a row of the table. With `--quick` and without `--json`,
+the rows are those of the documentation's table: each finished row is stored, and the next call
+measures only the missing rows.
 """
 
 from __future__ import annotations
@@ -256,7 +256,9 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
 
 
 def verdict(checks: Mapping[str, Mapping[str, Any]]) -> str:
-    """The verdict on all checks: failed, nothing to show, passed or warned."""
+    """The verdict on all checks, the first of these that applies: failed, nothing to show, passed,
+    warned. The failed row `guiding` alone means "nothing to show".
+    """
     ends = {name: each["outcome"] for name, each in checks.items()}
     if "failed" in (outcome for name, outcome in ends.items() if name != "guiding"):
         return "failed"

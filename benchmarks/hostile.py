@@ -1,9 +1,9 @@
 """Hostile clients beside an honest viewer: `python -m benchmarks.hostile --seconds 600 [--json]`.
 
-The server is a process of `dbb serve`. One viewer receives all pictures in a separate process,
-first alone, then while the attacks take turns on all other connections. The results are the
-viewer's longest wait for a picture in each attack, and the server's memory before and after the
-attacks.
+The server is a process of `dbb serve`. One viewer receives all pictures in a separate process, at
+first without an attack, then while the attacks take turns on all other connections. The results are
+the viewer's longest wait for a picture, alone and in each attack, and the server's memory before
+and after the attacks.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ _BINARY, _PING = 2, 9  # [-] kinds of a websocket's frame
 
 
 def main(seconds: float = 600.0, json: Json = False) -> None:
-    """Attack a server; status 1 if it ends, the viewer waits too long or memory grows too much.
+    """Attack a server; the status is 1 if the server ends, the viewer waits too long for a picture,
+    or the server's memory grows too much.
 
     Args:
         seconds: [s] duration of all attacks.
@@ -259,7 +260,7 @@ def _raw(port: int) -> socket.socket:
 
 
 def _parts(port: int, end: float) -> int:
-    """Send messages of large fragments without a last one, on all connections at once."""
+    """Send large fragments of messages that never end, on all connections at once."""
     part, sent = _frame(0, b"z" * 2**20, last=False), 0
     with ExitStack() as stack:
         for _ in range(_PLACES):
@@ -274,7 +275,7 @@ def _parts(port: int, end: float) -> int:
 
 
 def _trickle(port: int, end: float) -> int:
-    """Send empty fragments without a last one."""
+    """Send empty fragments of a message that never ends."""
     sent, many = 0, _frame(0, last=False) * 1000
     with _raw(port) as each:
         each.sendall(_frame(_BINARY, b"x", last=False))

@@ -2,9 +2,9 @@
 
 Each mutant is the URDF of a real robot with one change that is typical of users' files: of names,
 encodings, units, addresses, kinds of joints, limits, placeholders, namespaces, origins or formats.
-A mutant must be read like the original, with each link's hull within a millimetre of the hull by
-pinocchio and trimesh, or be refused with one line. Everything else is a fault; then the status is
-1.
+The project must read a mutant like the original, with each link's hull within a millimetre of the
+hull that pinocchio and trimesh give, or refuse it with one line. Everything else is a fault; then
+the status is 1.
 """
 
 from __future__ import annotations
@@ -341,7 +341,10 @@ def _address(change: Callable[[Path, str], str]) -> Change:
 
 
 def _moved_to(name: str, escape: bool = False) -> Change:
-    """A mesh in a folder of another name; with `escape` its address has encoded blanks, in NFC."""
+    """A mesh in a folder with the name `name`.
+
+    With `escape`, blanks of its address are written as `%20`, and accents in the Unicode form NFC.
+    """
 
     def change(path: Path, element: Element) -> None:
         target = path.parent.parent / name / path.name

@@ -1,6 +1,6 @@
-"""Starts inside a buffer or in penetration: times until no pair is fully active, torque jumps.
+"""Starts inside a buffer or in penetration: `python -m benchmarks.way_out --starts 100 --json`.
 
-python -m benchmarks.way_out --starts 100 --begin penetration --json
+The results are the time until no pair is fully active, and the torques' changes in one step.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A body of your own: a box of cargo on the deck behind the arm.
+"""Cargo on the base: a box on the deck behind the arm.
 
-A body on the base becomes part of l_m: the link pairs, the border and the controller then
+A shape on the base becomes part of l_m: the link pairs, the border and the controller then
 include it. A person pulls the end-effector backwards towards the cargo, and the base drives away.
 Run it: python examples/cargo.py
 """
@@ -15,7 +15,7 @@ from app.simulation.run import run_scenario
 from app.simulation.scenarios import scenario_by_name
 
 CARGO = Box(type="box", size_m=(0.20, 0.40, 0.70), xyz_m=(-0.38, 0.0, 0.60))
-"""[m] in the frame of l_m, which is base_link, 0.13 m above the floor."""
+"""Size and centre [m] in the frame of l_m, which is base_link, 0.13 m above the floor."""
 
 COARSE = SamplingConfig(
     pair_samples=20_000,

@@ -15,7 +15,7 @@ from app.simulation.scenarios import LINES
 
 
 class RailBase(BaseKind):
-    """A base with one velocity, v. It has no singular place, so the score (10) is reachability."""
+    """A base with one velocity, v, and a measure of 1, so that the score (10) is reachability."""
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD,)
     kind: Literal["rail"]

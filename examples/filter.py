@@ -1,4 +1,4 @@
-"""Filter: joint velocities from noisy encoders, without velocity readings.
+"""Filter: the loop estimates joint velocities from noisy positions, without velocity readings.
 
 Run it: python examples/filter.py
 """
@@ -14,7 +14,12 @@ PULL = np.array([-10.0, 0.0, 0.0])  # [N] of a person on the end-effector
 
 
 def main(duration: float = 2.0) -> tuple[float, float]:
-    """Returns the standard deviations [rad/s] of the errors of filter and finite differences."""
+    """Run for some simulated seconds with a person who pulls.
+
+    Returns:
+        The standard deviations [rad/s] of the errors of the joint velocities: of those by the
+        filter, and of those by finite differences of the positions.
+    """
     model = RobotModel(load_robot("husky_panda"))
     loop, robot = ControlLoop(model), make_physics("kinematic", model)
     rng = np.random.default_rng(0)

@@ -1,4 +1,6 @@
-"""A driver's own joint states: any order, 50 Hz, no velocities, time stamps; it adds gravity.
+"""Joint states of a driver: joints in any order, at 50 Hz, with time stamps, without velocities.
+
+The driver adds gravity compensation to the torques that it receives.
 
 Run it: python examples/joint_states.py
 """
@@ -13,7 +15,7 @@ PULL = np.array([-8.0, 0.0, 0.0])  # [N] of a person on the end-effector
 
 
 def main(duration: float = 1.0) -> tuple[str, ...]:
-    """Run for some simulated seconds; returns the names of all faults."""
+    """Run for some simulated seconds; returns the names of all faults of the readings."""
     model = RobotModel(load_robot("husky_panda"))
     loop, robot = ControlLoop(model, dt=DT), make_physics("kinematic", model, dt=DT)
     names = ["gripper", *sorted(model.description.arm.joints, reverse=True)]

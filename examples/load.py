@@ -1,4 +1,4 @@
-"""A load of 2 kg in the gripper: the loop reports it, and compensates it as a known payload.
+"""A load of 2 kg in the gripper: the loop reports it, and the program then states it as payload.
 
 Run it: python examples/load.py
 """
@@ -14,7 +14,7 @@ DT = 0.001  # [s]
 
 
 def main() -> tuple[float, float]:
-    """Hang a load on a guided arm that nobody holds, and compensate it once the loop reports it.
+    """Hang a load on a guided arm that nobody holds; set `payload.mass` when the loop reports it.
 
     Returns:
         The estimated load [kg], and the speed [m/s] of the end-effector at the end.

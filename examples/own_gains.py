@@ -17,7 +17,11 @@ PULL = np.array([-20.0, 0.0, -20.0])  # [N] of a person on the end-effector
 
 
 def main(config: Config | None = None) -> tuple[float, float]:
-    """Returns the base's displacement [m] along x under a pull, for a small and a large f_max."""
+    """Pull the end-effector twice, with the parameter f_max = 50 N and with f_max = 300 N.
+
+    Returns:
+        The displacements [m] of the base along x.
+    """
     model = RobotModel(load_robot("husky_panda"))
     config = config or Config()
     loop, robot = ControlLoop(model, config=config), make_physics("kinematic", model)

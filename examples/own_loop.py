@@ -20,7 +20,7 @@ def main(duration: float = 2.0) -> float:
     data = load_border_data(model)  # pairs and border: from the cache, or sampled once
     loop = ControlLoop(model, data, config)
 
-    robot = make_physics("kinematic", model)  # yours needs these methods: measure() and step()
+    robot = make_physics("kinematic", model)  # your robot needs the methods measure() and step()
     start = StartSolver(model, data.pairs, config.border.d_b).solve((0.92, 0.10, 0.30))
     robot.reset(np.zeros(3), start)
 

@@ -15,7 +15,7 @@ DELIVERED = Path(__file__).parent.parent / "robot_assets/husky_panda/robot.toml"
 
 
 def main(file: Path = DELIVERED) -> np.ndarray:
-    """Returns the arm's torques [N m or N] at rest in the ready posture."""
+    """Print data of the robot; returns the torques [N m or N] at rest in the ready posture."""
     description = load_description(file)
     model = RobotModel(description)
     data = load_border_data(model)  # link pairs and borders: from the cache, or sampled once

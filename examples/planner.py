@@ -1,4 +1,4 @@
-"""A planner that sends poses at 10 Hz; then a protective stop, and "start again from here".
+"""A planner sends poses at 10 Hz; after a protective stop the loop starts again from there.
 
 Run it: python examples/planner.py
 """

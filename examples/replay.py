@@ -15,7 +15,7 @@ from app.simulation.trace.log_file import read_trace, write_trace
 
 
 def main(folder: Path = Path("out/examples"), duration: float = 4.0) -> Path:
-    """Returns the HTML file."""
+    """Run the scenario, write the log and the page; returns the HTML file."""
     model = RobotModel(load_robot("husky_panda"))
     data = load_border_data(model)
     scenario = scenario_by_name("guiding-front").changed(duration=duration)

@@ -1,8 +1,8 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-`publisher`, `subscribe`, `timer` and `now` of `ros` stand for create_publisher(…).publish,
-create_subscription, create_timer and get_clock().now() of rclpy, `stamp` for header.stamp, both
-in seconds. Run it: python examples/ros2_shape.py
+`ros` stands for rclpy: `publisher`, `subscribe`, `timer` and `now` replace create_publisher(…)
+.publish, create_subscription, create_timer and get_clock().now(). `stamp` of a message replaces
+header.stamp; it and `now` are in seconds. Run it: python examples/ros2_shape.py
 """
 
 from functools import partial

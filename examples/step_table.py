@@ -13,7 +13,7 @@ SHOWN = ("p_ee", "d", "beta", "f", "a_base_des", "a_base_cmd", "u_cmd", "solved"
 
 
 def main() -> ControlStep:
-    """Take one step at rest; prints some quantities and returns a copy of all of them."""
+    """Take one step at rest, and print some quantities; returns a copy of all of them."""
     model = RobotModel(load_robot("husky_panda"))
     loop = ControlLoop(model)
     ready = np.array(model.description.arm.ready_position)

@@ -134,8 +134,10 @@ def run(scenario: str, *options: str) -> tuple[str, ...]:
 
 
 def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
-    """The displayed numbers of a run. The smallest distance is that of arm and base, but within the
-    arm for `guiding-fold`, and of door and base for `refrigerator`.
+    """The displayed numbers of a run.
+
+    The smallest distance is that between arm and base; for `guiding-fold` it is that between links
+    of the arm, for `refrigerator` that between base and door.
     """
     least = {"guiding-fold": "arm_min_clearance_m", "refrigerator": "door_min_distance_m"}
     return {
@@ -149,9 +151,10 @@ def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_cell(row: Mapping[str, Any] | None) -> str:
-    """Smallest distance, final error of the end-effector, and contact.
+    """A cell with the smallest distance, the final error of the end-effector, and any contact.
 
-    If the door has reached an opening of 80°, the time at which it did so replaces the error.
+    If a door has reached an opening of 80°, the time at which it did so replaces the error. The
+    cell of a run that was not measured is empty.
     """
     if row is None:
         return ""
@@ -370,7 +373,7 @@ def reach_table(found: Figures) -> str:
 
 
 def keep_reach(printed: dict[str, Any]) -> dict[str, Any]:
-    """The displayed numbers of the command's body."""
+    """The displayed numbers of the body of the link that the command selects."""
     (row,) = (each for each in printed["bodies"].values())
     return {key: row[key] for key in ("A_per_m2", "B_m", "C", "paper", "description", "r_squared")}
 
@@ -531,7 +534,9 @@ def house_table(found: Figures) -> str:
 
 
 def trust_table(found: Figures) -> str:
-    """A row for messages, per kind of file, per command with faults, and for hostile clients."""
+    """A row for messages, for each kind of file, for each command with faults, and for hostile
+    clients.
+    """
     sums: dict[str, Counter[str]] = {}
     growth = []
     for printed in found.values():

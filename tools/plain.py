@@ -65,7 +65,7 @@ class Text(NamedTuple):
     Attributes:
         line: Line of its first word in the file.
         text: The words, with their line breaks.
-        exact: Whether each line break of the text is one of the file.
+        exact: Whether the text has the same line breaks as the file.
     """
 
     line: int
@@ -142,7 +142,7 @@ def texts_of_markdown(source: str) -> Iterator[Text]:
 
 
 def findings(text: Text) -> Iterator[Finding]:
-    """The sentences of a text that match a pattern or are too long; one reason each."""
+    """The sentences of a text that match a pattern or are too long, each with one reason."""
     start = 0
     for end in [*(found.end() for found in _END.finditer(text.text)), len(text.text)]:
         piece = text.text[start:end]

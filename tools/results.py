@@ -1,9 +1,10 @@
 """Measure the tables of the documentation: `python -m tools.results [NAME ...]`.
 
-Each row of a table is measured by one command that prints JSON. The displayed numbers of its output
-are stored in docs/results/NAME.json with the commit and the machine, immediately after the
-command. After an interruption the same call continues; it also repeats rows of older commits.
-Without names, it measures the sets whose `default` is true.
+A set is the content of one table; NAME is its name. One command that prints JSON measures each row
+of a set. The displayed numbers of its output are stored in docs/results/NAME.json with the commit
+and the machine, immediately after the command. Only rows that are missing, that belong to an older
+commit, or that were measured with uncommitted changes, are measured; thus the same call continues
+after an interruption. Without names, the program measures the sets whose `default` is true.
 `python -m tools.pages` puts the tables into the pages.
 """
 

@@ -2,9 +2,9 @@
 
 `python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json` and stores the results
 in FILE; runs that are already in FILE are not repeated. `python -m tools.same_figures compare FILE`
-runs the scenarios of FILE again, with `--python` in another environment, and prints differences
-above `--tolerance` (0: bit by bit). Durations are not compared. Both run the code of the current
-folder, so two checkouts can be compared.
+runs the scenarios of FILE again, and prints differences above `--tolerance` (0: bit by bit). With
+`--python` the runs use another environment. Durations are not compared. Both commands run the code
+of the current folder, so two checkouts can be compared.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A static web site: `make site` or `python -m tools.site [--out out/site]`.
 
-It has the documentation, replays of every scenario with every controller, the border for several
-d_b, and the polar maps, all of the paper's robot.
+The site has the documentation and, for the paper's robot, replays of every scenario with every
+controller, the border for several d_b, and the polar maps of a sweep.
 """
 
 from __future__ import annotations
@@ -58,10 +58,11 @@ class Played(NamedTuple):
     """A run with its page.
 
     Attributes:
-        page: Its address.
+        page: Address of the page.
         verdict: The result in words.
-        result: The contact of the arm; without a contact, the smallest distance to the base.
-        loud: Whether there was contact or penetration.
+        result: The word "contact" if the arm touched the base, itself or the floor; otherwise the
+            smallest distance between arm and base.
+        loud: Whether there was such a contact, or an overlap of arm and base.
     """
 
     page: str
@@ -151,7 +152,7 @@ def _border(
     pair: str,
     layer: Layer,
 ) -> Bordered:
-    """Make a page whose timeline changes d_b."""
+    """Make the page of a pair's border, whose timeline changes d_b instead of the time."""
     with own_server() as server:
         look = Look(layer=layer, pair=pair)
         scene = OffscreenScene(server, RecordedLoop(snapshots), model, data.clouds, look)

@@ -42,7 +42,7 @@ _ALL = (str(PROJECT / "pyproject.toml"), "--all-extras")
 
 
 class IndexUnreachableError(Exception):
-    """No package index answers."""
+    """The required packages are not in uv's cache, and no package index answers."""
 
 
 Outcome = str | frozenset[str]
@@ -50,7 +50,7 @@ Outcome = str | frozenset[str]
 
 
 def resolve(platform: str, python: str) -> Outcome:
-    """The packages for this project with all its extras, from wheels alone.
+    """The outcome of resolving this project with all its extras, from wheels alone.
 
     The index is read only if uv's cache does not suffice.
 

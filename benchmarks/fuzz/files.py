@@ -1,10 +1,10 @@
 """Mutated files of every kind that the project reads.
 
-Each file must give one error line or a correct result.
-A separate reading process reads the files, because a file may crash it. Files that the project
-reads in a child process are read in a fork of the reading process, with the same limits: a fork
-starts in milliseconds instead of a second. About 1 % of these files are read in the project's own
-child process.
+The project must read a file without an unexpected exception, or refuse it with one error line. A
+separate reading process reads the files, because a file may crash it. Files that the project reads
+in a child process are read in a fork of the reading process, with the same limits: a fork starts in
+milliseconds instead of a second. About 1 % of these files are read in the project's own child
+process.
 """
 
 from __future__ import annotations
@@ -174,10 +174,10 @@ def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
 
 
 class _Header(str):
-    """A header of any content."""
+    """A header of a border file with any text."""
 
     def model_dump_json(self) -> str:
-        """The text itself."""
+        """The text of the header."""
         return self
 
 
@@ -200,7 +200,7 @@ def _mutate_zip(path: Path, right: bytes, rng: np.random.Generator) -> None:
 
 
 def _open_zip(path: Path) -> None:
-    """List the content of a zip, and unpack it as a robot."""
+    """List the URDFs in a zip, and unpack the zip as a robot with the first one."""
     (first, *_) = look_into(path)
     with tempfile.TemporaryDirectory() as folder:
         open_package(path, Path(folder), first)
@@ -225,7 +225,7 @@ def _figures(path: Path) -> None:
 
 
 def _played(path: Path) -> None:
-    """Write a case."""
+    """Write a valid case."""
     scenario = SCENARIOS["guiding-lateral"]
     case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "planar"))
     path.write_text(case.text(), encoding="utf-8")
@@ -243,7 +243,7 @@ def _journal(path: Path) -> None:
 
 
 def _go_on(path: Path) -> None:
-    """Open the journal of a study in a folder."""
+    """Open the journal of a study that has this file."""
     folder = path.parent / "study"
     folder.mkdir(exist_ok=True)
     shutil.copyfile(path, folder / "cases.jsonl")
@@ -317,10 +317,10 @@ class Outcome(NamedTuple):
     """The outcome for one file.
 
     Attributes:
-        result: `right`, `line` or `finding`.
-        text: The output of a finding.
-        lost: Whether a new reading process is necessary, after a crash, without an answer, or
-            because the present one uses too much memory.
+        result: `right` (read), `line` (refused with one line) or `finding`.
+        text: Description of a finding.
+        lost: Whether a new reading process is necessary, because the present one has crashed, does
+            not answer, or uses too much memory.
     """
 
     result: str

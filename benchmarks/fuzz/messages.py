@@ -1,7 +1,7 @@
 """Mutated messages of every kind that a page may send, to a real dashboard server.
 
-The gate's own check first judges each message in this process. Garbage ends the connection
-of its sender, so only some of it is sent through a socket, and the client then connects again.
+The gate's own check first judges each message in this process. Garbage ends the connection of its
+sender. Therefore only some garbage is sent through a socket; the client then connects again.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class _Fuzz:
                 self._client()
 
     def _in_parts(self, data: bytes) -> Iterator[bytes]:
-        """A message as the first of few or many fragments; the further ones are empty or large."""
+        """The fragments of a message: the message itself, then few or many empty or large ones."""
         count, size = int(10 ** self._rng.uniform(0, 4.5)), int(10 ** self._rng.uniform(0, 5))
         yield data
         for k in range(min(count, 2**26 // size)):
@@ -240,7 +240,10 @@ class _Fuzz:
         return plain.get(hint, None if hint is type(None) else {})
 
     def _look(self, seen: Callable[[], bool]) -> None:
-        """Cancel all jobs; check that the server works and that all parameters are in range."""
+        """Cancel all jobs; check that the server works and that all parameters are in range.
+
+        `seen` must become true when the watching client has received a message.
+        """
         for job in self._jobs():  # not awaited, because a picture can take half a minute
             job.cancel()
         t = self._loop.latest().t
@@ -260,7 +263,7 @@ class _Fuzz:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
     def _jobs(self) -> list[Job]:
-        """The work that buttons start."""
+        """All jobs that buttons of the pages can start."""
         shared = self._server.shared
         jobs = [shared.robot_switch, shared.robot_build]
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]

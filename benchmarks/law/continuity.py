@@ -1,9 +1,9 @@
 """Jumps of the base's commanded acceleration along smooth motions inside the buffer.
 
 The change of the acceleration in one step is large if the acceleration is steep, or if it jumps. A
-smaller step reduces the change of a steep acceleration, but not that of a jump. Therefore the step
-is refined around the places with the largest changes. The limit of the change at a step of zero is
-the jump.
+smaller step reduces the change of a steep acceleration, but not that of a jump. Therefore the
+motion is evaluated with smaller steps around the places with the largest changes. The limit of the
+change at a step of zero is the jump.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ class Path(NamedTuple):
 
     Attributes:
         options: Robot, controller and seed.
-        number: Number of the motion; a negative number is the fixed state with one moving joint.
+        number: Number of the random motion; with a negative number, one joint of the fixed state
+            moves.
         mode: `tracking` with a reference, `guided` without one.
         limits: `robot` for the robot's limits, `wide` for limits that no motion reaches.
         duration: [s] duration of the motion.
@@ -92,10 +93,10 @@ def continuity(
         count: Number of random motions.
         duration: [s] duration of each motion.
         speed: [m/s] largest speed of the end-effector.
-        refined: Number of refined places for each mode and axis of the base: of those with the
-            largest changes, and of those with the largest kinks.
-        first: Number of the first motion; with 0, motions from a fixed state of the paper's robot
-            are included.
+        refined: Number of motions that are refined at their largest change, and of motions that are
+            refined at their largest kink, for each mode and for linear and angular acceleration.
+        first: Number of the first motion. With 0, the paper's robot also has motions from a fixed
+            state, one for each joint.
         kinds: Modes of the law: see `KINDS`.
     """
     fixed = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
@@ -203,10 +204,10 @@ def _refined(place: Refinement) -> list[list[float]]:
 
 
 def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
-    """(len - 1, 2) change of the linear and the angular acceleration from each instant to the next.
+    """(k - 1, 2) changes of the base's linear and angular acceleration between successive `times`.
 
-    Each commanded acceleration is first limited to the robot's limits. The change is 0 if a pair
-    touches, because the law need not be continuous there.
+    `times` (k,) [s] are h [s] apart. The commanded accelerations are limited to ±a_max. The change
+    is 0 if two bodies of a pair touch, because the law need not be continuous there.
     """
     options = path.options
     controller = _controller(options.robot, options.controller, path.limits, h)
@@ -255,7 +256,7 @@ def _controller(robot: str, name: str, limits: str, h: float) -> Controller:
 
 @cache
 def _wide(robot: str) -> RobotModel:
-    """The robot with limits that no motion reaches; only `qd_max` does not change."""
+    """The robot with limits that no motion reaches; `qd_max`, the unit of slacks, is unchanged."""
     model = RobotModel(load(robot).model.description)
     model.tau_max = 100.0 * model.tau_max
     model.qd_limits = 100.0 * model.qd_limits

@@ -1,9 +1,9 @@
 """The second derivative of a pair's distance, compared with differences of the library's distance.
 
-A row of the law states d̈ = J q̈ + J̇ q̇. The bodies move along motions with known q̇ and q̈, and
-differences of their distances give the true d̈. The formula's error is compared with the errors of
-two formulas for closest points that are fixed to their bodies, without and with the term
-|v_across|²/d.
+A row of the law has the formula d̈ = J q̈ + J̇ q̇. The bodies move along motions with known q̇ and q̈,
+and differences of their distances give the true d̈. The error of this formula is compared with the
+errors of two formulas for closest points that are fixed to their bodies. One of these has the term
+|v_across|²/d, the other one does not; v_across is the points' relative velocity across the normal.
 """
 
 from __future__ import annotations

@@ -128,9 +128,9 @@ def side(place: Point, robot: str) -> str:
 
 @cache
 def _column(robot: str) -> tuple[Array, Array]:
-    """(3,) [m] ends of the arm's column in the base's frame: its mount and its second joint.
+    """(3,) [m] ends of the arm's column in the base's frame: the arm's mount and its second joint.
 
-    They do not move with the arm.
+    Both do not move with the arm.
     """
     model = load(robot).model
     data, q_m = model.pin.createData(), np.zeros(model.n_m)

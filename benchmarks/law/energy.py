@@ -58,7 +58,11 @@ def energy(options: Options, count: int = 2, seconds: float = 20.0) -> Report:
 
 
 def _play(case: Restless) -> dict[str, Any]:
-    """The row of one run; the work is exact, because the force is constant within a step."""
+    """The row of one run.
+
+    The person's force is the random force and that of a spring. Its work is exact, because the
+    force is constant within a step.
+    """
     options, robot = case.options, load(case.options.robot)
     start, move = NAMED[case.place]
     anchor = np.array(start) + _INWARDS * np.array(move)

@@ -53,7 +53,7 @@ class Pull(NamedTuple):
         return place
 
     def config(self) -> Config:
-        """The default parameters with this person; the stiffness can exceed its range."""
+        """The default parameters with this person, whose stiffness can be out of its range."""
         hand = {"stiffness": self.stiffness, "f_max": self.f_max}
         config = Config()
         return config.model_copy(update={"hand": config.hand.model_copy(update=hand)})
@@ -77,7 +77,7 @@ class Moment(NamedTuple):
 
 
 def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
-    """The steps of a pull without end; the person releases when the caller sends True."""
+    """The steps of a pull, without end; the person lets go when the caller sends True."""
     robot, config = load(pull.robot), pull.config()
     session = Session(robot.model, robot.data, config, controller=pull.controller)
     with gc_frozen(), closing(session):

@@ -69,7 +69,7 @@ def release(options: Options, count: int = 12, seconds: float = 15.0, first: int
 
 
 def play(case: Release) -> dict[str, Any]:
-    """The row of one release; it has no path if the person did not let go."""
+    """The row of one release; `path_m` is None if the arm did not enter the buffer in time."""
     pull, d_b = case.pull, Config().border.d_b
     robot = load(pull.robot)
     n = robot.n_mobile

@@ -1,7 +1,7 @@
 """Random starts of the end-effector around and above the base, and the postures for these starts.
 
-The search for a posture takes a second. The user's cache folder stores the results until the start
-solver or the robot changes.
+The search for a posture takes a second. The results are stored in the user's cache folder, and are
+valid until the start solver or the robot changes.
 """
 
 from __future__ import annotations
@@ -88,10 +88,10 @@ def posture(
         robot: Name of the robot.
         p: (3,) [m] position of the end-effector in the base's frame.
         seed: Seed of the search.
-        turn: [rad] angle between the end-effector and the direction away from the mount, to the
-            left.
+        turn: [rad] horizontal angle of the end-effector from the direction away from the mount,
+            positive to the left.
         tries: Number of tries for each pitch of the end-effector.
-        along: (3,) [m] each, later positions of the end-effector.
+        along: Later positions (3,) [m] of the end-effector, which the arm must reach too.
     """
     way = [np.array(each) for each in along]
 

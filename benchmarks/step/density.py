@@ -25,10 +25,10 @@ _ROUNDS = 3
 def by_points(
     model: RobotModel, data: BorderData, paths: Sequence[Path], counts: Sequence[int], seed: int
 ) -> dict[str, dict[str, float]]:
-    """[µs] median of the steps of `Times.both`, by kind of border and number of points.
+    """[µs] median duration of the steps of `Times.both`, by kind of border and number of points.
 
-    The points lie on the exact offset of the mobile base. The borders take turns, and the smallest
-    median of each counts, because the machine's speed varies.
+    The points are on the exact offset of the mobile base. The borders are measured in turn, several
+    times, and the smallest median of each counts, because the machine's speed varies.
     """
     offset = OffsetContours(model, Config().border.d_b)
     loops = {}

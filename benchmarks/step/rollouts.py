@@ -22,11 +22,11 @@ _ROUNDS = 3
 
 
 class Rollouts(NamedTuple):
-    """Ratio of simulated to real time of guided runs in worker processes; medians over rounds.
+    """Ratios of simulated to real time of guided runs in worker processes; medians over rounds.
 
     Attributes:
-        factors: [-] ratio of all processes together, by the number of processes.
-        scaling: [-] factor of the last number of processes divided by that of the first.
+        factors: [-] ratio for all processes together, by the number of processes.
+        scaling: [-] ratio for the last number of processes, divided by that for the first number.
     """
 
     factors: dict[int, float]

@@ -49,7 +49,7 @@ class Times(NamedTuple):
 
     @property
     def tracking_by_both(self) -> Array:
-        """(N,) whether the arm tracked a reference with `both` active."""
+        """(N,) whether the arm tracked a reference and `both` was true."""
         return self.both & self.tracking
 
 

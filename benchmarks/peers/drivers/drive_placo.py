@@ -13,7 +13,7 @@ from loop import Array, Plan, main
 
 
 class Placo:
-    """The loop of placo. The URDF has the base's joints, so the floating base does not move."""
+    """The loop of placo. The URDF has joints of the base, so placo's floating base is fixed."""
 
     def __init__(self, plan: Plan, q: Array, base_cost: float) -> None:
         self._joints = [*plan["planar_joints"], *plan["arm_joints"]]

@@ -1,4 +1,4 @@
-"""roboplan: weighted tasks under barriers; the base turns, drives ahead and is set back to zero."""
+"""roboplan: weighted tasks under barriers; in each step the base starts at the origin."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ from roboplan.optimal_ik import (
 
 
 class Roboplan:
-    """The loop of roboplan. Its world is the base; this class integrates the pose of the base."""
+    """The loop of roboplan.
+
+    The base's joints of the model, yaw and x, are zero at the start of each step, so that the base
+    cannot move sideways. This class integrates the pose of the base in the world.
+    """
 
     def __init__(self, plan: Plan, q: Array, base_cost: float) -> None:
         self._scene = Scene("peers", loadUrdfSceneDescription(plan["unicycle_urdf"]))
