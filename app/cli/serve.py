@@ -104,7 +104,9 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation in `waiting` or a new process; default `q_start`: the free start."""
+        """Begin a simulation in the process `waiting`, or else in a new one; the arm starts at
+        `q_start` (n_m,), or else at `free_start`.
+        """
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
@@ -169,7 +171,10 @@ def _opened(first: _First) -> DashboardServer:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border; a background process refines a coarse one for the next start."""
+    """The robot's stored border; or else a stored coarse one; or else a newly sampled one.
+
+    For a coarse one, a background process samples the full border for the next start.
+    """
     from app.border.cache import kept_border_data, load_border_data
     from app.border.sampling import QUICK
     from app.dashboard.job import Job, sample_border
