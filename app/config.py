@@ -291,8 +291,7 @@ class EstimateConfig(Strict):
 
     external_drift: float = number(3.0, 0.1, 100.0, "External push noise")
     """[rad/s²] smallest standard deviation of the change of the external joint acceleration in one
-    second; m/s² for a prismatic joint. The filter uses a larger value if readings are noisy or
-    rare."""
+    second; m/s² for a prismatic joint. With noisy or rare readings, the value in use is larger."""
     least_noise: float = number(2e-8, 1e-9, 0.005, "Smallest position noise", advanced=True)
     """[rad] lower bound of the standard deviation of position noise; m for a prismatic joint."""
     velocity_noise: float = number(100.0, 1.0, 1e4, "Smallest velocity noise", advanced=True)
@@ -378,11 +377,9 @@ class DisturbanceConfig(Strict):
     """[s] control period that the controller assumes during the whole run; the true period is
     0.001 s."""
     time_stamps: Literal["no", "yes"] = "no"
-    """[-] whether the controller gets the time of a clock and the time stamps of the readings in
-    each step."""
+    """[-] whether the controller gets a clock's time and the time stamps of the readings."""
     begins: float = number(0.0, 0.0, 60.0)
-    """[s] time in the run at which `sensor_delay`, `sensor_period`, `dropped` and `unknown_load`
-    begin to act."""
+    """[s] time at which `sensor_delay`, `sensor_period`, `dropped` and `unknown_load` begin."""
 
 
 class Config(Strict):

@@ -193,9 +193,7 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text with `loads`, a reader of TOML or JSON, by `within_budget`.
-
-    A `heavy` text is parsed in a child process even if it is short.
+    """Parse an untrusted text with `loads` (TOML or JSON); if `heavy`, always in a child process.
 
     Raises:
         ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands

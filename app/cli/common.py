@@ -141,9 +141,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
 def filmed(
     run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Execute a run up to the last of `times` [s], with a progress bar; see `filmed` in the module
-    `app.simulation.run`.
-    """
+    """Execute a run up to the last of `times` [s]; see `filmed` of `app.simulation.run`."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:

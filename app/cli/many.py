@@ -142,8 +142,8 @@ def study(
 
     The pulls lead towards or along the base from all sides, with noise, delay, slip and model
     errors. The force, stiffness and mass of the hand vary. In some cases the person releases the
-    end-effector early, and in some of these cases grasps it again. Each finished case is stored. After an interruption,
-    the same command continues the study; a larger number of cases extends the study.
+    end-effector early, and in some of these cases grasps it again. Each finished case is stored.
+    After an interruption, the same command continues the study; with more --cases it extends it.
 
     Args:
         cases: Number of cases.

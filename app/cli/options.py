@@ -82,10 +82,7 @@ REGISTRY = tyro.constructors.ConstructorRegistry()  # further rules for options 
 def _path_rule(
     about: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[Path] | None:
-    """A rule of tyro for options of type Path; None for another type.
-
-    The home of the user replaces `~`, because a shell does not do this in `--out=~/a`.
-    """
+    """Rule for a Path: the home replaces `~`, also in `--out=~/a`. None for other types."""
     if about.type is not Path:
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
@@ -193,13 +190,11 @@ class Setup:
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb (the paper's method with the departures in docs/departures.md), hqp (dbb with (26) to
-    (29) as printed, without joint limits and barriers; slower), repulsive or barrier (methods for
-    comparison), or none (no avoidance)."""
+    """dbb (the paper's method), hqp (dbb with (26) to (29) as printed, without joint limits and
+    barriers; slower), repulsive or barrier (methods for comparison), or none (no avoidance)."""
     physics: str = field(default_factory=default_plant)
     """planar (pybullet; three velocity-controlled joints move the base), mujoco (the same model in
-    MuJoCo), mujoco-contact (MuJoCo; wheels on the floor move the base) or kinematic (no physics
-    engine)."""
+    MuJoCo), mujoco-contact (MuJoCo, base on driven wheels) or kinematic (no physics engine)."""
     seed: int = 0
     """Seed of all random numbers."""
 
@@ -210,10 +205,7 @@ class Setup:
 
 
 def parameter_options(paths: Mapping[str, str]) -> Any:
-    """The second argument of `Annotated[Given, …]`: options that set the parameters `paths`.
-
-    `paths` has the path of each parameter by the name of its option.
-    """
+    """The second argument of `Annotated[Given, …]`: an option for each parameter in `paths`."""
     found = {}
     for name, path in paths.items():
         about = tunable(path)
@@ -253,9 +245,7 @@ def configured(
 
 
 def read(file: Path | None, usual: Config | None = None) -> NamedConfig:
-    """The content of the file of `--config`, by `read_config`; without a file, `usual` or the
-    defaults, without a name.
-    """
+    """Read the file of `--config`; without a file, the result has `usual` or else the defaults."""
     try:
         return read_config(file, usual) if file else NamedConfig("", usual or Config())
     except ConfigError as error:
@@ -292,9 +282,7 @@ def check_processes(processes: int | None) -> int:
 
 
 def in_order(words: Iterable[str]) -> list[str]:
-    """The words of a command line, grouped by options.
-
-    Present names replace former names of options. One `--allow-host` gets the values of all.
+    """The words of a command line with the present names of options, and one merged `--allow-host`.
 
     Raises:
         ConfigError: Another option appears several times, although only the last one would count;

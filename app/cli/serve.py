@@ -104,9 +104,7 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation in the process `waiting`, or else in a new one; the arm starts at
-        `q_start` (n_m,), or else at `free_start`.
-        """
+        """Begin a simulation in `waiting`, or in a new process; `q_start` None: the free start."""
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
@@ -171,9 +169,8 @@ def _opened(first: _First) -> DashboardServer:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's stored border; or else a stored coarse one; or else a newly sampled one.
-
-    For a coarse one, a background process samples the full border for the next start.
+    """The stored border; else a stored coarse one, which a background process refines for the next
+    start; else a newly sampled one.
     """
     from app.border.cache import kept_border_data, load_border_data
     from app.border.sampling import QUICK
