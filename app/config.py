@@ -29,7 +29,7 @@ def number(
     advanced: bool = False,
     source: str = "",
 ) -> Any:
-    """A field of a section, a number from `low` to `high`; `label` is displayed for its name.
+    """A field of a section: a number from `low` to `high`, displayed as `label` or by its name.
 
     The dashboard hides an `advanced` parameter until the user displays all parameters. `source` is
     the source of the default, or a reason for it; empty if it is this project's choice.
@@ -144,7 +144,7 @@ class BorderConfig(Strict):
     d_b: float = number(0.15, 0.05, 0.30, "Buffer distance d_b", source="paper, Figure 3, §3.4")
     """[m] buffer distance."""
     eps: float = number(0.01, 0.002, 0.02, "Border tolerance ε", source="paper, Figure 3")
-    """[m] ε of (3): tolerance of the distance of border points from d_b."""
+    """[m] ε of (3): largest difference between d_b and a border point's distance to the base."""
     kind: Literal["surface", "points"] = Field(default="surface", title="Acting point on")
     """[-] surface: the acting point moves on the border's continuous surface. points: it jumps
     between the paper's sampled points, where there are any at its height."""
@@ -231,8 +231,8 @@ class EeHoldConfig(Strict):
 
     min_speed: float = number(0.2, 0.01, 2.0, "Holding speed", advanced=True)
     """[m/s] v_h. If joints at full speed move the end-effector at v_h in a direction, half of the
-    base's motion in this direction counts as motion that the arm cannot compensate: almost all of
-    it at a speed far below v_h, and one seventeenth at 2 v_h."""
+    base's motion in this direction counts as motion that the arm cannot compensate. At a speed far
+    below v_h, almost all of it counts, at 2 v_h one seventeenth."""
     weight: float = number(3000.0, 0.01, 1e5, "End-effector hold weight")
     """[-] weight of the end-effector motion that the base would cause, relative to the base's
     mass."""
@@ -251,7 +251,7 @@ class TaskConfig(Strict):
     """[1/s²] stiffness of the arm's posture task, towards the starting posture."""
     joint_centering: float = number(8.0, 0.0, 100.0, "Joint-limit stiffness")
     """[1/s²] acceleration of a joint at a position limit towards the middle of its range, divided
-    by half of the range; it decreases with the fifth power of the distance from the middle."""
+    by half of the range. It is proportional to the fifth power of the distance from the middle."""
     posture_damping: float = number(4.0, 0.0, 100.0)
     """[1/s] damping of the arm's posture task."""
     base_damping: float = number(3.0, 0.0, 20.0, "Base damping k")
@@ -561,7 +561,7 @@ def parameter(path: str) -> Parameter:
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """Valid values at the place `loc` (section, name), as `valid_text` of `explain`; or None."""
+    """The argument `valid_text` of `explain`: valid values at a place; None if it is unknown."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

@@ -198,7 +198,7 @@ def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder; programs that are about to end can write to it for up to a second."""
+    """Remove a folder; repeat this for 1 s, because programs that are about to end may use it."""
     end = time.monotonic() + _PATIENCE
     shutil.rmtree(folder, ignore_errors=True)
     while folder.exists() and time.monotonic() < end:

@@ -143,7 +143,7 @@ def study(
     The pulls lead towards or along the base from all sides, with noise, delay, slip and model
     errors. The force, stiffness and mass of the hand vary. In some cases the person releases the
     end-effector early, and in some of these cases grasps it again. Each finished case is stored.
-    After an interruption, the same command continues the study; with more --cases it extends it.
+    After an interruption, the same command continues the study. More --cases extend the study.
 
     Args:
         cases: Number of cases.

@@ -129,17 +129,17 @@ def reach(
 
     R is computed for each position p of a lattice around the arm's mount. p is the position of a
     frame: for the body lEE, of the end-effector's frame; for another body, of the frame of the
-    body's first shape. The pose of this frame has six coordinates; five, position and direction of
-    the z axis, if the joints cannot change six independently; or else three, the position. R is the
-    mean number of inverse kinematics solutions for these poses within the joint limits and without
-    self-collision, up to a constant factor. R is computed from random joint positions by the area
-    formula: it is the sum of |det J| over the joint positions that lead to a cell of the lattice. J
-    is the square Jacobian of the pose; it has no columns for redundant joints, as if these were
-    fixed at their random positions. Then the mean of R is computed in spherical shells around the
-    mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of these means
-    is 100. The fit of (9) uses all positions in the best shell and in the shells around it with a
-    mean of at least 5. The fitted A depends on the end-effector's frame, on this scale, and on the
-    lower bound 5; the paper does not state these.
+    body's first shape. The pose of this frame has six coordinates if the joints can change six
+    independently, or else five (position, direction of the z axis), or else three (position). R is
+    the mean number of inverse kinematics solutions for these poses within the joint limits and
+    without self-collision, up to a constant factor. R is computed from random joint positions by
+    the area formula: it is the sum of |det J| over the joint positions that lead to a cell of the
+    lattice. J is the square Jacobian of the pose; it has no columns for redundant joints, as if
+    these were fixed at their random positions. Then the mean of R is computed in spherical shells
+    around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of
+    these means is 100. The fit of (9) uses all positions in the best shell and in the shells around
+    it with a mean of at least 5. The fitted A depends on the end-effector's frame, on this scale,
+    and on the lower bound 5; the paper does not state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.

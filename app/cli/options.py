@@ -82,13 +82,13 @@ REGISTRY = tyro.constructors.ConstructorRegistry()  # further rules for options 
 def _path_rule(
     about: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[Path] | None:
-    """Rule for a Path: the home replaces `~`, also in `--out=~/a`. None for other types."""
+    """The rule for an option of type Path: the home replaces `~`; None for other types."""
     if about.type is not Path:
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
-        instance_from_str=lambda words: home_expanded(words[0]),
+        instance_from_str=lambda words: home_expanded(words[0]),  # a shell leaves `--out=~/a`
         is_instance=lambda value: isinstance(value, Path),
         str_from_instance=lambda path: [str(path)],
     )

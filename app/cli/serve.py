@@ -104,7 +104,7 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation in `waiting`, or in a new process; `q_start` None: the free start."""
+        """Begin a simulation at `q_start` or else the free start, in `waiting` or a new process."""
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 

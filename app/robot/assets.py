@@ -46,9 +46,8 @@ _WITH_PYBULLET = (
 
 
 def cache_folder() -> Path:
-    """Folder of new borders: `dbb_cache/` in a checkout, or else the first of `cache_folders`.
-
-    A folder that is not writable is left out, unless none is writable.
+    """Folder of new borders: the first writable one of `dbb_cache/` in a checkout and the
+    `cache_folders`; if none is writable, the first of `cache_folders`.
     """
     if IN_CHECKOUT and is_writable(SHIPPED_CACHE):
         return SHIPPED_CACHE
@@ -345,7 +344,7 @@ def refuse_placeholder(content: bytes, where: object) -> None:
 
 
 def stated_stl(begin: bytes) -> tuple[int, int]:
-    """Number of facets that the header of a binary STL states, and the file's size [bytes] then."""
+    """Number of facets stated by a binary STL's header, and the size of such a file [bytes]."""
     facets = int.from_bytes(begin[80:84], "little")
     return facets, 84 + 50 * facets
 

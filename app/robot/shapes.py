@@ -4,7 +4,7 @@ Each shape provides coal's geometry for signed distances, and a mesh for drawing
 
 A superquadric (hyper-ellipsoid) is the set of points p with f(p) ≤ 1, where
 f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). The exponent e₁ belongs to the vertical
-profile, e₂ to the plan view: at 1 the shape is an ellipse, near 0 almost a rectangle. Distances of
+profile, e₂ to the plan view: at 1 it is an ellipse, near 0 almost a rectangle. Distances of
 a superquadric are those of a convex polytope that approximates it.
 """
 

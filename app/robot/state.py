@@ -46,9 +46,9 @@ class Measurement(NamedTuple):
     now: float = np.nan
     """[s] time of this control step, by any clock that does not jump; NaN without a clock."""
     time: float = np.nan
-    """[s] time at which the joints were measured, by the same clock; NaN without a time stamp."""
+    """[s] time at which the joints were measured, by the clock of `now`; NaN without a stamp."""
     base_time: float = np.nan
-    """[s] the same for the base's pose and velocity; NaN if they are as old as the joints'."""
+    """[s] time at which the base's pose and velocity were measured; NaN: when the joints were."""
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:

@@ -76,8 +76,8 @@ class CarLikeBase(BaseKind):
     tightest arcs, at unit speed, span the area 2 κ_max |x|. The measure is 0 on the rear axle line,
     where all arcs move a point in the same direction, positive ahead of the line, negative behind.
 
-    The drive has the states v and δ, the steering angle. δ approaches the angle of the command's
-    arc, and v approaches the speed that is nearest to the command along the arc of the present δ.
+    The drive has a speed v and a steering angle δ. δ approaches the angle of the command's arc, and
+    v approaches the speed that is nearest to the command along the arc of the present δ.
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
@@ -113,7 +113,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²] and ω̇ [rad/s²]; ω̇ at top speed on the tightest arc, in steering."""
+        """Largest v̇ [m/s²] and ω̇ [rad/s²]; ω̇ at top speed, tightest arc, full steering rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m

@@ -258,7 +258,7 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] (v_cmd − v)/τ; v_cmd and the result are clipped to the limits."""
+        """(n_b,) [m/s² or rad/s²] by the drive: (v_cmd − v)/τ; v_cmd and this are clipped."""
         del drive
         gain, velocities = 1.0 / self.drive_time_constant_s, (np.asarray(v), np.asarray(v_cmd))
         limits = self.max_velocity, self.max_acceleration
