@@ -1,10 +1,11 @@
 """Reactive self-collision avoidance for a mobile manipulator.
 
-An implementation of Jang, Kim and Park's method: a distance buffer border (DBB) around the base,
-scored by the base's singularity and the arm's reachability; a force from the border that moves the
-base away from the arm; and continuous task transition in a QP.
+The package implements the method of Jang, Kim and Park. A distance buffer border (DBB) surrounds
+the base. Each point of the border has a score by the base's singularity and the arm's reachability.
+A force at a point of the border moves the base away from the arm. QPs with a continuous task
+transition compute the accelerations.
 
-In a robot's own loop at 1 kHz, with the robot's functions `sensors` and `send`::
+Example of a robot's own loop at 1 kHz; `sensors` and `send` are functions of the robot::
 
     from app import ControlLoop, Measurement, RobotModel, load_robot
 
@@ -14,7 +15,7 @@ In a robot's own loop at 1 kHz, with the robot's functions `sensors` and `send`:
         send(command.u_a, command.base_velocity)  # [N m or N], [m/s and rad/s]
 
 If the second argument of `step` is a `Reference`, the end-effector tracks it; otherwise a person
-guides the arm. Each name below is loaded on first use.
+guides the arm. The module of each name below is imported at the first use of the name.
 """
 
 from __future__ import annotations
@@ -70,12 +71,12 @@ __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> object:
-    """A name of the interface, from the module that defines it."""
+    """Import a name of the interface from its module; another name raises an AttributeError."""
     if name not in _MODULES:
         raise AttributeError(f"module 'app' has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:
-    """The names of the interface, and the names in this module."""
+    """The sorted names of the interface and of this module."""
     return sorted({*globals(), *_MODULES})

@@ -1,4 +1,4 @@
-"""Numerical kernels, compiled to machine code once and shared by all users of the installation.
+"""Numerical kernels: numba compiles them to machine code, which `KernelStore` stores.
 
 An interpreter would spend most of a control step on overhead, because the vectors have only about
 nine entries. A kernel is a plain function of floats and arrays; with `NUMBA_DISABLE_JIT=1` Python
@@ -34,14 +34,15 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
-    """Compile a function for the types in `signatures` when its module is first imported.
+    """A decorator: it compiles a function for the types in `signatures` at the module's import.
 
-    Thus a control loop never waits for a compiler, and a call with an array of a different
-    dtype fails. If no folder is writable, each process compiles the kernels that it imports.
+    The first import stores the compiled kernel, and later imports load it. If no folder is
+    writable, each process compiles the kernels that it imports. A call never waits for the
+    compiler, and fails with an array of a different dtype.
 
-    Signatures are in numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own objects,
-    which are used unchanged. Without signatures the function becomes a part of the kernels that
-    call it, and the first call from Python waits for the compiler.
+    Signatures are in numba's notation, such as ``f8[:](f8[:,:], i8)``, see `_any_array`; or numba's
+    own objects, which are used unchanged. A function without signatures is compiled as a part of
+    the kernels that call it; its first call from Python waits for the compiler.
     """
 
     def compile_(function: Function) -> Function:
@@ -66,7 +67,7 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
 
 @contextmanager
 def _rare_collections() -> Iterator[None]:
-    """Collect garbage less often: numba's many live objects make each collection slow."""
+    """Collect garbage less often in the `with`: numba's many objects make a collection slow."""
     with global_compiler_lock:  # one thread at a time changes and restores the thresholds
         before = gc.get_threshold()
         gc.set_threshold(before[0] and max(before[0], 100_000), *before[1:])
@@ -79,8 +80,8 @@ def _rare_collections() -> Iterator[None]:
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
     """Let compiled callers include the function instead of linking its machine code.
 
-    Otherwise numba would optimise and compile a function, link the result into a caller, and then
-    optimise and compile both again: ten times for a chain of ten calls.
+    Otherwise numba would optimise and compile the function, link the result into a caller, and then
+    optimise and compile both again: in a chain of ten calls, the last function ten times.
     """
     part = as_part(kernel.py_func)
 
@@ -94,7 +95,7 @@ def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _PartLowering(NativeLowering):
-    """Translation of a function to code for its callers, without machine code of its own."""
+    """Translation of a function to LLVM code for its callers, without its own machine code."""
 
     _name = "part_lowering"
 
@@ -119,7 +120,7 @@ class _PartLowering(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Translation to machine code without vector instructions and unrolled loops.
+    """Translation to machine code that has neither vector instructions nor unrolled loops.
 
     Vector instructions are slower for loops of nine iterations. Unrolled loops double the size of
     the code, which each control step has to read from memory.
@@ -143,8 +144,8 @@ class _Lowering(NativeLowering):
 
 
 def _manage_memory(library: Any, optimise: Callable[[], None]) -> None:
-    """Optimise a kernel's module, with the functions of `kernel_memory.ll` instead of numba's."""
-    optimise()  # it removes superfluous calls, which it recognises by their names
+    """Optimise a kernel's LLVM code; `kernel_memory.ll` replaces numba's functions `_REPLACED`."""
+    optimise()  # removes superfluous calls of these functions, which numba recognises by name
     library._final_module.link_in(llvm.parse_assembly(_MEMORY))
     for name in _REPLACED:  # no other module of the process finds these functions by their names
         library._final_module.get_function(name).linkage = "private"
@@ -152,7 +153,7 @@ def _manage_memory(library: Any, optimise: Callable[[], None]) -> None:
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
-    """Make numba's pass builder with the options that `_Lowering` needs."""
+    """Make LLVM's pass builder as numba does, but with the options that `_Lowering` needs."""
     options = llvm.create_pipeline_tuning_options()
     options.speed_level = config.OPT if opt is None else opt
     options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
@@ -160,7 +161,7 @@ def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
 
 
 class _Compiler(CompilerBase):
-    """numba's pipeline with a different lowering pass."""
+    """numba's pipeline with `lowering` in the place of numba's lowering pass."""
 
     lowering: type[NativeLowering] = _Lowering
 
@@ -183,7 +184,8 @@ def direct(kernel: Function) -> Function:
     """The compiled code of a kernel with one signature, for callers with known types.
 
     The code does not check the types of the arguments, because numba's check takes 2 to 3 µs per
-    call. A call with a wrong type has undefined behaviour.
+    call. A call with a wrong type has undefined behaviour. With ``NUMBA_DISABLE_JIT=1`` the result
+    is the kernel itself.
     """
     if config.DISABLE_JIT:
         return kernel
@@ -192,10 +194,10 @@ def direct(kernel: Function) -> Function:
 
 
 def _any_array(signature: str) -> Signature:
-    """The signature with array arguments of any strides, also read-only arrays.
+    """The signature in which arrays such as `f8[:]` can have any strides and can be read-only.
 
-    Arrays that are declared contiguous do not change, nor arrays into which the function writes:
-    the arguments of a function without a result.
+    The types of arrays that are declared contiguous, such as `f8[::1]`, do not change. A function
+    without a result writes into its arguments: its signature does not change.
     """
     arguments, returned = sigutils.normalize_signature(signature)
     if returned == types.void:
@@ -211,7 +213,7 @@ def _any_array(signature: str) -> Signature:
 
 @lru_cache(maxsize=1)
 def _announce_once(saved: bool) -> None:
-    """Print once that kernels are being compiled; `saved`: whether they can be stored."""
+    """Print that kernels are being compiled; `saved`: whether the first one has been stored."""
     never = "at each start; to store them, set NUMBA_CACHE_DIR to a writable folder"
     how_often = "once on this machine" if saved else never
     print(f"dbb: compiling kernels for about a minute, {how_often}", file=sys.stderr)

@@ -29,10 +29,10 @@ def number(
     advanced: bool = False,
     source: str = "",
 ) -> Any:
-    """A field of a section: a number from `low` to `high`; `label` replaces the field's name.
+    """A field of a section: a number from `low` to `high`, displayed as `label` or by its name.
 
-    An `advanced` parameter is hidden until the user displays all parameters. `source` is the source
-    of the default, or a reason for it; a default without a source is this project's choice.
+    The dashboard hides an `advanced` parameter until the user displays all parameters. `source` is
+    the source of the default, or a reason for it; empty if it is this project's choice.
     """
     extra: dict[str, Any] = {"advanced": advanced, "source": source}
     return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
@@ -50,7 +50,7 @@ class _Tuned(Strict):
 
     @property
     def title(self) -> str:
-        """Label and unit, such as `Buffer distance d_b [m]`; a choice has no unit."""
+        """Label with the unit, if there is one, such as `Buffer distance d_b [m]`."""
         return self.label
 
 
@@ -73,7 +73,7 @@ class Parameter(_Tuned):
 
     @property
     def log(self) -> bool:
-        """Whether the scale is logarithmic, because the range spans three decades or more."""
+        """Whether a slider is logarithmic: the range is above 0 and spans three decades or more."""
         return self.low > 0 and self.high / self.low >= _DECADES
 
 
@@ -144,10 +144,10 @@ class BorderConfig(Strict):
     d_b: float = number(0.15, 0.05, 0.30, "Buffer distance d_b", source="paper, Figure 3, §3.4")
     """[m] buffer distance."""
     eps: float = number(0.01, 0.002, 0.02, "Border tolerance ε", source="paper, Figure 3")
-    """[m] ε of (3): tolerance of the distance of border points from d_b."""
+    """[m] ε of (3): largest difference between d_b and a border point's distance to the base."""
     kind: Literal["surface", "points"] = Field(default="surface", title="Acting point on")
-    """[-] the acting point is on the border's continuous surface, or on the paper's sampled points
-    and then jumps between these points."""
+    """[-] surface: the acting point moves on the border's continuous surface. points: it jumps
+    between the paper's sampled points, where there are any at its height."""
 
 
 class ForceConfig(Strict):
@@ -162,7 +162,8 @@ class ForceConfig(Strict):
     )
     """[N] f_max of (14): force of a pair on the base at contact, for a horizontal normal."""
     f_arm: float = number(5.0, 0.0, 50.0, "Force on the arm f_arm")
-    """[N] reaction force on a guided arm at contact; it moves a released arm out of the buffer."""
+    """[N] reaction force of each pair of arm and base on a guided arm, at contact. It moves a
+    released arm out of the buffer. Only the controller dbb has it."""
     alpha_gain: float = number(
         0.001,
         0.0,
@@ -173,8 +174,9 @@ class ForceConfig(Strict):
         "d = 0.1 m and R = 80",
     )
     """[m⁴/rad⁴] S_0 of (13), a gain of the step size α. With the distance d of a pair and the score
-    S, α is 2 d on the wheel axis (S = 0) and about S_0 d / |S| far from this axis, but between
-    `alpha_min` and `alpha_max`. On a holonomic base it has no effect: α is `alpha_min`."""
+    S, α is 2 d on the wheel axis (S = 0) and about S_0 d / |S| far from this axis, but always
+    between `alpha_min` and `alpha_max`. For a car-like base, S is divided by S_u (docs/bases.md).
+    On a holonomic base S_0 has almost no effect: S is large there, and α is `alpha_min`."""
     alpha_min: float = number(0.02, 0.0, 0.10, "Smallest step α_min")
     """[m] lower bound of α of (13), the size of the step from p_n along the border's tangent."""
     alpha_max: float = number(0.15, 0.10, 0.40, "Largest step α_max")
@@ -187,7 +189,8 @@ class ActivationConfig(Strict):
     d_full: float = number(
         0.05, 0.0, 0.05, "Full activation at d_full", source="paper, Figure 10, §3.4"
     )
-    """[m] the avoidance task is fully active up to this distance, or d_b − 0.02 m if smaller."""
+    """[m] the avoidance task of a pair is fully active at distances up to d_full, or up to
+    d_b − 0.02 m if that is smaller."""
     closest_point_smoothing: float = number(
         0.005, 0.001, 0.05, "Closest-point smoothing", advanced=True
     )
@@ -215,7 +218,7 @@ class BarrierConfig(Strict):
     """Barrier that keeps each pair at a minimum distance (controllers `dbb` and `barrier`)."""
 
     d_min: float = number(0.031, 0.0, 0.30, "Minimum distance d_min")
-    """[m] minimum distance of each pair; torque limits are not exceeded to keep it."""
+    """[m] minimum distance of each pair. The torque limits have priority over it."""
     rate: float = number(30.0, 1.0, 100.0, "Approach rate")
     """[1/s] approach rate: largest approach speed divided by the distance beyond d_min."""
     max_separation_speed: float = number(0.15, 0.05, 2.0, "Separation speed", advanced=True)
@@ -224,18 +227,19 @@ class BarrierConfig(Strict):
 
 
 class EeHoldConfig(Strict):
-    """Reduction of base motion that the arm cannot compensate at the end-effector."""
+    """Reduction of avoidance motions of the base that drag the end-effector along."""
 
     min_speed: float = number(0.2, 0.01, 2.0, "Holding speed", advanced=True)
-    """[m/s] if joints at full speed move the end-effector slower than this in a direction, the arm
-    counts as unable to compensate base motion in this direction."""
+    """[m/s] v_h. If joints at full speed move the end-effector at v_h in a direction, half of the
+    base's motion in this direction counts as motion that the arm cannot compensate. At a speed far
+    below v_h, almost all of it counts, at 2 v_h one seventeenth."""
     weight: float = number(3000.0, 0.01, 1e5, "End-effector hold weight")
     """[-] weight of the end-effector motion that the base would cause, relative to the base's
     mass."""
 
 
 class TaskConfig(Strict):
-    """The tasks of end-effector, posture and base, and the softness of the avoidance rows."""
+    """The tasks of end-effector, posture and base, and the softness of the avoidance task."""
 
     ee_stiffness: float = number(900.0, 0.0, 4000.0, "End-effector stiffness")
     """[1/s²] position gain of the end-effector's task."""
@@ -246,18 +250,19 @@ class TaskConfig(Strict):
     posture_stiffness: float = number(4.0, 0.0, 100.0)
     """[1/s²] stiffness of the arm's posture task, towards the starting posture."""
     joint_centering: float = number(8.0, 0.0, 100.0, "Joint-limit stiffness")
-    """[1/s²] stiffness towards the middle of a joint's range, for a joint at a position limit."""
+    """[1/s²] acceleration of a joint at a position limit towards the middle of its range, divided
+    by half of the range. It is proportional to the fifth power of the distance from the middle."""
     posture_damping: float = number(4.0, 0.0, 100.0)
     """[1/s] damping of the arm's posture task."""
     base_damping: float = number(3.0, 0.0, 20.0, "Base damping k")
     """[1/s] k of the acceleration −k q̇_b, which brings the base to rest."""
     base_time_scale: float = number(5.0, 1.0, 100.0, "Base time scale", advanced=True)
-    """[-] ratio of the base's time constants to the arm's, because the base's velocity command has
-    a low rate."""
+    """[-] ratio of the time constants of the base's tasks to those of the arm's. The base's tasks
+    are slower, because its velocity command has a low rate."""
     base_weight: float = number(1000.0, 1.0, 1e6)
-    """[-] cost of the base's acceleration q̈_b (of the wheels, for a differential base) relative to
-    that of a joint, in the posture task and, while a person guides the arm, in the task that
-    brings the base to rest."""
+    """[-] cost of the base's acceleration q̈_b relative to a joint's acceleration. For a
+    differential base, q̈_b is that of the wheels. The cost is a part of the posture task or, while
+    a person guides the arm, of the task that brings the base to rest."""
     ee_weight: float = number(1e5, 1.0, 1e7, "End-effector weight", advanced=True)
     """[-] weight of the end-effector's task relative to the posture task."""
     slack_weight: float = number(1e-3, 1e-4, 0.1, "Softness ε", advanced=True)
@@ -266,7 +271,7 @@ class TaskConfig(Strict):
 
 
 class LimitConfig(Strict):
-    """Limits of the arm as constraints of the QP."""
+    """Rates at which the arm may approach its limits, and at which its torques may change."""
 
     position_rate: float = number(30.0, 1.0, 100.0, "Position-limit rate", advanced=True)
     """[1/s] approach rate of position limits: permitted joint speed divided by the remaining
@@ -286,12 +291,12 @@ class EstimateConfig(Strict):
 
     external_drift: float = number(3.0, 0.1, 100.0, "External push noise")
     """[rad/s²] smallest standard deviation of the change of the external joint acceleration in one
-    second; m/s² for a prismatic joint. With noisy or rare readings a larger one is used."""
+    second; m/s² for a prismatic joint. With noisy or rare readings, the value in use is larger."""
     least_noise: float = number(2e-8, 1e-9, 0.005, "Smallest position noise", advanced=True)
-    """[rad] lower bound of the estimated standard deviation of position noise; m if prismatic."""
+    """[rad] lower bound of the standard deviation of position noise; m for a prismatic joint."""
     velocity_noise: float = number(100.0, 1.0, 1e4, "Smallest velocity noise", advanced=True)
-    """[1/s] lower bound of the standard deviation of velocity noise, divided by that of position
-    noise."""
+    """[1/s] lower bound of the ratio of two standard deviations: that of velocity noise to that of
+    position noise."""
     noise_window: float = number(0.2, 0.01, 10.0, "Noise window", advanced=True)
     """[s] time window in which the noise of positions and velocities is estimated."""
     delay: float = number(0.0, 0.0, 0.03, "Known reading age", advanced=True)
@@ -301,7 +306,7 @@ class EstimateConfig(Strict):
 
 
 class PayloadConfig(Strict):
-    """Known load in the gripper: the controller includes the mass and centre, not the shape."""
+    """Known load in the gripper, as a point mass; the controller does not include its shape."""
 
     mass: float = number(0.0, 0.0, 20.0, "Payload mass")
     """[kg] mass of the load."""
@@ -325,10 +330,10 @@ class AdmittanceConfig(Strict):
     angular_damping: float = number(160.0, 0.0, 600.0)
     """[N m s] D_a, damping of the base's rotation."""
     v_max: float = number(0.5, 0.05, 2.0, "Top speed v_max")
-    """[m/s] largest speed command along each linear axis; if the base's own limit is lower, it
-    applies."""
+    """[m/s] largest speed command along each linear axis; the base's own limit applies if it is
+    lower."""
     omega_max: float = number(1.0, 0.1, 4.0, "Top turn rate ω_max")
-    """[rad/s] largest commanded turn rate; if the base's own limit is lower, it applies."""
+    """[rad/s] largest commanded turn rate; the base's own limit applies if it is lower."""
     period: float = number(0.1, 0.001, 0.5, "Command period", source="paper, §4.1: 10 Hz")
     """[s] time between two velocity commands."""
 
@@ -339,8 +344,8 @@ class PersonConfig(Strict):
     stiffness: float = number(300.0, 10.0, 3000.0, "Pull stiffness")
     """[N/m] stiffness of the spring between the person's hand and the held point."""
     damping: float = number(25.0, 0.0, 200.0, "Pull damping")
-    """[N s/m] damping against the world, of the held point or, if the hand has a mass, of this
-    mass."""
+    """[N s/m] damping of the held point's velocity in the world or, if the hand has a mass, of the
+    velocity of this mass."""
     f_max: float = number(40.0, 1.0, 150.0, "Largest pull force")
     """[N] largest force of the spring and damper."""
     mass: float = number(0.0, 0.0, 5.0, "Mass of the hand", advanced=True)
@@ -362,19 +367,19 @@ class DisturbanceConfig(Strict):
     sensor_delay: float = number(0.0, 0.0, 0.05)
     """[s] age of all readings on arrival."""
     sensor_period: float = number(0.0, 0.0, 0.05)
-    """[s] time between new readings; the last reading is repeated in the meantime. 0 means a new
-    reading in each step."""
+    """[s] time between two new readings; the last reading is repeated in the meantime. 0 means a
+    new reading in each step."""
     dropped: float = number(0.0, 0.0, 0.9, "Dropped readings")
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = number(0.0, 0.0, 10.0)
     """[kg] mass of a load at the end-effector that the controller does not include."""
     stated_period: float = number(0.001, 0.0005, 0.008, source="paper, §4.1: 1 kHz")
-    """[s] control period that the controller assumes from the start of a run on; the true period
-    is 0.001 s."""
+    """[s] control period that the controller assumes during the whole run; the true period is
+    0.001 s."""
     time_stamps: Literal["no", "yes"] = "no"
-    """[-] whether the readings have time stamps, and each control step has the time of a clock."""
+    """[-] whether the controller gets a clock's time and the time stamps of the readings."""
     begins: float = number(0.0, 0.0, 60.0)
-    """[s] start of the late, repeated and lost readings, and of the unknown load."""
+    """[s] time at which `sensor_delay`, `sensor_period`, `dropped` and `unknown_load` begin."""
 
 
 class Config(Strict):
@@ -443,11 +448,12 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """The configuration whose closed loops are slower by the factor `task.base_time_scale`.
+    """A copy, for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
 
-    `ee_stiffness` and k_p are divided by the square of the factor; `ee_damping`, k_v,
-    `barrier.rate` and `max_separation_speed` by the factor. Both rates of joint limits become
-    `position_rate` divided by the factor. The gains of posture and base damping do not change.
+    `task.ee_stiffness` and `repulsion.k_p` are divided by the square of the factor;
+    `task.ee_damping`, `repulsion.k_v`, `barrier.rate` and `barrier.max_separation_speed` by the
+    factor. `limit.position_rate` and `limit.velocity_rate` both become the former
+    `limit.position_rate` divided by the factor. All other parameters stay the same.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -463,9 +469,9 @@ def slowed(config: Config) -> Config:
 
 
 def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
-    """A checked configuration from nested dictionaries.
+    """A checked configuration from `data[section][name]`.
 
-    Missing parameters come from `usual`, or are the defaults without `usual`.
+    Missing parameters come from `usual`; without `usual` they are the defaults.
 
     Raises:
         ConfigError: A parameter is unknown or invalid; the message names it and the valid values.
@@ -483,7 +489,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
 
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested dictionaries of parameters with former names replaced by the present ones.
+    """A copy of `data[section][name]` in which present names replace former names of parameters.
 
     Raises:
         ValueError: A parameter has a value under both names.
@@ -555,7 +561,7 @@ def parameter(path: str) -> Parameter:
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """The valid values at a place of a configuration, for `explain`; None for an unknown place."""
+    """The argument `valid_text` of `explain`: valid values at a place; None if it is unknown."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

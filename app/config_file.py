@@ -16,16 +16,16 @@ from app.strict import content_of, from_toml, text_of
 
 MAX_BYTES = 64_000  # [bytes] largest file, eight times as large as a file with all parameters
 LONGEST_NAME = 60  # [-] characters of the longest name
-_NAME = "name"  # key of the file's own name, beside the sections
+_NAME = "name"  # key of the configuration's name, which is in no section
 _SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller
 _HOST = re.compile(r"[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?")
 
 
 class NamedConfig(NamedTuple):
-    """The content of a file."""
+    """The content of a configuration file."""
 
     name: str
-    """Name in the file, empty if the file has no name."""
+    """Name of the configuration in the file, empty if there is none."""
     config: Config
     hosts: tuple[str, ...] = ()
     """Names in `[server] allow_host`, which only `dbb serve` uses."""
@@ -34,7 +34,8 @@ class NamedConfig(NamedTuple):
 def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> str:
     """The text of a file: value, range (or choices), unit and meaning of each parameter.
 
-    A comment marks each parameter that differs from the program's default.
+    A comment marks each parameter that differs from the program's default. `hosts` are the names
+    for `[server] allow_host`.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.
@@ -67,7 +68,7 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """The parameters in the bytes of a file; missing parameters come from `usual` or the defaults.
+    """Read the bytes of a file; missing parameters come from `usual` or, without it, the defaults.
 
     Raises:
         ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value, the
@@ -96,7 +97,7 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """The parameters in a file; missing parameters come from `usual` or are the defaults.
+    """Read a file; missing parameters come from `usual` or, without it, are the defaults.
 
     Raises:
         ConfigError: The file cannot be read, or `decode_config` raises an error. The message
@@ -111,7 +112,7 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """A configuration's `name`, which its file contains, without leading and trailing blanks.
+    """The name of a configuration without leading and trailing blanks.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.
@@ -128,7 +129,7 @@ def checked_host(name: str) -> str:
     """The name of a host, in the form that browsers send.
 
     Raises:
-        ConfigError: The text is not a host name alone.
+        ConfigError: The text is not a host name, or has more than the name, such as a port.
     """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()

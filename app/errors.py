@@ -10,12 +10,12 @@ class DbbError(Exception):
     """Base of all errors that a user can cause; commands print the text and end with status 2."""
 
     def __str__(self) -> str:
-        """One printable line, also if the message quotes a file with other characters."""
+        """The message as one printable line, even if it quotes unprintable characters of a file."""
         return printable(" ".join(super().__str__().splitlines()))
 
 
 def printable(text: str) -> str:
-    """A text for a terminal, with control and direction characters replaced by their codes."""
+    """A text in which codes replace unprintable characters, except line feeds and tabs."""
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
@@ -45,11 +45,11 @@ class DescriptionError(DbbError):
 
 
 class AssetError(DbbError):
-    """A mesh or package that a description refers to is missing, or an engine cannot load it."""
+    """A URDF, mesh or package of a robot is missing, or a mesh or URDF cannot be loaded."""
 
 
 class RobotFileError(DbbError):
-    """A URDF cannot become a robot description; the message names the part and its correction."""
+    """A URDF cannot become a robot description; the message names the faulty part and a remedy."""
 
 
 class ConfigError(DbbError):
@@ -58,7 +58,7 @@ class ConfigError(DbbError):
 
 @contextmanager
 def named_part(where: str) -> Iterator[None]:
-    """Begin the message of a RobotFileError in the `with` block with the part of the robot."""
+    """Put `where`, the part of the robot, before the message of a RobotFileError in the `with`."""
     try:
         yield
     except RobotFileError as error:
@@ -129,8 +129,8 @@ EXTRAS = {
         *("scipy", "trimesh"),
     ),
 }
-"""The modules that each extra installs, without `all` and `robots`. Each of these extras except
-`sim` includes `sim`, and belongs to the package in `app` with the extra's name."""
+"""The modules that each extra of the package installs; the extras `all` and `robots` are left out.
+Each extra here except `sim` also installs `sim`, and serves the package of its name in `app`."""
 
 
 @contextmanager
@@ -157,12 +157,12 @@ def extras_named() -> Iterator[None]:
 
 
 def closest(name: str, choices: Iterable[str]) -> str:
-    """The closest choice, ignoring case; empty if no choice is close."""
+    """The choice with the most similar name, ignoring case; empty if no choice is similar."""
     known = {choice.casefold(): choice for choice in choices}
     close = difflib.get_close_matches(name.casefold(), known, n=1)
     return known[close[0]] if close else ""
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
-    """The text ` (did you mean 'x'?)` with the `closest` choice; empty if no choice is close."""
+    """The text ` (did you mean 'x'?)` with the `closest` choice x; empty if there is none."""
     return f" (did you mean {close!r}?)" if (close := closest(name, choices)) else ""

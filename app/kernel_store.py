@@ -1,4 +1,4 @@
-"""The folders of compiled kernels: kernels are read from all, written to the first writable one."""
+"""Folders of compiled kernels: a kernel is read from any, and written to the first writable one."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of a kernel's source file, of the files of the functions that it calls, and
-    of the files that compile kernels and lay out structs.
+    """Name and digest of each file on which a compiled kernel depends.
 
-    Called functions are found by their names in the kernel. The kernel's constants must be in the
-    kernel's file. A digest, unlike a time, does not change if an installation is copied.
+    These are the kernel's file, the files of the compiled functions that it calls, and the files
+    that compile kernels and lay out structs. Called functions are found by their names in the
+    kernel. The kernel's constants must be in one of these files: a change of another file would not
+    change the result. A digest, unlike a time, does not change if an installation is copied.
 
     Raises:
         OSError: A file cannot be read.
@@ -49,8 +50,8 @@ def _digest(file: Path) -> str:
 def _folders(file: str, *, make: bool) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
-    They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and the
-    `cache_folders` of this user with the same `make`.
+    They are in NUMBA_CACHE_DIR if it is set, then Python's `__pycache__` next to the source file,
+    then in the `cache_folders` of this user, where `make` has the same meaning.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:
@@ -60,7 +61,7 @@ def _folders(file: str, *, make: bool) -> Iterator[Path]:
 
 
 class _Locator(caching._CacheLocator):
-    """Description of a kernel for numba, whose own locators refuse read-only folders."""
+    """A kernel's source, described for numba, whose own locators refuse read-only folders."""
 
     def __init__(self, function: FunctionType) -> None:
         self._function = function

@@ -1,4 +1,4 @@
-"""Validated, frozen records for descriptions and configurations, and readers of untrusted text."""
+"""Validated, frozen records, explanations of their errors, and readers of untrusted text."""
 
 import ast
 import codecs
@@ -38,7 +38,7 @@ _MAX_PARTS = 500  # [-] largest number of dots and brackets in a TOML line that 
 LARGEST_TEXT = 10_000_000  # [bytes] size of the largest text file
 LARGEST_DATA = 10**6  # [characters] longest TOML or JSON text; each value needs 400 bytes
 _MAX_PROBLEMS = 8  # [-] largest number of reported problems of a file
-_MAX_LISTED = 1000  # [-] largest number of problems of a listing, which needs 1 kB for each
+_MAX_LISTED = 1000  # [-] largest number of problems that are listed; each needs 1 kB
 
 
 class Strict(BaseModel):
@@ -48,7 +48,7 @@ class Strict(BaseModel):
 
 
 def field_docs(cls: type) -> Iterator[tuple[str, str]]:
-    """The names of a dataclass's own documented fields, with their docstrings in one line each."""
+    """Name and docstring (one line) of each documented field that `cls`, a dataclass, defines."""
     if "__dataclass_fields__" not in vars(cls):
         return
     body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
@@ -91,7 +91,8 @@ def explain(
 ) -> str:
     """The error of a record `model` as one line, with `field: valid value` for the first problems.
 
-    `valid_text` returns the valid values for the place and kind of a problem, or None.
+    `valid_text` returns the valid values for the place and kind of a problem; if it returns None,
+    the text is pydantic's. If there are too many problems, the line has only their number.
     """
     texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(texts):
@@ -144,8 +145,8 @@ def _cut(text: str) -> str:
 
 
 def _followed(model: type[BaseModel], loc: Place) -> tuple[list[type[BaseModel]], Place]:
-    """The records whose field or item is the last part of a place, and the place without the values
-    of `kind` that pydantic adds for a union.
+    """The records that can have the last part of the place `loc` as a field; and the place `loc`
+    without the values of `kind` that pydantic adds for a union.
     """
     found, records, place = [model], [model], list[int | str]()
     for part in loc:
@@ -177,7 +178,7 @@ def content_of(path: Path) -> bytes:
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: The file is larger than any text file that this program reads.
+        ValueError: The file has more than `LARGEST_TEXT` bytes.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
@@ -192,7 +193,7 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text with `loads`, a reader of TOML or JSON; `heavy`: in a child process.
+    """Parse an untrusted text with `loads` (TOML or JSON); if `heavy`, always in a child process.
 
     Raises:
         ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands
@@ -221,9 +222,9 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def _at(error: ValueError, text: str) -> str:
-    """The text of the line that an error of a TOML or JSON reader names; or empty.
+    """A quotation of the line that an error of a TOML or JSON reader names; empty without a line.
 
-    Advice follows if a comma before the error is the cause.
+    If a comma before the error is the cause, the result also advises to remove the comma.
     """
     found = re.search(r"line (\d+),? column", str(error))
     lines = text.split("\n")
@@ -247,9 +248,10 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """The placeholder that a download or a repository has left in a file's place, with advice.
+    """Name of a placeholder that is in a file's place, such as a Git LFS pointer, with advice.
 
-    It is empty for other content. `content` is the first bytes of the file, or all of them.
+    A download or a repository can leave a placeholder. The result is empty for other content.
+    `content` is the first bytes of the file, or all of them.
     """
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))

@@ -17,13 +17,13 @@ from numba.core import config
 from numba.experimental import structref
 
 _OWNER = struct.Struct("@6q")
-"""numba's record of a memory: count of references, two pointers of its destructor, address, size,
-and allocator. The count starts at 1 for Python, so that compiled code never releases the memory."""
+"""numba's header of a block of memory: number of references, destructor and its argument, address,
+size, and allocator. The number starts at 1, for Python: compiled code never frees the memory."""
 
 
 @structref.register
 class _Struct(types.StructRef):
-    """The type of a struct: names and types of its fields.
+    """numba's type of a struct: names and types of its fields.
 
     The type's name is short, because numba includes it in the name of every function that takes the
     struct.
@@ -43,7 +43,7 @@ class _Struct(types.StructRef):
 
 
 class _Handle(int):
-    """A struct on the Python side: its address."""
+    """A struct as Python passes it to compiled code: its address."""
 
     kind: _Struct
     owners: tuple[Any, ...]
@@ -60,10 +60,10 @@ def _kind(handle: _Handle, _: Any) -> _Struct:
 
 @extending.unbox(_Struct)
 def _unbox(kind: _Struct, handle: Any, c: Any) -> extending.NativeValue:
-    """The struct in compiled code, made of a `_Handle`."""
+    """Code that makes the struct in compiled code from a `_Handle`."""
     address = c.pyapi.long_as_voidptr(handle)
     value = structref._Utils(c.context, c.builder, kind).new_struct_ref(address)._getvalue()
-    c.context.nrt.incref(c.builder, kind, value)  # the caller of compiled code counts back
+    c.context.nrt.incref(c.builder, kind, value)  # decremented after the call
     return extending.NativeValue(value)
 
 
@@ -73,7 +73,7 @@ class StructType(NamedTuple):
     type: types.StructRef
     """numba's type of the struct, for the signatures of compiled functions."""
     fields: dict[str, types.Type]
-    """numba's types: arrays, f8, i8 and b1."""
+    """numba's type of each field: an array, f8, i8 or b1."""
 
     def made_of(self, values: Any) -> Any:
         """Make a struct from a named tuple; without compilation, return the tuple itself.
@@ -95,7 +95,8 @@ class StructType(NamedTuple):
     def _packed(self, values: Any) -> bytes:
         """The bytes of the struct: each number unchanged, each array in numba's form.
 
-        This form is: owner, parent, size, bytes of an entry, address, shape, strides.
+        The form of an array is: owner and parent (both 0), number of entries, bytes of an entry,
+        address, shape, strides.
         """
         layout, content = "", list[Any]()
         for value, kind in zip(values, self.fields.values(), strict=True):

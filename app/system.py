@@ -1,7 +1,7 @@
-"""Differences between operating systems, with a fallback for each missing feature.
+"""Functions of the operating system: processes, files and folders, memory, standard files, locale.
 
-Linux has all features. macOS, for example, has no real-time policy for a user's process, no set of
-allowed cores and no `malloc_trim`.
+Each function has a fallback for a missing feature. Linux has all features. macOS, for example, has
+no real-time policy for a user's process, no set of allowed cores and no `malloc_trim`.
 """
 
 import ctypes
@@ -54,7 +54,7 @@ def raise_priority(niceness: int) -> None:
 
     On three or more cores, the process also gets a real-time policy if possible; it would leave too
     little time to other processes on fewer cores. A process that works for 0.5 s without a pause
-    loses the policy permanently. Call this function in the main thread, before it starts others.
+    loses the policy permanently. Call this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -174,9 +174,9 @@ def claim(file: BinaryIO | int) -> bool | None:
 
 @contextmanager
 def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
-    """A locked folder in `place` for an unfinished result, which the end of the `with` removes.
+    """Yield a locked folder in `place` for an unfinished result; the end of the `with` removes it.
 
-    Only one process at a time can use a name; the default is a random one. Files that killed
+    Only one process at a time can use a `name`; the default is a random name. Files that killed
     processes have left are removed first.
 
     Raises:
@@ -198,7 +198,7 @@ def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder. Programs that are about to end may write to it for another second."""
+    """Remove a folder; repeat this for 1 s, because programs that are about to end may use it."""
     end = time.monotonic() + _PATIENCE
     shutil.rmtree(folder, ignore_errors=True)
     while folder.exists() and time.monotonic() < end:
@@ -210,7 +210,7 @@ def _claimed(folder: Path) -> int:
     """Make and lock a folder, and return the file descriptor that holds the lock.
 
     Raises:
-        OutputError: Another process holds the lock for longer than `_PATIENCE`.
+        OutputError: Another process or user holds the folder for longer than `_PATIENCE`.
     """
     end = time.monotonic() + _PATIENCE
     while True:
@@ -226,9 +226,10 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The file descriptor that locks a folder, or None if another process or user holds the folder.
+    """The file descriptor that locks a folder; None if another process or user has the folder, or
+    if the folder has been replaced.
 
-    If the file system has no locks, it locks nothing; with `surely`, the result is then None.
+    If the file system has no locks, the descriptor locks nothing or, with `surely`, it is None.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -264,7 +265,7 @@ def own_path(path: Path) -> Path:
 
     Raises:
         OutputError: The path has a link of another user in a shared folder, or more than 40 links,
-            which possibly form a circle; or it is relative to a removed folder.
+            which possibly form a circle; or it is relative, and the working folder is removed.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -295,7 +296,7 @@ def _is_foreign(link: Path) -> bool:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary file that replaces the file at `path` if the `with` raises no error.
+    """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
     Thus no reader sees an incomplete file, and two writers do not disturb each other. If `path` is
     a link of this user, it remains a link to the new file.
@@ -325,8 +326,8 @@ def whole_folder(out: Path) -> Iterator[Path]:
     """Yield a temporary folder that becomes `out` if the `with` raises no error.
 
     Raises:
-        OutputError: `out` exists and is not an empty folder, `out` cannot be written, or another
-            process is making it.
+        OutputError: `out` exists and is not an empty folder, `out` is a mount point or cannot be
+            written, or another process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -368,7 +369,7 @@ def peak_memory() -> float:
 def return_freed_memory_early() -> None:
     """Make glibc return freed memory to the system early; other C libraries do this anyway.
 
-    Each large block is mapped on its own, and all threads share one heap. Without these settings,
+    From then on, each large block is mapped on its own, and all threads share one heap. Otherwise,
     freed blocks between used ones stay in this process, for example those of a former robot.
     """
     _call_c("mallopt", _MMAP_THRESHOLD, _LARGE)
@@ -397,7 +398,7 @@ def cache_folders(*, make: bool = True) -> Iterator[Path]:
     """Folders of this user for files that can be made again: the standard and a temporary folder.
 
     A user without a home directory, for example in a container, has only the temporary folder. With
-    `make`, it is created if the caller iterates up to it.
+    `make` this is created when the iteration arrives at it; it is left out if it cannot be used.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -416,7 +417,7 @@ def _private_folder(shared: Path, *, make: bool = True) -> Path:
     """This user's own folder in a folder that all users share.
 
     Raises:
-        OSError: The folder does not exist or cannot be made, or other users can write into it.
+        OSError: The folder is missing (without `make`), cannot be made, or is not only this user's.
     """
     folder = shared / f"dbb-{os.getuid()}"
     if make:
@@ -433,7 +434,7 @@ def open_standard_files() -> None:
 
     Without this, the next file, pipe or socket would get the number of a standard file and receive
     printed text. Text for a closed standard output raises an OSError, because a result would be
-    lost. Characters outside of the output's encoding are printed as codes.
+    lost. Codes replace the characters that the encoding of standard output lacks.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number
@@ -464,7 +465,7 @@ def set_missing_folders() -> None:
 def decimal_points() -> Iterator[None]:
     """Make C libraries read numbers with decimal points in this thread, during the `with`.
 
-    A process with a locale of decimal commas, which GUI libraries set, would read 0.5 as 0.
+    GUI libraries can set a locale of decimal commas; C libraries would then read 0.5 as 0.
     """
     library = _c_library()
     if library is None or not hasattr(library, "uselocale"):

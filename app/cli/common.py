@@ -54,16 +54,16 @@ def show(text: str) -> None:
 
 
 def print_json(result: object) -> None:
-    """Print one JSON object on standard output; it can have numbers and arrays of numpy.
+    """Print one JSON object on standard output; `result` can have numbers and arrays of numpy.
 
-    A number that is not finite is null.
+    A number that is not finite becomes null.
     """
     plain = to_jsonable_python(result, inf_nan_mode="null", fallback=lambda x: x.tolist())
     print(json.dumps(plain, indent=2, allow_nan=False))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
-    """Print a command's results, as one JSON object or with one result on each line."""
+    """Print a command's results: with `json` as one JSON object, otherwise one on each line."""
     print_json(result) if json else _print_lines(result)
 
 
@@ -99,7 +99,7 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
 def spec_of_scenario(
     name: str, setup: Given, config: Path | None, parameters: Given | None = None, **own: object
 ) -> RunSpec:
-    """The run of a scenario with `own` options; `setup` has values for `Setup`.
+    """The run of a scenario; `own` has the scenario's options, `setup` has values for `Setup`.
 
     `config` and `parameters` are the arguments `file` and `given` of `configured`.
     """
@@ -112,14 +112,14 @@ def spec_of_scenario(
 
 
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
-    """The run of a case; its differences from this version of the program are printed.
+    """The run of a case; prints changes of version and parameters since the case was written.
 
-    `setup` can replace controller and plant. `others` are further options of the user that must be
-    None, and `word` is the argument `case` of `check_no_others`.
+    `setup` can replace controller and plant. `others` are further options of the user, and `word`
+    is the argument `case` of `check_no_others`.
 
     Raises:
         CaseError: The file cannot be read or is not a valid case.
-        ConfigError: The user set an option that a case already sets, such as `robot` or `seed`.
+        ConfigError: As for `check_no_others`, with `robot` and `seed` of `setup`, and `others`.
     """
     check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
     case = read_case(file)
@@ -141,7 +141,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
 def filmed(
     run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Execute a run up to the last of `times` [s] with a progress bar; see `simulation.filmed`."""
+    """Execute a run up to the last of `times` [s]; see `filmed` of `app.simulation.run`."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
@@ -149,7 +149,7 @@ def filmed(
 
 
 def is_case(word: str) -> bool:
-    """Whether a word is the file of a case; an `UnknownNameError` if it is no scenario either."""
+    """True for the file of a case (.json), False for a scenario; else an `UnknownNameError`."""
     if word.lower().endswith(".json"):
         return True
     check_name("scenario", word, SCENARIOS)
@@ -157,13 +157,13 @@ def is_case(word: str) -> bool:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Check that the user has set none of the options that a case already sets.
+    """Check that the user has set none of `options`, because a case already sets them.
 
-    None means that an option is not set. `border` and `buffer_distance` are ignored, because they
-    override the case. `case` names the case in the message: the option `--case`, or the file.
+    None means that an option is not set. `border` and `buffer_distance` are allowed: they override
+    the case. `case` names the case in the message: the option `--case`, or the file.
 
     Raises:
-        ConfigError: An option is set; the message names the first such option.
+        ConfigError: Another option is set; the message names the first such option.
     """
     for name, value in options.items():
         if value is not None and name not in ("border", "buffer_distance"):
@@ -174,7 +174,7 @@ def check_no_others(options: Mapping[str, object], case: str = "--case") -> None
 
 
 def trace_of(path: Path) -> Trace:
-    """Read the trace of a log, or execute the run of a case and return its trace."""
+    """Read the trace of a log or, for the file of a case (.json), execute the run of the case."""
     from app.simulation.trace.log_file import read_trace
 
     if path.suffix.lower() != ".json":

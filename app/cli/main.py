@@ -57,7 +57,7 @@ def console() -> NoReturn:
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the command `args`, default `sys.argv[1:]`; exit status 0 means success."""
+    """Run a command line, default `sys.argv[1:]`; an error is printed and becomes a SystemExit."""
     open_standard_files()
     set_missing_folders()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's backend needs a library of the notebook
@@ -147,10 +147,10 @@ def _run_command(name: str, *words: str) -> None:
 
 
 def _help_texts(doc: str) -> tuple[str, str]:
-    """A docstring in which the text of each argument is one line, and its filled description.
+    """`doc` with the text of each argument on one line; and its description, without arguments.
 
-    tyro fills the text of an argument to the terminal's width, but not the description. It also
-    joins lines that begin with a letter; therefore all lines after the first are indented.
+    tyro fills the text of an argument to the terminal's width; this function fills the description.
+    tyro joins lines that begin with a letter; therefore all lines after the first are indented.
     """
     doc = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(doc))
     text = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:")[0])

@@ -20,10 +20,10 @@ from app.studies.sweep.plan import OPTIONS, SweepPlan
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
 _MAX_CASES = 10_000_000
 _INSIDE = (
-    "Narrow the ranges of the random quantities to the envelope that the project states "
-    "(docs/safety_study.md); a range completely outside the envelope is an error."
+    "Narrow the ranges of the random quantities to the envelope that docs/safety_study.md states; "
+    "a range completely outside the envelope is an error."
 )
-_TIME_STAMPS = "The readings have time stamps, and each control step has the time."
+_TIME_STAMPS = "The controller gets the time of a clock and the time stamps of the readings."
 
 
 def reproduce(
@@ -41,8 +41,8 @@ def reproduce(
     """Run the paper's experiments, draw its figures, check its claims.
 
     Args:
-        figures: Names of figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity (both
-            for §4.3) and departures; default: all.
+        figures: Names of figures: fig3, fig5 to fig8, fig10 to fig18; density and continuity (both
+            for §4.3); departures (effects of departures from (26) to (29)). Default: all.
         out: Folder for a PNG and CSV files of each figure, `metrics.json` and `index.html`.
         seed: Seed of all random numbers of the runs.
     """
@@ -76,11 +76,11 @@ def sweep(
 ) -> None:
     """Move the end-effector towards the base from all sides; draw maps.
 
-    Each path starts at a posture outside all buffers. The distance between arm and base is the same
-    at all starts that allow it. The path leads to the middle of the base's box, parallel to
-    the wheel axis, or down onto the base. A path without such a posture is listed as unreachable.
-    Paths parallel to the wheel axis start with the arm's closest point at x = 0, ±1, ±10 and ±50 mm
-    in the base's frame.
+    There are three kinds of paths: horizontal paths to the middle of the base's bounding box,
+    horizontal paths parallel to the wheel axis and, with --above, vertical paths down onto the
+    base. Each path starts outside all buffers, at --start-distance or, if the arm cannot reach it,
+    at another distance. A path without a start is listed as unreachable. At the start of a path
+    parallel to the wheel axis, x of the arm's closest point is 0, ±1, ±10 or ±50 mm (base's frame).
 
     Args:
         out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed; with
@@ -138,12 +138,12 @@ def study(
     out: Path = Path("out/study"),
     json: options.Json = False,
 ) -> None:
-    """Pull the end-effector towards or along the base in random cases.
+    """Simulate persons who pull the end-effector, in random cases.
 
-    The pulls come from all sides, with noise, delay, slip and model errors. The force, stiffness
-    and mass of the person's hand vary. In some cases the person releases the end-effector early,
-    and in some of these cases grasps it again. Each finished case is stored. After an interruption,
-    the same command continues the study; a larger number of cases extends the study.
+    The pulls lead towards or along the base from all sides, with noise, delay, slip and model
+    errors. The force, stiffness and mass of the hand vary. In some cases the person releases the
+    end-effector early, and in some of these cases grasps it again. Each finished case is stored.
+    After an interruption, the same command continues the study. More --cases extend the study.
 
     Args:
         cases: Number of cases.

@@ -127,26 +127,25 @@ def reach(
 ) -> None:
     """Compute the arm's reachability R, and fit (9) to R (§2.3.2).
 
-    R is computed for each position p of a lattice around the arm's mount. For the body lEE, p is
-    the end-effector's origin, and the pose is the end-effector's pose. For another body, p is the
-    centre of the body's first shape, and the pose is this point with the direction of the shape's
-    axis. If fewer than six joints move the body, the pose has fewer coordinates: position and
-    direction for five joints, only the position for three or four joints. R is the mean
-    number of inverse kinematics solutions within the joint limits and without self-collision, up to
-    a constant factor. It is computed from random joint positions by the area formula: R is the sum
-    of |det J| over the joint positions that lead to a cell of the lattice. J is the square Jacobian
-    of the pose; it has no columns for redundant joints, as if these were fixed at their random
-    positions. Then the mean of R is computed in spherical shells around the mount, each for an
-    interval of ρ = ‖p − p_base‖. R is scaled so that the largest of these means is 100. The fit of
-    (9) uses all positions in the shells around the best one with means of at least 5. The fitted A
-    depends on the end-effector's frame, on this scale, and on the lower bound 5; the paper does not
-    state these.
+    R is computed for each position p of a lattice around the arm's mount. p is the position of a
+    frame: for the body lEE, of the end-effector's frame; for another body, of the frame of the
+    body's first shape. The pose of this frame has six coordinates if the joints can change six
+    independently, or else five (position, direction of the z axis), or else three (position). R is
+    the mean number of inverse kinematics solutions for these poses within the joint limits and
+    without self-collision, up to a constant factor. R is computed from random joint positions by
+    the area formula: it is the sum of |det J| over the joint positions that lead to a cell of the
+    lattice. J is the square Jacobian of the pose; it has no columns for redundant joints, as if
+    these were fixed at their random positions. Then the mean of R is computed in spherical shells
+    around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of
+    these means is 100. The fit of (9) uses all positions in the best shell and in the shells around
+    it with a mean of at least 5. The fitted A depends on the end-effector's frame, on this scale,
+    and on the lower bound 5; the paper does not state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        body: Body such as lEE or l3 with at least three joints before it; `all` selects all these.
+        body: A body that at least three joints move, such as lEE or l3; `all` selects all of them.
         seed: Seed of the random joint positions; a different seed gives a different map.
-        out: Folder for two CSV files of each body: the map, and mean and fit of each shell.
+        out: Folder for two CSV files of each body: its map; and the mean and the fit in each shell.
     """
     from app.border import reach as maps
 
@@ -201,7 +200,7 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
 
 
 def _write_csv(path: Path, header: str, rows: np.ndarray, form: str) -> None:
-    """Write the rows that have no NaN as a CSV file."""
+    """Write rows as a CSV file, without those that have a NaN."""
     import numpy as np
 
     known = rows[~np.isnan(rows).any(axis=1)]
@@ -216,7 +215,7 @@ def config(
 ) -> None:
     """Print all parameters, as a file for --config.
 
-    A comment states the range with its unit, or the choices, and the meaning of each parameter.
+    A comment for each parameter states its range and unit, or its choices, and its meaning.
 
     Args:
         out: File to write instead of standard output; an existing file is not overwritten.
@@ -257,9 +256,9 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        no_border: Leave out the measurement of the sampling of a new border, which takes minutes.
-        seed: Seed of all random numbers: of the simulated paths, the synthetic borders, and the QP
-            that the libraries solve directly, for comparison.
+        no_border: Do not measure the sampling of a new border, which takes minutes.
+        seed: Seed of all random numbers: for the simulated paths, for the synthetic borders, and
+            for the QP with which solver libraries are compared.
     """
     options.check_seed(seed)
     try:

@@ -32,8 +32,8 @@ ConfigOption = Annotated[
     NO_DEFAULT,
     tyro.conf.arg(
         help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
-        "are not in the file have the robot's defaults; options for parameters, where a command "
-        "has them, override the file."
+        "are not in the file have the robot's defaults. An option of this command that sets a "
+        "parameter overrides the file."
     ),
 ]
 Processes = Annotated[
@@ -54,7 +54,7 @@ FORMERLY = {
 """Former names of options, which are still valid, and the present names."""
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
-"""Options that set a parameter, and the parameter's path."""
+"""Names of options that set a parameter, each with the parameter's path."""
 
 _MAX_PROCESSES = 64
 _USUAL_PROCESSES = 2  # each further process needs 0.5 GB
@@ -82,13 +82,13 @@ REGISTRY = tyro.constructors.ConstructorRegistry()  # further rules for options 
 def _path_rule(
     about: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[Path] | None:
-    """Replace `~` by the user's home in each path: a shell does not do this in `--out=~/a`."""
+    """The rule for an option of type Path: the home replaces `~`; None for other types."""
     if about.type is not Path:
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
-        instance_from_str=lambda words: home_expanded(words[0]),
+        instance_from_str=lambda words: home_expanded(words[0]),  # a shell leaves `--out=~/a`
         is_instance=lambda value: isinstance(value, Path),
         str_from_instance=lambda path: [str(path)],
     )
@@ -110,9 +110,9 @@ def from_record(
     names: Mapping[str, str] | None = None,
     positional: str = "",
 ) -> Any:
-    """The annotation in `Annotated[Given, …]` of a command that has an option for each field.
+    """The second argument of `Annotated[Given, …]`: a command's options, one for each field.
 
-    The command gets a dictionary that has only the options that the user set.
+    The command gets a dictionary with the values of only the options that the user set.
 
     Args:
         record: A dataclass or pydantic record; or a dataclass instance with the defaults.
@@ -146,7 +146,7 @@ def _from_fields(found: Mapping[str, Field], names: Mapping[str, str], positiona
 
 
 def _text(default: Any) -> str:
-    """A default value as the help displays it: `yes` or `no` for a bool."""
+    """A default value as the help displays it, for example `yes` or `no` for a bool."""
     if isinstance(default, tuple):
         return " ".join(map(_text, default))
     if isinstance(default, bool):
@@ -190,11 +190,11 @@ class Setup:
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb; hqp (equations (26) to (29) of the paper, the rest as in dbb; slower); repulsive or
-    barrier (methods for comparison); or none (dbb without avoidance)."""
+    """dbb (the paper's method), hqp (dbb with (26) to (29) as printed, without joint limits and
+    barriers; slower), repulsive or barrier (methods for comparison), or none (no avoidance)."""
     physics: str = field(default_factory=default_plant)
     """planar (pybullet; three velocity-controlled joints move the base), mujoco (the same model in
-    MuJoCo), mujoco-contact (MuJoCo, base on wheels in contact) or kinematic (no physics engine)."""
+    MuJoCo), mujoco-contact (MuJoCo, base on driven wheels) or kinematic (no physics engine)."""
     seed: int = 0
     """Seed of all random numbers."""
 
@@ -205,7 +205,7 @@ class Setup:
 
 
 def parameter_options(paths: Mapping[str, str]) -> Any:
-    """The annotation in `Annotated[Given, …]` for options that set the parameters with `paths`."""
+    """The second argument of `Annotated[Given, …]`: an option for each parameter in `paths`."""
     found = {}
     for name, path in paths.items():
         about = tunable(path)
@@ -228,7 +228,7 @@ def configured(
     """The robot's defaults, overridden by the file of `--config`, and then by the options.
 
     `given` are the values of the options that the user set; `paths` has the path of the parameter
-    that each option sets, such as `border.d_b`.
+    that each option sets, such as `border.d_b`. A `hidden_robot` causes a warning in the log.
     """
 
     def override(usual: Config) -> Config:
@@ -245,7 +245,7 @@ def configured(
 
 
 def read(file: Path | None, usual: Config | None = None) -> NamedConfig:
-    """The content of the file of `--config`, by `read_config`; without a file, only `usual`."""
+    """Read the file of `--config`; without a file, the result has `usual` or else the defaults."""
     try:
         return read_config(file, usual) if file else NamedConfig("", usual or Config())
     except ConfigError as error:
@@ -282,11 +282,11 @@ def check_processes(processes: int | None) -> int:
 
 
 def in_order(words: Iterable[str]) -> list[str]:
-    """The words of a command line with the present names of options, and with `--allow-host` once.
+    """The words of a command line with the present names of options, and one merged `--allow-host`.
 
     Raises:
-        ConfigError: Another option appears twice, although only the last one would count; the
-            message shows the correct form.
+        ConfigError: Another option appears several times, although only the last one would count;
+            the message shows the correct form.
     """
     before: list[str] = []
     groups: dict[str, list[list[str]]] = {}  # each option with its values
@@ -312,10 +312,10 @@ def in_order(words: Iterable[str]) -> list[str]:
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Check an option's file before the work, and make its folder.
+    """Check the file `path` of an option before the work, and make its folder; None is valid.
 
     Raises:
-        OutputError: The file has a different ending or cannot be written.
+        OutputError: The file does not end in one of `suffixes`, or cannot be written.
     """
     if path is None:
         return
@@ -327,7 +327,7 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
 
 
 def make_folder(out: Path | None, option: str = "--out") -> None:
-    """Make the folder of an option before the work; an `OutputError` if it is not writable."""
+    """Make the folder of an option, if it has one; an `OutputError` if it is not writable."""
     if out is None:
         return
     try:

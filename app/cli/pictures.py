@@ -44,13 +44,13 @@ def screenshot(
     config: options.ConfigOption = None,
     json: options.Json = False,
 ) -> None:
-    """Draw instants of a scenario, in a browser without a display.
+    """Draw pictures of a scenario at some times, without a display.
 
     Args:
         scenario: A scenario of `dbb run`, or the JSON file of a case; a case determines robot,
             parameters and seed.
-        at: [s] time since the start of the scenario; 2 to 12 times (--at 0 3 6) make a strip of
-            pictures.
+        at: [s] one to 12 times since the start of the scenario; several times, such as
+            --at 0 3 6, make a strip of pictures.
         out: The PNG file.
     """
     common.is_case(scenario)
@@ -103,7 +103,7 @@ class Filming:
     """Draw the robot of each controller of --beside in its own view, left of the main view, not as
     a ghost."""
     codec: str = ""
-    """h264 (default) or h265 for .mp4; vp9 (default) or vp8 for .webm."""
+    """Codec of the film: h264 (default) or h265 for .mp4; vp9 (default) or vp8 for .webm."""
 
     def __post_init__(self) -> None:
         check_range("--rate", self.rate, 1.0, 60.0, "1/s")
@@ -134,8 +134,8 @@ def film(
         out: The file, which ends in .mp4, .webm, .webp (animated) or .gif.
         beside: Controllers for comparison; their robots appear as ghosts, or in views of their own
             with --side-by-side.
-        start: [m] start of the end-effector, in the world, as in `dbb run`.
-        move: [m] displacement of the end-effector, in the world, as in `dbb run`.
+        start: [m] start of the end-effector in the world; default: that of the scenario.
+        move: [m] displacement of the end-effector in the world; default: that of the scenario.
     """
     from app.dashboard.export.offscreen import CODECS
 

@@ -74,9 +74,9 @@ def check_robot(
 ) -> None:
     """Check a robot against its URDF, meshes and physics engines.
 
-    The command compares pinocchio with pybullet and MuJoCo, and the bodies with the meshes. It
-    checks limits, pairs, border and guiding runs, and prints warnings. The exit status is 0 only if
-    no check fails.
+    The command compares pinocchio's results with those of pybullet and MuJoCo, and the bodies with
+    the meshes. It checks limits, pairs, border and guiding runs, and prints warnings. The exit
+    status is 0 if no check fails, otherwise 1.
 
     Args:
         name: Name of the robot; `dbb robots` lists all names.

@@ -1,4 +1,4 @@
-"""`dbb run`: a scenario without a display, faster than real time."""
+"""`dbb run`: a run of a scenario or a case without a display, faster than real time."""
 
 import sys
 from collections.abc import Callable
@@ -32,8 +32,8 @@ class Files:
     """Folder for `log.csv` and `metrics.json`."""
     log: Path | None = None
     """File that ends in .csv or .parquet, for `dbb report` and `dbb replay`, or in .mcap, for
-    Foxglove, Rerun and other viewers. The first two have one row per control step, and all
-    displayed quantities in every 20th row."""
+    Foxglove, Rerun and other viewers. A .csv or .parquet file has one row per control step; only
+    every 20th row has all quantities that the dashboard displays."""
     ros: bool = False
     """Write only the ROS 2 messages (CDR) into the .mcap file, for `ros2 bag play`."""
 
@@ -134,7 +134,7 @@ def run_case(
 ) -> None:
     """Repeat a case: the same robot, scenario, parameters and seed.
 
-    With the same version and without options that change the run, the results are the same too.
+    With the same version of dbb and without options that change the run, the results are the same.
 
     Args:
         case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.

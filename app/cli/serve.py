@@ -104,7 +104,7 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation in `waiting` or a new process; default `q_start`: the free start."""
+        """Begin a simulation at `q_start` or else the free start, in `waiting` or a new process."""
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
@@ -169,7 +169,9 @@ def _opened(first: _First) -> DashboardServer:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border; a background process refines a coarse one for the next start."""
+    """The stored border; else a stored coarse one, which a background process refines for the next
+    start; else a newly sampled one.
+    """
     from app.border.cache import kept_border_data, load_border_data
     from app.border.sampling import QUICK
     from app.dashboard.job import Job, sample_border

@@ -46,7 +46,7 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
     `read` must be a function of a module; its arguments and its result must be picklable. Data up
-    to `SMALL` have no budget.
+    to `SMALL` have no budget of their own, nor data that a reading child process reads.
 
     Raises:
         BudgetError: Reading exceeds the budget, or crashes its process.

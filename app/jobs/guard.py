@@ -30,7 +30,7 @@ def wake_without_parent() -> None:
 def guarded(
     heard: int, patience: float, numbers: Sequence[int] = (), *, group: bool = False
 ) -> Iterator[int]:
-    """Run a guard for this process, or its whole `group`, in the `with`; arguments: see the module.
+    """Run a guard for this process, or its `group`, in the `with`; its arguments: see the module.
 
     Yields:
         The descriptor of a file to which the guard copies the bytes of `heard`. If the guard cannot
@@ -62,7 +62,7 @@ def guarded(
 
 
 def main(heard: int, lives: int, pid: int, patience: float, numbers: Sequence[int]) -> None:
-    """Kill process `pid` if it still runs `patience` [s] after `heard` has announced its end."""
+    """Wait for the announcement in `heard`; kill `pid` if it still runs `patience` [s] later."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     wake_without_parent()

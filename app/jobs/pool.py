@@ -22,7 +22,7 @@ from app.system import usable_cores
 
 Result = TypeVar("Result")
 _TRIES = 3  # [-] largest number of attempts at a job that ends its process
-_LOOK_EVERY = 0.1  # [s] longest wait for a message: a signal that another thread received ends none
+_LOOK_EVERY = 0.1  # [s] longest wait for a message; signals to other threads do not end this wait
 _log = logging.getLogger(__name__)
 
 
@@ -74,7 +74,7 @@ class Workers(AbstractContextManager["Workers"]):
         tells: bool = False,
         lost: Callable[[Any], Result] | None = None,
     ) -> Iterator[Result]:
-        """Execute the jobs, and yield each result as soon as it is available, in order.
+        """Execute the jobs, and yield their results in the order of the jobs.
 
         The processes begin at once. Without processes, a job runs when its result is read.
 
@@ -169,7 +169,7 @@ ALONE = Workers(tuple, 1)  # runs jobs in this process; their context is an empt
 
 
 class _Shares:
-    """The share of each job that is done, as reported by the jobs' workers."""
+    """The finished share of each job, as the workers report it."""
 
     def __init__(self, jobs: int, on_progress: OnProgress) -> None:
         self._of, self._on_progress = [0.0] * jobs, on_progress

@@ -50,8 +50,8 @@ class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
     `work` must be a function of a module, and its arguments must be picklable. The child never
-    imports the parent's main module, and modules from the working directory only if the parent's
-    `sys.path` names this directory. It ignores SIGINT (Ctrl-C), which the parent handles.
+    imports the parent's main module. It imports modules from the working directory only if the
+    parent's `sys.path` names this directory. It ignores SIGINT (Ctrl-C), which the parent handles.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Child(AbstractContextManager["Child"]):
     def ended(self, patience: float = 0.0) -> int | None:
         """The exit status if the process ends within `patience` [s], otherwise None.
 
-        After a signal, it is the negative number of the signal.
+        If a signal has ended the process, the status is the negative number of the signal.
         """
         try:
             return self._process.wait(patience)
@@ -93,7 +93,7 @@ class Child(AbstractContextManager["Child"]):
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process, and its group if it leads one; without `at_once`, let it clean up."""
+        """End the process or the group that it leads; if not `at_once`, it can clean up first."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -236,7 +236,7 @@ def _leave(*_: object) -> None:
 
 
 def _end_with_parent(leads_group: bool) -> None:
-    """End this process, or the group that it leads, when the parent closes its standard input."""
+    """Wait until the parent closes standard input; end this process, or the group that it leads."""
     os.read(0, 1)
     if leads_group:
         end_group(0, at_once=False)  # includes this process, which then removes temporary files

@@ -1,8 +1,8 @@
-"""Locations: installed packages, robots' folders, their URDFs with meshes, and caches.
+"""Files of robots: their folders, URDFs and meshes, packages with meshes, the folder of borders.
 
-A file of an installed package has the address `package://PACKAGE/PATH`.
-pinocchio reads a robot's URDF without its shapes (`bare_urdf`), pybullet with its shapes and on a
-planar root (`planar_urdf`).
+A file of an installed package has the address `package://PACKAGE/PATH`. pinocchio reads a robot's
+URDF without its shapes (`bare_urdf`), pybullet with its shapes and on a planar root
+(`planar_urdf`).
 """
 
 import codecs
@@ -37,7 +37,7 @@ _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
 _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
-_MAX_ATTRIBUTES = 100  # [-] largest number of attributes; some parsers compare each with all others
+_MAX_ATTRIBUTES = 100  # [-] of an element; some parsers compare each attribute with all others
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -46,8 +46,8 @@ _WITH_PYBULLET = (
 
 
 def cache_folder() -> Path:
-    """Folder of new borders: `dbb_cache/` in a writable checkout, or else the first writable one of
-    the user's cache folders; if none is writable, the first of them.
+    """Folder of new borders: the first writable one of `dbb_cache/` in a checkout and the
+    `cache_folders`; if none is writable, the first of `cache_folders`.
     """
     if IN_CHECKOUT and is_writable(SHIPPED_CACHE):
         return SHIPPED_CACHE
@@ -56,23 +56,23 @@ def cache_folder() -> Path:
 
 
 def user_robots() -> list[Path]:
-    """Folders of the user's own robots in `$DBB_ROBOTS`; the dashboard uses the first for new ones.
+    """Folders that have the user's robots as subfolders; the dashboard adds robots to the first.
 
-    An empty entry, or an unset `$DBB_ROBOTS`, means the folder `robots` in the user's data folder
-    or, without a home, in `cache_folder`.
+    `$DBB_ROBOTS` lists them. An empty entry, or an unset variable, means the folder `robots` in the
+    user's data folder or, without a home, in `cache_folder`.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
     return [folder or usual for folder in _listed_folders()]
 
 
 def _listed_folders() -> list[Path | None]:
-    """The folders in `$DBB_ROBOTS`; None for an empty entry."""
+    """The folders in `$DBB_ROBOTS`; None for an empty entry, or if the variable is not set."""
     parts = map(str.strip, os.environ.get("DBB_ROBOTS", "").split(os.pathsep))
     return [home_expanded(part) if part else None for part in parts]
 
 
 def is_own(name: str) -> bool:
-    """Whether a robot is one of the user's own."""
+    """Whether a robot is the user's own; False for a delivered or unknown robot."""
     return robot_folder(name).parent != ASSETS
 
 
@@ -98,7 +98,7 @@ def check_robot_name(name: str) -> None:
 
 
 def wrong_folders() -> str:
-    """A sentence on the first unusable folder of `$DBB_ROBOTS`, with the reason; or empty."""
+    """A sentence about the first unusable folder of `$DBB_ROBOTS`; empty if there is none."""
     for folder in filter(None, _listed_folders()):
         if isfile(folder / "robot.toml"):
             return f"DBB_ROBOTS names the folder of a robot, {folder}: name the folder around it"
@@ -118,7 +118,7 @@ def robot_folder(name: str) -> Path:
 
 
 def hidden_robot(name: str) -> str:
-    """A sentence on an unused folder, if several folders have a robot of this name; or empty."""
+    """If several folders have a robot of this name: a sentence about an unused one; else empty."""
     used, *others = dict.fromkeys(each.resolve() for each in _folders(name)) or [None]
     if not others:
         return ""
@@ -138,7 +138,7 @@ def _tops() -> list[Path]:
 def resolve_package_uri(uri: str) -> Path:
     """The file of `package://PACKAGE/PATH`, where PACKAGE is an installed package.
 
-    That is a Python package, or one that a wheel installed below `share`, like ROS packages.
+    Such a package is a Python package, or a folder in `share`, where wheels put ROS packages.
 
     Raises:
         AssetError: The address has a different form, the package is not installed or lacks the
@@ -172,7 +172,7 @@ def followed(path: Path) -> Path:
 
 
 def package_roots(package: str) -> list[Path]:
-    """Folders of an installed package: a Python package's own, then those below `share`.
+    """Folders of a package: a Python package's own, then those in `share`; none if not installed.
 
     A folder in the current directory does not count, unless `sys.path[1:]` has this directory.
     """
@@ -235,7 +235,7 @@ _ZERO_INERTIAL = (
 
 
 def resolved_urdf(description: HasUrdf) -> str:
-    """The robot's URDF with every mesh by its absolute path, and an inertia for each link.
+    """The robot's URDF with the absolute path of each mesh, and an inertia for each link.
 
     A link without an inertia gets mass and inertia 0, because pybullet would assume 1 kg.
 
@@ -252,7 +252,7 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The robot's URDF for other programs: each mesh by its `file://` address on this machine.
+    """The robot's URDF for other programs, with the `file://` address of each mesh.
 
     A shape whose mesh is not found is left out.
 
@@ -285,7 +285,7 @@ def bare_urdf(description: HasUrdf) -> str:
 
 
 def shapes_of(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, ElementTree.Element]]:
-    """Each visual and collision shape of a URDF, after its link."""
+    """Pairs of elements of a URDF: a link, and one of its visual or collision shapes."""
     return [
         (link, shape)
         for link in tree.iterfind("link")
@@ -334,7 +334,7 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse the first bytes `content` of a file if they are a `placeholder`; `where` is its name.
+    """Refuse a file `where` whose first bytes `content` are a `placeholder`.
 
     Raises:
         RobotFileError: The content is a placeholder; the message names its kind.
@@ -344,7 +344,7 @@ def refuse_placeholder(content: bytes, where: object) -> None:
 
 
 def stated_stl(begin: bytes) -> tuple[int, int]:
-    """Number of facets in the header of a binary STL, and the size [bytes] of a file with these."""
+    """Number of facets stated by a binary STL's header, and the size of such a file [bytes]."""
     facets = int.from_bytes(begin[80:84], "little")
     return facets, 84 + 50 * facets
 
@@ -442,7 +442,7 @@ def _mesh(reference: str, folder: Path) -> Path:
 
 
 def planar_urdf(description: HasUrdf) -> str:
-    """The `resolved_urdf` on a root of two prismatic joints and a revolute one: x, y, yaw.
+    """The `resolved_urdf` on a root that has two prismatic joints (x, y) and a revolute one (yaw).
 
     pybullet has no planar joint; in pinocchio the same root is `JointModelPlanar`. The errors are
     those of `resolved_urdf`.

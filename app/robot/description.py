@@ -104,7 +104,7 @@ class ReachabilityDescription(Sourced):
 
 
 class LinePlace(Sourced):
-    """The line of a scenario for the end-effector of this robot."""
+    """The line along which this robot's end-effector moves in a scenario."""
 
     start_m: Vector3
     """[m] start of the end-effector in the world; the base is at the origin and faces +x."""
@@ -171,7 +171,7 @@ class RobotDescription(Strict):
 
     @property
     def nested(self) -> frozenset[frozenset[str]]:
-        """Pairs of nested links."""
+        """Names of the links of each nested pair (`BodyDescription.nested`)."""
         return frozenset(
             frozenset((own, link))
             for body in self.bodies

@@ -26,7 +26,7 @@ class Pair(NamedTuple):
 
 
 class ClosestPoints(NamedTuple):
-    """FindClosestPoints: the closest points of one link pair, in the world."""
+    """The closest points of one link pair in the world: the result of FindClosestPoints."""
 
     pair: Pair
     """The link pair; `a` is nearer to the base than `b`."""
@@ -79,8 +79,8 @@ class LinkPairs:
 class PairDistances(ShapeDistances):
     """Distances and closest points of some pairs, by the collision library.
 
-    Call `update` or `update_from` once for a configuration, before all other methods but `sampled`.
-    The distance of a body of several shapes is that of its nearest shape.
+    Call `update` or `update_from` once for each configuration, then the other methods. `sampled`
+    needs no such call. The distance of a body of several shapes is that of its nearest shape.
 
     Attributes:
         pairs: The pairs, in the order of their indices.

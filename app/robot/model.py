@@ -65,10 +65,10 @@ class RobotModel:
         """Compile a description.
 
         Raises:
-            AssetError: The URDF, or the file of a convex mesh, is missing.
+            AssetError: The URDF is missing, or as for `ConvexMesh.hull`.
             DescriptionError: The URDF lacks a joint or link, a joint of the arm is continuous or
-                out of order, limits contradict each other or the ready posture, or pinocchio
-                cannot read the URDF.
+                out of order, a speed or torque limit is not above zero, position limits contradict
+                each other or the ready posture, or pinocchio cannot read the URDF.
         """
         self.description = description
         full = whole_model(description)
@@ -230,10 +230,10 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
 def kept_per_model(
     most: int,
 ) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
-    """Cache the results of a pure function of a model and hashable values while the model exists.
+    """A decorator that caches results of a pure function of a model and hashable values.
 
     All callers share a result and must not change it. A result must not refer to the model, because
-    then neither of the two would ever be freed. For each model, the latest `most` results stay.
+    then neither of the two would ever be freed. The latest `most` results of each model stay.
     """
 
     def keep(function: OfModel[Options, Result]) -> OfModel[Options, Result]:
@@ -288,7 +288,7 @@ def configured(whole: pin.Model, positions: Mapping[str, float]) -> Array:
 
 
 def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, float]:
-    """1 for each wheel's joint whose axis points to the left, or up; -1 if mirrored."""
+    """For each wheel's joint 1 if its axis points left (rolling) or up (steering), otherwise -1."""
     data, signs = full.createData(), {}
     pin.computeJointJacobians(full, data, pin.neutral(full))
     for name in (name for wheels in description.base.wheels for name in wheels.joints):

@@ -3,9 +3,9 @@
 Each shape provides coal's geometry for signed distances, and a mesh for drawing.
 
 A superquadric (hyper-ellipsoid) is the set of points p with f(p) ≤ 1, where
-f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). e₁ rounds the vertical profile, e₂ the
-plan view: 1 is an ellipsoid, and values near 0 a box. Its distances are those of a convex polytope
-that approximates it.
+f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). The exponent e₁ belongs to the vertical
+profile, e₂ to the plan view: at 1 it is an ellipse, near 0 almost a rectangle. Distances of
+a superquadric are those of a convex polytope that approximates it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class _Placed(Strict):
     """[rad] fixed-axis roll, pitch and yaw of the shape in the body's frame."""
 
     def placement(self) -> pin.SE3:
-        """T_body_shape."""
+        """T_body_shape, the pose of the shape in the body's frame."""
         return pin.SE3(pin.rpy.rpyToMatrix(*self.rpy_rad), np.array(self.xyz_m))
 
 
@@ -100,7 +100,7 @@ class Capsule(Strict):
         return coal.Capsule(self.radius_m, self.length_m)
 
     def placement(self) -> pin.SE3:
-        """T_body_shape, with z along the segment."""
+        """T_body_shape: z is along the segment, and the origin is its middle."""
         start, end = np.array(self.start_m), np.array(self.end_m)
         along = end - start
         if not along.any():
@@ -123,6 +123,7 @@ class ConvexMesh(_Placed):
 
         Raises:
             AssetError: The file is missing, or reading exceeds the budget of `app.jobs.bounded`.
+            MissingExtraError: trimesh is not installed.
         """
         # Imported here: the import is slow, and only the distances of this shape need trimesh.
         with extras_named():
@@ -156,8 +157,8 @@ class Superquadric(_Placed):
     """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, or almost a box.
 
     Its distances are those of a convex polytope of 3,458 vertices on its surface. They are too
-    large by at most the polytope's depth inside of the surface: less than 0.5 % of the longest
-    semi-axis for exponents from 0.1 to 1, less than 1 % for exponents up to 2.
+    large by at most the largest depth of the polytope's faces below the surface. This is less than
+    0.5 % of the longest semi-axis for exponents from 0.1 to 1, less than 1 % for those up to 2.
     """
 
     type: Literal["superquadric"]
@@ -199,7 +200,7 @@ _THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def _thick(points: Array) -> Array:
-    """Points (N, 3) [m] with copies, so that their extent is at least 0.1 mm in each direction."""
+    """Points (N, 3) [m]; along each axis with an extent below 0.1 mm, two copies replace them."""
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
         if np.ptp(points @ axis) < _THIN:
@@ -255,7 +256,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 
 
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """(…) [-] the function f at points p (…, 3) [m] in the superquadric's frame; 1 on its surface.
+    """(…) [-] f of this module at points p (…, 3) [m] in a superquadric's frame; 1 on its surface.
 
     `semi_axes` are a, b and c [m]; e1 is the exponent from top to bottom, e2 that in plan.
     """

@@ -46,9 +46,9 @@ class Measurement(NamedTuple):
     now: float = np.nan
     """[s] time of this control step, by any clock that does not jump; NaN without a clock."""
     time: float = np.nan
-    """[s] time at which the joints were measured, by the same clock; NaN without a time stamp."""
+    """[s] time at which the joints were measured, by the clock of `now`; NaN without a stamp."""
     base_time: float = np.nan
-    """[s] the same for the base's pose and velocity; if NaN, they are as old as the joints."""
+    """[s] time at which the base's pose and velocity were measured; NaN: when the joints were."""
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
@@ -82,7 +82,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
     Raises:
         MeasurementError: The value is not a `Measurement`, a field has a wrong type or number of
-            values, a time is not in seconds, or a time stamp lacks `now`; the message names it.
+            values, a time is not in seconds, or there is a time stamp without `now`.
     """
     if not isinstance(measurement, Measurement):
         raise MeasurementError(
@@ -120,7 +120,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def _seconds(name: str, value: Any) -> float:
-    """A time [s]; None becomes NaN, and a time in nanoseconds raises a `MeasurementError`."""
+    """A time [s], NaN for None; a `MeasurementError` if it is no number, or is in nanoseconds."""
     if value is None:
         return np.nan
     found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
@@ -229,7 +229,7 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
 
 @compiled()
 def carrying(joint: int) -> int:
-    """Number of pinocchio's velocities, counted from the first, that move the body on a joint."""
+    """Number k: pinocchio's first k velocities move the body on a joint; 0 for the world."""
     return joint + 2 if joint > 0 else 0
 
 
@@ -241,9 +241,10 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled()
 def _gravity_terms(J: Array, Y: Array) -> Array:
-    """The gravity terms (3 + n_m,): weight times vertical velocity of the centre of mass.
+    """The gravity terms (3 + n_m,) of pinocchio's velocities; Y is `Y_pin`.
 
-    Both are those of the bodies that a velocity moves, at a unit of this velocity. Y is `Y_pin`.
+    Term k is the weight of all bodies that the k-th velocity moves, times the vertical velocity of
+    their centre of mass at one unit of the k-th velocity.
     """
     g = np.empty(J.shape[1])
     for k in range(len(g)):
@@ -256,7 +257,7 @@ def _gravity_terms(J: Array, Y: Array) -> Array:
 def reduced_dynamics(
     M: Array, h: Array, J: Array, Y: Array, B: Array
 ) -> tuple[Array, Array, Array]:
-    """Sᵀ M S (n, n), Sᵀ h (n,) and the gravity terms Sᵀ g (n,), by `pinocchio_views`."""
+    """Sᵀ M S (n, n), Sᵀ h (n,) and the gravity terms Sᵀ g (n,), from `pinocchio_views` and B."""
     n_b, g = B.shape[1], _gravity_terms(J, Y)
     n = n_b + len(h) - 3
     reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)
@@ -299,8 +300,8 @@ def distance_motions(
 ) -> tuple[Array, Array, Array]:
     """The terms of ḋ and d̈: motions of points along normals that are fixed to other bodies.
 
-    J_r = nᵀ(J_b − J_a) at the core of l_b, with n fixed to l_a. n is the signed normal out of l_a,
-    because the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
+    J_r = nᵀ(J_b − J_a) at the point `core` of l_b. n is fixed to l_a and points out of l_a, because
+    the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
     round link near a face: the normal of the face is constant while the closest points slide along
     the face, and the point of the core does not move on the link. With the term |v_⊥|²/d, which
     belongs to the distance of two fixed points, the error of d̈ would be ten times as large.
@@ -419,7 +420,7 @@ def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
     """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
 
     Reading the results one by one would take as long as computing them. Each result stores its
-    distance before its normal, and all results have the same size. The present distances are lost.
+    distance before its normal, and all results have the same size. Former distances are lost.
     """
     if len(results) == 0:
         return np.zeros(0)
@@ -471,7 +472,7 @@ class ShapeDistances:
         self.signed = distance_view(self._placed.distanceResults)
 
     def update_from(self, data: pin.Data) -> None:
-        """Compute all distances from pinocchio's data with existing kinematics."""
+        """Compute all distances from the joints' placements in pinocchio's data."""
         pin.updateGeometryPlacements(self._model.pin, data, self._geometry, self._placed)
         pin.computeDistances(self._geometry, self._placed)
 
@@ -530,7 +531,7 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """From now on, use the arrays of a control step as memory; updates write into them."""
+        """Copy the arrays into those of a control step; from then on, updates write into these."""
         for name in RobotState.__annotations__:
             present, shared = getattr(self, name), getattr(step, name)
             shared[...] = present
@@ -565,8 +566,8 @@ class RobotState:
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """Include a point mass [kg] from the next update on, in the place of a former one; the
-        centre (3,) [m] is in the end-effector's frame.
+        """Include a point mass [kg] at `centre` (3,) [m] of the end-effector's frame. At the next
+        update, it replaces a former one.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))

@@ -23,7 +23,7 @@ _FARTHEST = 10.0  # [m] largest coordinate of the origin of a joint, shape or ce
 
 
 def unit_of(length: float) -> str:
-    """The unit in which a length that is too large in metres is probably written."""
+    """The probable unit of a length that is too large in metres, such as `millimetres`."""
     return "millimetres" if length >= 60.0 else "inches or centimetres"
 
 

@@ -34,7 +34,7 @@ from app.robot.bases.kind import (
 from app.strict import Array, Positive
 
 _STEADY = 1.5  # [-] energy ratio from which the base reverses its direction
-_HELD = 0.005  # [m/s] speed of the front axle below which the steering does not change
+_HELD = 0.005  # [m/s] commanded speed of the front axle below which the steering does not change
 
 
 def nearest_in_cone(
@@ -76,8 +76,8 @@ class CarLikeBase(BaseKind):
     tightest arcs, at unit speed, span the area 2 κ_max |x|. The measure is 0 on the rear axle line,
     where all arcs move a point in the same direction, positive ahead of the line, negative behind.
 
-    The drive follows a command with its speed v and its steering angle δ: δ approaches the angle of
-    the command's arc, v the speed nearest to the command along the arc of the present δ.
+    The drive has a speed v and a steering angle δ. δ approaches the angle of the command's arc, and
+    v approaches the speed that is nearest to the command along the arc of the present δ.
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
@@ -113,7 +113,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²] and ω̇ [rad/s²]; ω̇ on the tightest arc, at the full steering rate."""
+        """Largest v̇ [m/s²] and ω̇ [rad/s²]; ω̇ at top speed, tightest arc, full steering rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m
@@ -141,7 +141,7 @@ class CarLikeBase(BaseKind):
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
-        """Straight, or along one of the tightest arcs after the delay of the steering."""
+        """Three alternatives: straight, or along a tightest arc after the delay of the steering."""
         kappa = self.curvature_max
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         late = self.steering_limit_rad / self.steering_rate_radps
@@ -171,7 +171,7 @@ class CarLikeBase(BaseKind):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """v̇, and ω̇ = v̇ tan δ / L + v δ̇ / (L cos² δ)."""
+        """(2,) v̇ [m/s²], and ω̇ = v̇ tan δ / L + v δ̇ / (L cos² δ) [rad/s²]."""
         speed, angle, tau = float(v[0]), float(drive[0]), self.drive_time_constant_s
         speed_to, angle_to = self._goal(speed, angle, v_cmd)
         a = clamp((speed_to - speed) / tau, self.max_linear_acceleration_mps2)
@@ -198,7 +198,7 @@ class CarLikeBase(BaseKind):
 
         While the wheels steer, the motion is along the present arc. The speed on this arc is the
         nearest to the command in the metric of kinetic energy, but 0 if it would oppose the
-        command. The speed is reduced if the present arc and the command's bend to opposite sides.
+        command. It is smaller if the present arc and the command's arc bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
         v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)

@@ -73,7 +73,7 @@ class DifferentialBase(TurningBase):
 
     @property
     def J_m(self) -> Array:
-        """q̇_b are the speeds (θ̇_r, θ̇_l) of the wheels [rad/s]."""
+        """(2, 2) map from the wheel speeds q̇_b = (θ̇_r, θ̇_l) [rad/s] to ν = (v, ω)."""
         return mobile_jacobian(self.wheel_radius_m, self.half_track_m)
 
     @property
@@ -82,7 +82,7 @@ class DifferentialBase(TurningBase):
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """The right side, then the left, like q̇_b."""
+        """The wheels on the right side, then those on the left, in the order of q̇_b."""
         return (
             Wheels("right", "right_wheel_joints", self.right_wheel_joints),
             Wheels("left", "left_wheel_joints", self.left_wheel_joints),

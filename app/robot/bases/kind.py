@@ -39,7 +39,7 @@ def acceleration_symbol(axis: Axis) -> str:
 
 
 class Planar(NamedTuple):
-    """A motion in the base's frame, in the units of its values, such as m/s, m/s and rad/s."""
+    """Components of a motion in the base's frame, for example [m/s], [m/s] and [rad/s]."""
 
     forward: float
     left: float
@@ -74,7 +74,7 @@ PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
 
 
 class Channel(NamedTuple):
-    """One of the independent motions by which a base moves away."""
+    """One of the independent motions by which a base moves away from the arm."""
 
     twist: tuple[float, float, float]
     """v_x, v_y [m/s] and ω [rad/s] at unit speed."""
@@ -209,21 +209,21 @@ class BaseKind(Sourced, ABC):
 
     @property
     def A_b(self) -> Array:
-        """(n_b, 3) from (f_x, f_y, τ_z) [N, N, N m] on the base, in its frame, to ẍ_m.
+        """(n_b, 3) map from (f_x, f_y, τ_z) [N, N, N m] on the base, in its frame, to ẍ_m.
 
-        Each of the accelerations [m/s² or rad/s²] along the axes has its own equation, m v̇ = f or
-        I ω̇ = τ, without the limits of `admissible`.
+        Each acceleration [m/s² or rad/s²] along an axis has its own equation, m v̇ = f or I ω̇ = τ,
+        without the limits of `admissible`.
 
         Paper: Eq. (17), (18).
         """
         return self.T.T / (self.mass_kg, self.mass_kg, self.inertia_kgm2)
 
     def by_axis(self, linear: float, angular: float) -> Array:
-        """(n_b,) for each axis the number `linear` or `angular`, by the kind of the axis."""
+        """(n_b,) the number `linear` for each linear axis, `angular` for each angular axis."""
         return np.array([angular if axis.angular else linear for axis in self.axes])
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
-        """Alternative motions away from the arm; each consists of independent channels."""
+        """Alternative motions away from the arm, each of independent channels; here only one."""
         limits = zip(self.T.T.tolist(), self.max_acceleration, self.max_velocity, strict=True)
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
@@ -258,7 +258,7 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] acceleration by the drive: (clip(v_cmd) − v)/τ, clipped."""
+        """(n_b,) [m/s² or rad/s²] by the drive: (v_cmd − v)/τ; v_cmd and this are clipped."""
         del drive
         gain, velocities = 1.0 / self.drive_time_constant_s, (np.asarray(v), np.asarray(v_cmd))
         limits = self.max_velocity, self.max_acceleration
@@ -270,7 +270,7 @@ class BaseKind(Sourced, ABC):
     def turned(
         self, angles: list[float], qd_b: list[float], drive: Array, dt: float
     ) -> list[float]:
-        """(n_w,) [rad] `angles` of `wheels` after a step of dt [s] with q̇_b and `drive` states."""
+        """(n_w,) [rad] `angles` of `wheels` after a step of dt [s]; here, they do not change."""
         del qd_b, drive, dt
         return angles
 
