@@ -270,11 +270,12 @@ def text_of(content: bytes) -> str:
     if content.strip() and (name := placeholder(content)):
         raise ValueError(f"in the place of the file is {name}")
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    encoding = "UTF-16" if wide else "UTF-8"
     try:
         text = content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"not UTF-8 in line {line}; save the file as UTF-8") from None
+        line = content[: error.start].decode(encoding, "ignore").count("\n") + 1
+        raise ValueError(f"not {encoding} in line {line}; save the file as UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -261,6 +261,7 @@ def test_log_survives_a_spreadsheet(tmp_path: Path, mark: str) -> None:
         ("[border]\nd_b =\u00a00.2\n".encode(), "line 2"),
         ("[border]\nd_b = −0.2\n".encode(), "typographic minus"),
         ('name = "grün"\n'.encode("latin-1"), "not UTF-8 in line 1; save the file as UTF-8"),
+        (b"\xff\xfea\x00\n\x00b", "not UTF-16 in line 2; save the file as UTF-8"),
         (b"[border]\nd_b = 1.234,5e-1\n", "has a decimal comma"),
         ("[border]\nd_b = 0.2\u200b\n".encode(), r"'d_b = 0.2\u200b'; in line 2"),
         (b"[border]\nd_b = 0.2;\n", "(at line 2, column 10): 'd_b = 0.2;'"),
