@@ -1,4 +1,4 @@
-"""Inputs of the law besides measurements: the robot's constants and the gains, as structs."""
+"""Constant inputs of Algorithm 2: the robot's constants and the gains of a method, as structs."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def robot_struct(
 ) -> Any:
     """`ROBOT`: constants of a robot, and of the closest points and distances of its link pairs.
 
-    Raises the errors of `ScoreField.of`.
+    If a body of L_m has no reachability, it raises the error of `ScoreField.of`.
     """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile
