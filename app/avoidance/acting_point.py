@@ -21,8 +21,7 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
     For a large |S|, α is proportional to d/|S|. Near the wheel axis, where S vanishes, d/|S| would
     jump from one bound to the other within millimetres. There the formula above approaches 2 d,
-    which is enough for the force to turn the base, and it changes smoothly. A negative d counts
-    as 0.
+    which is enough for the force to turn the base, and changes smoothly. A d below 0 counts as 0.
 
     Paper: Eq. (13). The bounds are those of Figure 8b: after a step that is too large, the force
     has no component along the line between the end-effector and the border.

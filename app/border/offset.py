@@ -31,9 +31,8 @@ _Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of t
 class OffsetContours:
     """The contours of the offset of l_m, a union of convex shapes, at each height.
 
-    Each shape has a ring at each height. The contours are the parts of the rings that are outside
-    of the other shapes' offsets: one closed curve for a single shape, and possibly islands and
-    holes for several shapes.
+    Each shape has a ring at each height of its offset. The contours are the parts of the rings
+    outside of the other shapes' offsets: one closed curve, or several with islands and holes.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
@@ -161,7 +160,7 @@ class Rings(NamedTuple):
 
 
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:
-    """Trace the offset of a convex shape at the distance d_b [m], as far as it is above the floor.
+    """Trace the part above the floor of a convex shape's offset at the distance d_b [m].
 
     Rays start at the centre of the shape. If a slice of the offset does not contain this centre,
     for example for a slanted shape, the rays at each height start at the centre of the slice.

@@ -74,8 +74,7 @@ class ScoreField:
 
         For the paper's base it is positive in front of the wheel axis.
 
-        Paper: Eq. (10).
-        Paper: Eq. (11).
+        Paper: Eq. (10), (11).
         """
         return self._fields(p)[..., 1]
 

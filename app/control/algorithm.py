@@ -8,9 +8,8 @@ itself. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 Tasks have weights instead of strict levels, and each QP is strictly convex. Each row of T_sca for a
 pair within the arm, and each row of T_rep (method `repulsive`), is a spring whose stiffness grows
 with its activation β (`insert_rows`). The base's rows are blended with the other tasks
-(`blend_base`); only in `set_up_room` they are springs too. A row with β = 0 has no effect. Hence
-the branch of lines 12 and 16 to 18, which leaves T_sca out, is not needed. The barrier of a pair
-does not depend on β.
+(`blend_base`); only in `set_up_room` they are springs too. A row with β = 0 has no effect, so the
+branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
 These quantities lead from the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des
 (29), a_base_cmd, and v_cmd by the admittance law (§4.1, `update_command`).
@@ -21,8 +20,8 @@ The base's command is computed before the arm's torques, because the base follow
 
 1. `set_up_free_base`: a_free is the base's part of the q̈ that minimises the costs of posture and
    T_2, with the rows of pairs within the arm as springs, subject to the limits of joints, torques
-   and base accelerations. While a person guides the arm, the base comes to rest, a_free = −k ν,
-   without a QP; only the method `barrier` then solves a QP too.
+   and base accelerations, and for the method `barrier` of distances. While a person guides the arm,
+   the base comes to rest, a_free = −k ν, without a QP; only `barrier` then solves a QP too.
 2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
    a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
 3. `undragged`, if β_m > 0: an acceleration near a_des, in the metric of the base's inertia, that
@@ -274,8 +273,7 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
 def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """Write the base's accelerations: a_free, the blend a_des of (29), and the commanded one.
 
-    The function ends early if Python has to solve a QP (`w.qp_open`). If a QP of the base has no
-    solution, the base brakes.
+    The function ends early if Python has to solve a QP. If a QP has no solution, the base brakes.
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -325,8 +323,7 @@ def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
 def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
     """The part of line 2 that follows pinocchio's computation, and FindClosestPoints of lines 4, 9.
 
-    Writes the dynamics, the motion of the end-effector, and for each pair and convex part the
-    distance, the closest points, and the motion of the distance.
+    The results are dynamics, end-effector motion, and distances with closest points and motions.
     """
     M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.J_pin, w.Y_pin, robot.T_J_m)
     put_rows(w.M, M)
@@ -432,10 +429,7 @@ def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
 
 @compiled()
 def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
-    """Write the objectives of the tasks below T_sca, and the torque range of this step.
-
-    At the end of tracking, the references are forgotten.
-    """
+    """Write the tasks below T_sca and the torque range; forget references after tracking ends."""
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
@@ -556,7 +550,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     springs of the pairs within the arm. b_ee and the springs have slow gains. While a person guides
     the arm, a task that brings the base to rest replaces T_2. The constraints are
     −τ_max ≤ u(q̈) ≤ τ_max, the bounds of the joints at the rates of `gains`, |J_m q̈_b| ≤ a_max, and
-    for the method `barrier` the barriers of all pairs. Returns the number of the QP's limits.
+    for the method `barrier` the barriers of all pairs. Returns the number of limits.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
     if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
@@ -583,8 +577,8 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
     If β_m (here `w.B[0]`) is 0, the result is a_des. Otherwise a_des is clipped to ±a_max, and
     `limit_ee_drag` minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are
     the base's inertia and mass, w is `ee_hold.weight`, and D maps a command to the end-effector's
-    acceleration that the arm cannot compensate. The command a_hold lets the base accelerate with
-    a_free, on average over a command period.
+    acceleration that the arm cannot compensate. The command a_hold leads to the mean acceleration
+    a_free of the base.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -608,7 +602,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     the arm's entries. This cost is the sum of posture and T_2, with a far higher weight of T_2 than
     in the other QPs, and of the base's rows as springs that follow their activation. The approach
     rates of the limits match the base's slow response, so the base reacts early: it turns in time
-    if a wrist joint comes near its limit. Returns the number of the QP's limits.
+    if a wrist joint comes near its limit. Returns the number of limits.
     """
     b_ee, lm_damping = tracking_task(slow, w)
     velocity, weight = slow.ee_damping * w.qd, slow.base_weight * slow.ee_weight
@@ -627,9 +621,8 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
 
     The QP minimises ½ q̈ᵀ H q̈ + cᵀ q̈. H and c contain all tasks below T_sca and, as springs, the
     rows of T_sca that are not the base's. The torque limits of this step are hard; the bounds of
-    the joints and the barriers of distances are soft. There is no slack variable: the slack of a
-    task or a row is its demand minus the result (`explanation.row_slacks`). Returns the number of
-    the QP's limits.
+    the joints and the barriers are soft. There is no slack variable: the slack of a task or a row
+    is its demand minus the result (`explanation.row_slacks`). Returns the number of limits.
     """
     n_b = robot.n_b
     rows = slice(n_b, len(w.B))
@@ -709,7 +702,7 @@ def next_command(
 def update_command(robot: Any, gains: Any, w: Any) -> None:
     """Compute the admittance law's velocity command at the end of each command period (§4.1).
 
-    For a kind of base whose axes depend on each other, `Controller` then replaces the command by an
+    If the axes of a base depend on each other, `Controller` then replaces the command by an
     admissible one.
     """
     put(w.a_sum, w.a_sum + w.a_base_cmd * w.elapsed[()])
@@ -758,9 +751,8 @@ def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
 
-    With valid readings, the first pass of a step only marks the hierarchy as open (`w.qp_open`).
-    `app.control.hqp` solves it, and the second pass writes the commands by that q̈. Without valid
-    readings or a solution, `put_commands` writes the fallback command.
+    With valid readings, the first pass of a step only marks the hierarchy as open (`w.qp_open`),
+    `app.control.hqp` solves it, and the second pass writes the commands by that q̈.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

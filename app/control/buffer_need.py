@@ -16,16 +16,15 @@ lower bound of its distance from the base depends on three properties of control
 - The admittance law converts a_k to a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
   a_k within the acceleration limit and w_k within the largest command; slip reduces both.
 
-Let d_* be any distance within the buffer. While the end-effector is nearer than d_*, the law
-commands at least a_k(d_*). Thus after t_0 each channel reaches its share v_k of v, in proportion to
-its final speed w_k, in t_k = -T_k ln(1 - v_k/(a_k T_k)). Until then the end-effector approaches the
-base by no more than
+While the end-effector is nearer than a d_* < d_b, the law commands at least a_k(d_*). Thus after
+t_0 each channel reaches its share v_k of v, in proportion to its final speed w_k, in the time
+t_k = -T_k ln(1 - v_k/(a_k T_k)). Until then the distance decreases by no more than
 
     x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
 
 (without damping, the bracket is v_k²/(2 a_k); v includes the speed of a channel that moves towards
-the arm). Hence the distance is never below d_* - x(d_*), and the largest of these values is its
-lower bound, which grows with d_b. The required d_b is the smallest d_b above `activation.d_full`
+the arm). Hence the distance is never below d_* - x(d_*), for every d_*. The largest of these values
+is its lower bound; it grows with d_b. The required d_b is the least one above `activation.d_full`
 for which this bound is at least 0.02 m, the reserve. If the sum of the final speeds w_k stays below
 v at every d_*, no d_b suffices.
 
@@ -144,8 +143,7 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 
     Returns:
         The d_b: at least the larger of reserve and d_full, so that β can rise; this value if v ≤ 0.
-        Infinite if no d_b up to 2 m suffices, for example because the base cannot retreat as fast
-        as the arm approaches.
+        Infinite if no d_b up to 2 m suffices, for example because the arm is faster than the base.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:

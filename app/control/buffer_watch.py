@@ -123,9 +123,8 @@ def approach_speeds(twists: Array, joints: Array, p_b: Array, n: Array) -> tuple
     """[m/s] speeds of the arm's closest point p_b (3,) [m] of a pair towards the base.
 
     They are the speed relative to the floor, and the speed relative to the base, which only the
-    joints of the arm cause. `twists` (n_j, 6) are those of `RobotState`, `joints` (2,) the indices
-    of the joints that move the base and the arm's body, and n (3,) the pair's normal. Twists, p_b
-    and n are in the world.
+    joints of the arm cause. `twists` (n_j, 6) are those of `RobotState`, n (3,) the pair's normal,
+    both in the world like p_b; `joints` (2,) are the joints that move the base and the arm's body.
     """
     v = -np.dot(n, np.array(point_velocity(twists[joints[1]], p_b)))
     return v, v + np.dot(n, np.array(point_velocity(twists[joints[0]], p_b)))
@@ -137,8 +136,7 @@ def _sample(
 ) -> None:
     """Append `approach_speeds` of each pair of L_m to the pair's last `speeds` (n_mob, k, 2).
 
-    All speeds of a pair become NaN while its distance exceeds `farthest` [m], or its normal is
-    steeper than 45°.
+    They become NaN while the distance exceeds `farthest` [m], or the normal is steeper than 45°.
     """
     last = speeds.shape[1] - 1
     for i in range(len(joints)):

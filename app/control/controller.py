@@ -236,8 +236,7 @@ class Controller:
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
         """A step as in `step`, with the base acceleration from the model of the drive.
 
-        The model computes the acceleration from the last velocity command, not from the new one in
-        `v_cmd` of the result.
+        The model computes the acceleration from the last velocity command, not from the new one.
         """
         if not self._own_drive:
             return self._step(measurement, reference, DRIVE_MODEL)
@@ -310,8 +309,7 @@ class Controller:
 class Command(NamedTuple):
     """The commands of one control step.
 
-    `step` and the properties below always refer to the loop's last step; a copy by `copy.deepcopy`
-    keeps their values.
+    `step` and the properties below refer to the loop's last step, except in a `copy.deepcopy`.
     """
 
     u_a: Array

@@ -115,9 +115,8 @@ def process_noise(
     pull moves a light joint beyond its speed limit within 0.05 s; the blind time slows it because
     readings that are older than assumed contradict the predicted motion. If the standard deviation
     of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower too, which limits
-    the noise of estimated speeds. If `periods` > 1, recent errors `v_error` (n_m,) of used
-    velocities increase the process noise, up to `_MOST_DRIFT`. `variance` (n_m,) is that of the
-    positions' noise.
+    the noise of estimated speeds. If `periods` > 1, recent errors `v_error` (n_m,) of used speeds
+    increase the result up to `_MOST_DRIFT`. `variance` (n_m,) is that of the positions' noise.
     """
     drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
     for i in range(len(v_error)):
@@ -293,9 +292,8 @@ def _follow(
     """Predict the state of each joint to this reading; correct it by the position and the velocity.
 
     A measured velocity counts as the mean velocity of the last control period, as in drives and
-    simulators; NaN has no effect. The arguments are those of `estimate_arm`, and `sudden` (n_m,)
-    [rad/s² or m/s²], the largest change of the external acceleration by each of the two
-    corrections.
+    simulators; NaN has no effect. The arguments are those of `estimate_arm`. `sudden` (n_m,)
+    [rad/s² or m/s²] is the largest change of the external acceleration by a correction.
     """
     advance(x, predicted, dt)
     for i in range(len(q)):
@@ -321,8 +319,7 @@ def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float)
     [s]. Most of the velocities' variance in P (n_m, 3, 3) stands for possible changes of the
     acceleration; noise is the rest: the part `_NOISE` in the torques by the arm's inertia matrix M,
     and one half in the inertia forces of the mass `loaded` [kg], both for a filter of positions
-    alone. J (3, n_m) is the arm's part of the end-effector's linear Jacobian. Changes of friction,
-    `_FRICTION`, are added.
+    alone. J (3, n_m) is the arm's part of the end-effector's linear Jacobian. `_FRICTION` is added.
     """
     inertia, C = np.empty_like(M), np.zeros_like(M)
     for i in range(len(M)):

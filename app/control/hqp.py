@@ -1,8 +1,7 @@
 """(26) to (29) as printed in the paper (§3.4): strict levels and their transition.
 
 This is the compared method `hqp`; the other parts of its step are those of `dbb`
-(docs/comparison.md lists them). The cascade below follows the paper, with only the necessary
-corrections:
+(docs/comparison.md lists them). The cascade below corrects the paper only where necessary:
 
 - (29) has (I − B) (J_sca q̈_2* + J̇_sca q̇) on the right side: only then it is (26) at B = 0.
 - (26) leaves q̈ open if T_2 has fewer rows than q̈ has entries. A lowest level completes it:

@@ -1,9 +1,8 @@
 """The robot's limits as rows l ≤ C q̈ ≤ u: torques, joint positions and speeds, distances.
 
 Torques are hard. Joint limits and distances are soft: if they contradict each other or the torque
-limits, the QP still has a solution.
-External forces move the arm as well; joint limits and distances constrain the total acceleration
-of the arm, including the estimated external part.
+limits, the QP still has a solution. External forces move the arm as well; joint limits and
+distances constrain the total acceleration of the arm, including the estimated external part.
 """
 
 from __future__ import annotations
@@ -236,8 +235,7 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
     The result is F_0 minus the force v²/(2 d) / (J M⁻¹ Jᵀ), with the arm's parts of J and M. This
     force stops a pair that approaches at the speed v within the distance d. Against a larger push
     the arm resists for a moment by its inertia, and joints can exceed their speed limits. The
-    result is 0 at contact, if no joint of the arm changes the distance, and instead of a negative
-    result.
+    result is at least 0; it is 0 at contact, and if no joint of the arm changes the distance.
 
     Args:
         d: [m] distance of the pair.
@@ -264,7 +262,6 @@ def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
     """(n,) torque of each joint that keeps this joint's speed constant, without external forces.
 
     The other joints have their present accelerations q̈ (n,): a wrist at its speed limit needs more
-    torque while an elbow brakes. M (n, n) is the inertia matrix, h (n,) the Coriolis and gravity
-    terms.
+    torque while an elbow brakes. M (n, n) and h (n,) are the step's quantities.
     """
     return h + M @ qdd - np.diag(M) * qdd

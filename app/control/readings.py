@@ -462,8 +462,7 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     clearly smaller than those of the present lag and of no prediction. Evidence above `_CONVINCING`
     changes the lag, to at most 24 periods, if the residuals of the newest two thirds of the groups
     are clearly smaller too, or if the evidence has grown for longer than the span of all groups.
-    Without this condition, a sudden change of a person's force would look like a delay while the
-    change is within the oldest groups.
+    Otherwise, a person's sudden force within the oldest groups would look like a delay.
     """
     ages, lags, n = w.group_age, len(w.evidence), 0
     oldest = min(int(w.known[()]), HISTORY) - lags - 1
@@ -673,9 +672,8 @@ def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
     """Set `w.lag` to the age [s] of a new reading plus the delay that time stamps do not show.
 
     The lag is this sum, rounded to control periods. A sum within 0.9 periods of the present lag
-    does not change it, so that the jitter of the clock does not change the number of periods
-    between two readings. A change of the lag is subtracted from `w.age`, except at the first
-    reading.
+    does not change it: jitter of the clock must not change the number of periods between two
+    readings. A change of the lag is subtracted from `w.age`, except at the first reading.
 
     Returns:
         Whether the reading is older than the last one: then `w.age` is negative.
@@ -864,10 +862,7 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 
 @compiled()
 def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
-    """Predict the arm's velocity without valid readings, for the fallback command's damping.
-
-    With the fault `contradictory` it is 0.
-    """
+    """Predict the arm's velocity for the fallback command; 0 with the fault `contradictory`."""
     w.age[()] += 1.0
     w.known[()] = w.unstated[()] = 0.0
     fill(w.v_last, math.nan)
@@ -891,8 +886,7 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     The positions are compared with those predicted for the last control periods. Thus a delay that
     begins or ends during a motion is known at once; `_find_lag` finds the other delays. A robot
     that stops is not mistaken for a delay, because its velocities differ from the past velocities.
-    The lag does not change without velocities, before `FEWEST` samples of the noise, and unless
-    `w.ratio` is 1.
+    The lag changes only with velocities, `FEWEST` samples of the noise and a `w.ratio` of 1.
 
     Returns:
         Whether the reading is older than the last one; then `w.age` is negative.

@@ -159,8 +159,7 @@ def _continue_way(gains: Any, w: Any, time: float) -> None:
     """Evaluate the polynomial `time` [s] later, and write the result as the reference.
 
     If no further sample arrives in time, or if the polynomial ends on the way to the sample, a new
-    polynomial replaces it. At the end of the polynomial, its duration becomes 0, and no reference
-    is written.
+    polynomial replaces it. After its end, the duration becomes 0, and no reference is written.
     """
     late = w.since_sample[()] > _OVERDUE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
