@@ -29,7 +29,7 @@ def checked_period(dt: float) -> float:
         ConfigError: The value is not a valid control period.
     """
     if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
-        raise ConfigError(f"dt must be within {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
+        raise ConfigError(f"dt must be between {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
     return float(dt)
 
 

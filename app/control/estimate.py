@@ -56,7 +56,7 @@ _GRAVITY = 9.81  # [m/s²]
 
 @compiled()
 def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
-    """Whether the arm cannot move from the state x (3, n_m) to q (n_m,) in `steps` dt [s]."""
+    """Whether the arm cannot move from the state x (3, n_m) to q (n_m,) in `steps` times dt [s]."""
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
         if way > (FARTHEST + steps - 1) * dt * qd_max[i]:
@@ -319,7 +319,7 @@ def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float)
     [s]. Most of the velocities' variance in P (n_m, 3, 3) stands for possible changes of the
     acceleration; noise is the rest: the part `_NOISE` in the torques by the arm's inertia matrix M,
     and one half in the inertia forces of the mass `loaded` [kg], both for a filter of positions
-    alone. J (3, n_m) is the arm's part of the end-effector's linear Jacobian. `_FRICTION` is added.
+    alone. J (3, n_m) is the arm's part of the end-effector's linear Jacobian; `_FRICTION` is added.
     """
     inertia, C = np.empty_like(M), np.zeros_like(M)
     for i in range(len(M)):
@@ -339,9 +339,9 @@ def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
 
     A load changes the external torques at once, and only by its weight and its inertia. The result
-    is 0 for a person's force, which usually changes in a different direction, has changed before,
-    or grows for a longer time. The changes are in units of the noise: noisy joints count less. The
-    change by a load is compared with the noise and with the mean square of the earlier changes.
+    is 0 for a force that changes in a different direction, has changed before, or grows for longer,
+    as a person's force usually does. The changes are in units of the noise: noisy joints count
+    less. The change by a load is compared with the noise and the mean square of earlier changes.
 
     Args:
         torques: (8, n_m) [N m or N] mean external torques in intervals; the newest is first.

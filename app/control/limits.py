@@ -87,7 +87,7 @@ def fastest_rate(blind_time: float, dt: float) -> float:
 
 @compiled()
 def speed_margin(v_error: Array, qd_max: Array) -> Array:
-    """(n_m,) [rad/s or m/s] margin of the speed limits : 3 `v_error`, at most `qd_max` / 2."""
+    """(n_m,) [rad/s or m/s] margin of the speed limits: 3 `v_error`, at most `qd_max` / 2."""
     return np.minimum(_MARGIN * v_error, _MOST_MARGIN * qd_max)
 
 

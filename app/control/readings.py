@@ -207,9 +207,9 @@ def _is_repeated(
 def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
     """Number of repeated readings before the new reading q, qd (n_m,); 0 if the robot was at rest.
 
-    Equal readings of a robot at rest do not show whether the driver repeats them: they are counted,
-    and the result is 0. The driver has repeated them if a different reading follows in which a
-    joint is farther away than it moves in two control periods at its new velocity.
+    Equal readings of a robot at rest do not show whether the driver repeats them: they are only
+    counted, with the result 0. The driver has repeated them if a different reading follows in which
+    a joint is farther away than it moves in two control periods at its new velocity.
     """
     if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
         w.rested[()] = 0.0 if first else w.rested[()] + 1.0
@@ -281,7 +281,7 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
 
 @compiled()
 def _catch_up(w: Any, missed: float, dt: float) -> None:
-    """Predict the motion in the control periods that the loop has missed; too many are a gap.
+    """Predict the motion in the periods that the loop has missed; `HISTORY` or more are a gap.
 
     The last commands are assumed to act in these periods. The law has used no velocity in them;
     `w.qd_used` gets the predicted velocities.
@@ -519,12 +519,13 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     The joint with the largest displacement, relative to its noise, is used. A driver's filter can
     delay velocities by up to 0.01 s, and rare readings seem to delay them by half an interval. Each
     possible delay implies a ratio. If the range of these ratios comes within 10 % of 1, or contains
-    0, `w.ratio` becomes 1, otherwise the geometric mean of the ends of the range. A mean outside of
-    1/8 to 10 is not plausible: `w.no_velocity` and `w.ratio` become 1. At least two successive
-    ratios other than 1 that agree within 15 % for 0.05 s set the fault `period`; the first one can
-    also agree with a 1 before it. After this fault, later ratios are compared with 1 within 2 %,
-    need a larger displacement, and can set the fault again. If a clock confirms the period, ratios
-    that agree set `w.no_velocity` instead of the fault; if it shows a different one, neither.
+    0, `w.ratio` becomes 1, otherwise the geometric mean of the ends of the range (of an infinite
+    range, the finite end). A value outside of 1/8 to 10 is not plausible: `w.no_velocity` and
+    `w.ratio` become 1. At least two successive ratios other than 1 that agree within 15 % for
+    0.05 s set the fault `period`; the first one can also agree with a 1 before it. After this
+    fault, later ratios are compared with 1 within 2 %, need a larger displacement, and can set the
+    fault again. If a clock confirms the period, ratios that agree set `w.no_velocity` instead of
+    the fault; if it shows a different one, neither. After a gap the measurement restarts.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
     if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:
@@ -921,10 +922,10 @@ def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool
     """Update `w.v_error` and `w.blind_time` after a new reading.
 
     `w.v_error` is the largest recent error of the velocities that the law used for the time of the
-    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. Only predicted velocities
-    have an error. It decays with the time constant of the noise estimate. After a large error or a
-    jump of the arm, the readings can be older than assumed, unless a time stamp shows that they are
-    old: `w.blind_time` then includes `_LATE`.
+    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. A reading in the next
+    period, without a lag, adds no error. `w.v_error` decays with the time constant of the noise
+    estimate. After a large error or a jump of the arm, the readings can be older than assumed:
+    `w.blind_time` then includes `_LATE`, unless a time stamp has shown that the readings are old.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, blind = math.exp(-steps * gains.dt / gains.noise_window), steps + lag > 1.0

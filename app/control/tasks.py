@@ -109,7 +109,7 @@ def generate_avoidance_task(
     b_sca: Array,
     B: Array,
 ) -> None:
-    """Write the rows of T_sca: those of the base, then those between links.
+    """Write the rows of T_sca: those of the base, then those of the pairs within the arm.
 
     The base's rows are [J_m O] q̈ = ẍ_m with J̇_m = 0; all have the activation β_m.
 
@@ -197,7 +197,7 @@ def end_effector_task(
     """T_2 ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
 
     The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times `max_speed`. Therefore
-    the end-effector approaches a distant target with this speed.
+    the end-effector approaches a distant target at `max_speed`.
 
     Paper: Eq. (26), its task T_2.
 
@@ -453,7 +453,7 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
 
 @compiled()
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
-    """R (3, n_b) from base velocity to the end-effector velocity that the arm cannot compensate.
+    """R (3, n_b) from the base's velocity ν to the end-effector velocity that the arm cannot compensate.
 
     An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
     drags the end-effector along, the distance stays the same, and the base would continue. Our
