@@ -149,8 +149,7 @@ def _mean_nearest(
 ) -> None:
     """Write one row of `mean_nearest` into `found` (4, 3).
 
-    `a` are all shapes or one part of l_a, `corners` the nodes of l_a, `b` and `nodes` the shapes
-    and nodes of l_b, `T_a` and `T_b` rows of `placed`; `work` is memory for the nodes.
+    `a`: all shapes or one part of l_a; `corners`: nodes of l_a; `b`, `nodes`: all those of l_b.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)

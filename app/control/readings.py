@@ -519,13 +519,11 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     The joint with the largest displacement, relative to its noise, is used. A driver's filter can
     delay velocities by up to 0.01 s, and rare readings seem to delay them by half an interval. Each
     possible delay implies a ratio. If the range of these ratios comes within 10 % of 1, or contains
-    0, `w.ratio` becomes 1, otherwise the geometric mean of the ends of the range (of an infinite
-    range, the finite end). A value outside of 1/8 to 10 is not plausible: `w.no_velocity` and
-    `w.ratio` become 1. At least two successive ratios other than 1 that agree within 15 % for
-    0.05 s set the fault `period`; the first one can also agree with a 1 before it. After this
-    fault, later ratios are compared with 1 within 2 %, need a larger displacement, and can set the
-    fault again. If a clock confirms the period, ratios that agree set `w.no_velocity` instead of
-    the fault; if it shows a different one, neither. After a gap the measurement restarts.
+    0, `w.ratio` becomes 1, otherwise the geometric mean of the range's ends. A mean outside of 1/8
+    to 10 is not plausible: `w.no_velocity` and `w.ratio` become 1. At least two successive ratios
+    other than 1 that agree within 15 % for 0.05 s set the fault `period`; the first one can also
+    agree with a 1 before it. If a clock confirms the period, they set `w.no_velocity` instead; if
+    it shows a different one, neither. After the fault, 2 % and a larger displacement are required.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
     if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:

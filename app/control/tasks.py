@@ -453,7 +453,7 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
 
 @compiled()
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
-    """R (3, n_b) from the base's velocity ν to the end-effector velocity that the arm cannot compensate.
+    """R (3, n_b) from ν of the base to end-effector velocity that the arm cannot compensate.
 
     An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
     drags the end-effector along, the distance stays the same, and the base would continue. Our
