@@ -523,7 +523,7 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     to 10 is not plausible: `w.no_velocity` and `w.ratio` become 1. At least two successive ratios
     other than 1 that agree within 15 % for 0.05 s set the fault `period`; the first one can also
     agree with a 1 before it. If a clock confirms the period, they set `w.no_velocity` instead; if
-    it shows a different one, neither. After the fault, 2 % replaces 10 %, with larger displacements.
+    it shows a different one, neither. After the fault, 2 % replaces 10 %, for larger motions.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
     if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:
