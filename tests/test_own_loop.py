@@ -847,8 +847,8 @@ def test_driver_that_ends_at_rest_is_reported_by_its_time_stamps(run) -> None:
 @pytest.mark.parametrize(
     ("dt", "path", "value", "named"),
     [
-        (1.0, "", 0.0, "dt must be within"),
-        (float("nan"), "", 0.0, "dt must be within"),
+        (1.0, "", 0.0, "dt must be between"),
+        (float("nan"), "", 0.0, "dt must be between"),
         (0.008, "task.ee_damping", 150.0, "task.ee_damping = 150"),
         (0.004, "limit.velocity_rate", 200.0, "limit.velocity_rate = 200"),
     ],

@@ -21,7 +21,7 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
     For a large |S|, α is proportional to d/|S|. Near the wheel axis, where S vanishes, d/|S| would
     jump from one bound to the other within millimetres. There the formula above approaches 2 d,
-    which is enough for the force to turn the base, and it changes smoothly.
+    which is enough for the force to turn the base, and changes smoothly. A d below 0 counts as 0.
 
     Paper: Eq. (13). The bounds are those of Figure 8b: after a step that is too large, the force
     has no component along the line between the end-effector and the border.
@@ -79,7 +79,8 @@ def find_acting_point(
         alpha_max: [m] upper bound of α.
 
     Returns:
-        p_n, p_t, p_act (3,) [m], the tangent (3,) and α [m]; NaN if l_m has no border.
+        p_n, p_t, p_act (3,) [m], the tangent (3,) and α [m]; if l_m has no border, α and the x and
+        y of points and tangent are NaN.
     """
     p_n, t = nearest_border(border, pair, p_b)
     if math.isnan(p_n[0]):

@@ -36,8 +36,8 @@ class DistanceMonitor:
     def find_closest_points(self) -> list[ClosestPoints]:
         """The closest points of every pair, from the collision library.
 
-        A control step uses `mean_nearest` instead. The direction is the library's signed normal,
-        not p_b − p_a, whose sign changes in penetration: repulsion would become attraction.
+        A control step uses `mean_nearest` instead. The direction is the library's signed normal.
+        The sign of p_b − p_a would change in penetration: repulsion would become attraction.
         """
         self._distances.update_from(self._state.data)
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]
@@ -49,7 +49,7 @@ class DistanceMonitor:
 
 
 class SmoothPoints:
-    """Closest points from a mean over the nodes of a link's core; nearer nodes weigh more.
+    """Closest points by a mean over the nodes of the core of `b`; nearer nodes weigh more.
 
     If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
     one end to the other as the capsule turns. Here each node has the weight exp((min d - d_k)/τ),
@@ -149,7 +149,7 @@ def _mean_nearest(
 ) -> None:
     """Write one row of `mean_nearest` into `found` (4, 3).
 
-    `a`: all shapes or one part of l_a, `corners`: nodes of l_a, `b` and `nodes`: all of l_b.
+    `a`: all shapes or one part of l_a; `corners`: nodes of l_a; `b`, `nodes`: all those of l_b.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
@@ -272,5 +272,5 @@ def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
 
 
 def _farthest_out(corners: Array) -> Array:
-    """(K, 3) [m] the corners that are farthest in one of the 26 directions of `_SIGNS`."""
+    """(K, 3) [m] the corners that are farthest in any of the 26 directions of `_SIGNS`."""
     return corners[np.unique((corners @ _SIGNS.T).argmax(axis=0))]

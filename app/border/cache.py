@@ -1,4 +1,4 @@
-"""Files of a robot's offline results: its link pairs, and the clouds of their borders.
+"""Files of a robot's offline results: its link pairs, and P_i of Algorithm 1 (the clouds).
 
 A file is found by its key and verified before use; if there is no valid file, the content is
 computed once and stored. A file is an `.npz` without pickles. The key is a hash of all inputs,
@@ -173,7 +173,7 @@ def kept_border_data(
     """Load the pairs and clouds of a robot, or return None if they are not stored.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is used too. A damaged file, or one with a key other than that in its name, is ignored with
+    key is used too. A damaged file, or a file whose header does not have this key, is ignored with
     a warning.
 
     Raises:

@@ -1,6 +1,6 @@
 """Algorithm 1: P_i, and the border DBB_i, which is a subset of P_i.
 
-P_i are sampled points that a body of the arm can reach around the mobile base l_m.
+P_i are sampled closest points on a body of the arm, around the mobile base l_m.
 """
 
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
 
 
 def quantise_points(points: Array) -> Array:
-    """Convert points (N, 3) [m] to int16 in units of 0.1 mm, clipped to the range."""
+    """Convert points (N, 3) [m], clipped to ±3.2 m, to int16 in units of 0.1 mm."""
     return np.rint(np.clip(points, -POINT_RANGE, POINT_RANGE) / POINT_UNIT).astype(np.int16)
 
 

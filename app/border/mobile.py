@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
-A kernel computes the same distances as the collision library, for boxes and round shapes fifty
-times faster. For a hull the time grows with the number of triangles.
+Compiled functions compute the same distances as the collision library, for boxes and round shapes
+fifty times faster. For a hull the time grows with the number of triangles.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ConvexPart:
         self.lower, self.upper = bounds(geometry, placement)
         """(3,) [m] corners of a box around the shape, along the base's axes."""
         self.shapes = Shapes.of(geometry, placement)
-        """The shape in the kernels' format."""
+        """The shape in the format of the compiled functions."""
 
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
         """Signed distance [m] of a point (3,) [m], and the gradient (3,) of the distance."""
@@ -43,7 +43,7 @@ class ConvexPart:
         return distances_and_normals(*self.shapes, points)[:, 0]
 
     def ray_ends(self, origin: Array, rays: Array, start: Array, d_b: float) -> Array:
-        """(K,) [m] distances along rays to the outer boundary of the shape's offset; −inf: none.
+        """(K,) [m] distances along rays to the far side of the shape's offset; −inf without a hit.
 
         The distance to a convex shape is a convex function along a ray. From a start at which the
         distance increases, the first Newton step ends at the outer root or beyond, and the next
@@ -98,7 +98,7 @@ def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array,
 
 
 class Shapes(NamedTuple):
-    """Convex shapes in the kernels' format."""
+    """Convex shapes in the format of the compiled functions."""
 
     rows: Array
     """(P, 16) kind (1); size (3): half sides [m], or radius and half length [m], or the first index
@@ -181,7 +181,7 @@ def _over(triangle: Array, x: float, y: float, z: float) -> float:
 
 @compiled()
 def _reach(triangle: Array, p: float, q: float, r: float) -> float:
-    """The largest product of (p, q, r) with a corner of a triangle of `Shapes`."""
+    """The largest scalar product of (p, q, r) with a corner of a triangle of `Shapes`."""
     a, b, c = triangle[0], triangle[1], triangle[2]
     return max(
         a[0] * p + a[1] * q + a[2] * r,
@@ -196,8 +196,8 @@ def _hull_distance(
     """Signed distance [m] of the point (x, y, z) [m] to a hull, and the distance's gradient.
 
     Inside the hull, this is the distance to the nearest plane. Outside, the search starts with a
-    point of the hull. Only few triangles have a corner beyond the plane through this point that is
-    perpendicular to the line to the query point; only these can be nearer.
+    point of the hull. A plane through this point is perpendicular to the line from there to
+    (x, y, z). Only the few triangles with a corner beyond this plane can be nearer.
     """
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
@@ -228,7 +228,7 @@ def _hull_distance(
 def _signed_distance(
     kind: int, size: Array, triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance [m] of (x, y, z) [m] in the frame of a shape, and its gradient."""
+    """Signed distance [m] of (x, y, z) [m] to a shape, in the shape's frame, and its gradient."""
     if kind == _CAPSULE:
         z_out = z - min(max(z, -size[1]), size[1])
         far = math.sqrt(x * x + y * y + z_out * z_out)

@@ -1,17 +1,17 @@
 """The border point nearest to a query point: p_n of Algorithm 3.
 
 The border is a surface, the exact offset of l_m, or consists of points as in the paper, which are
-samples of the surface. The nearest point of the surface moves continuously with the query point; it
-jumps only where two points of the surface are equally near. The surface is closed, so it also
-covers regions that the arm never reaches. No closest point is ever there, and near such regions the
-reachability in the score leads away from them.
+within ε of the surface. The nearest point of the surface moves continuously with the query point;
+it jumps only where two points of the surface are equally near. The surface is closed, so it also
+covers regions that the arm never reaches. The arm's closest point is never there, and near such
+regions the reachability in the score leads away from them.
 
-At each height, every shape of l_m has a ring: the boundary of its slice of the offset, as a closed
-polygon. Its visible part is outside of the other shapes' offsets. The contour of the union consists
-of all visible parts. It is one closed curve, or several curves around islands or holes. Between two
-heights of a `Table`, the vertices of a ring, and the distances of the vertices to the other shapes,
-are interpolated. Two rings cross where such a distance is zero. The contour changes continuously
-with the height. It jumps only where a shape begins or ends.
+At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
+closed polygon. The visible part of a ring is outside of the other shapes' offsets. All visible
+parts together are the contour of the union: one closed curve, or several curves around islands or
+holes. Between two heights of a `Table`, the vertices of a ring, and the distances of the vertices
+to the other shapes' offsets, are interpolated. Two rings cross where such a distance is zero. The
+contour changes continuously with the height. It jumps only where a shape begins or ends.
 """
 
 import math
@@ -77,7 +77,7 @@ BORDER = struct_type("_Values", _BORDER)
 
 @compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
-    """[m] the height nearest to z at which a shape of a `Table` has a ring; z without shapes."""
+    """[m] the height nearest to z at which a shape of a `Table` has a ring; z if none has one."""
     best, distance = z, np.inf
     for j in range(len(firsts) - 1):
         at = min(max(z, heights[firsts[j]]), heights[firsts[j + 1] - 1])

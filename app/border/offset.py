@@ -31,9 +31,8 @@ _Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of t
 class OffsetContours:
     """The contours of the offset of l_m, a union of convex shapes, at each height.
 
-    Each shape has a ring at each height. The contours are the parts of the rings that are outside
-    of the other shapes' offsets: one closed curve for a single shape, and possibly islands and
-    holes for several shapes.
+    Each shape has a ring at each height of its offset. The contours are the parts of the rings
+    outside of the other shapes' offsets: one closed curve, or several with islands and holes.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
@@ -125,7 +124,7 @@ def _outermost(
 
 
 def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
-    """(H, RAYS + 1) [m] signed distance of each vertex from the nearest offset of another shape."""
+    """(H, RAYS + 1) [m] signed distance of each vertex from the other offsets, at most 1 m."""
     points = np.empty((*rings.vertices.shape[:2], 3))
     points[..., :2], points[..., 2] = rings.vertices, rings.heights[:, None]
     found = [each.distances(points.reshape(-1, 3)).reshape(points.shape[:2]) for each in others]
@@ -161,7 +160,7 @@ class Rings(NamedTuple):
 
 
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:
-    """Trace the offset of a convex shape above the floor, at the distance d_b [m], if there is any.
+    """Trace the part above the floor of a convex shape's offset at the distance d_b [m].
 
     Rays start at the centre of the shape. If a slice of the offset does not contain this centre,
     for example for a slanted shape, the rays at each height start at the centre of the slice.
@@ -186,7 +185,7 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: Array) -> list[_Level] | None:
-        """Trace all heights from the shape's centre; None if the centre is outside of a slice."""
+        """Trace all heights with a slice from the shape's centre; None if a slice is beside it."""
         found: list[_Level] = []
         ends: Array | None = None
         for z in heights:

@@ -33,9 +33,10 @@ def reach_bodies(model: RobotModel) -> list[str]:
 class Chain:
     """The joints that move a body, and the coordinates of the body's pose that they determine.
 
-    The pose is that of the end-effector or, for a body that does not carry it, of the body's first
-    shape; the base is at the origin. The pose has as many coordinates as the joints can change
-    independently: six; five, without the rotation about the z axis; or three, of the position.
+    The body's point is the origin of the end-effector's frame or, for a body that does not carry
+    the end-effector, of the frame of the body's first shape. The pose is that of this frame, with
+    the base at the origin. It has as many coordinates as the joints can change independently: six;
+    five, without the rotation about the z axis; or three, of the position.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
@@ -109,7 +110,7 @@ def _moving_joints(model: RobotModel, body: str) -> list[int]:
 
 
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
-    """Pinocchio's index of the joint that moves a body's point, and T_joint_point of `Chain`."""
+    """Pinocchio's index of the joint that moves a body's point, and the point's frame in it."""
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]
         return frame.parentJoint, frame.placement
@@ -118,7 +119,7 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Redundant joints, as indices in the chain: with these fixed, a pose determines the others.
+    """Redundant joints, as indices in the chain. If these are fixed, a pose determines the others.
 
     If several choices are possible, the joints nearest to the body are fixed.
 

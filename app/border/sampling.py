@@ -145,7 +145,7 @@ class _Sampler:
         return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
 
     def _starts(self) -> dict[Pair, Kept]:
-        """Random postures of each pair."""
+        """Random postures of each pair, with the closest point in the sampled range."""
         jobs = [(pair, child) for pair, s in self._seed_of.items() for child in s.spawn(_SEED_JOBS)]
         tell = part_of(self._on_progress, 0.0, self._flood)
         found = iter(self._workers.map(sample_shell, jobs, tell))
@@ -222,7 +222,7 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
-    """Find postures for the open voxels of a sector; d_m is that at the stored, rounded points."""
+    """Find postures for the open voxels of a sector; `distances` are those of rounded points."""
     q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
     found, points = _Flood(context, job).run(q_m)
     distances = context.body.distance(points * POINT_UNIT)
@@ -283,7 +283,7 @@ class PairReader:
 
 
 class _Flood:
-    """Finds points for the open voxels of one pair in one sector, at most one for each voxel."""
+    """Finds at most one point for each open (empty) voxel of one pair in one sector."""
 
     def __init__(self, context: Context, job: SectorJob) -> None:
         self._model, self._voxels, config = context.model, context.voxels, context.config
@@ -321,7 +321,7 @@ class _Flood:
         return found.q_m.astype(np.float32), quantise_points(found.p_b)
 
     def _accepted(self, found: Witnesses) -> Witnesses:
-        """Select one of the `found` postures for each open voxel, and close these voxels."""
+        """Select a `found` posture in range for each open voxel, and close these voxels."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
         fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
@@ -463,8 +463,8 @@ class Voxels:
         return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3) int16; −1 if not `free`
-        (count,), or outside of the grid.
+        """(N, 7) sectors of the voxels at and next to points (N, 3) int16; −1 for a voxel that is
+        not `free` (count,), or outside of the grid.
         """
         keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

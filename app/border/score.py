@@ -1,4 +1,4 @@
-"""§2.3, (9) to (11): the score of a point near the base, from base and arm.
+"""§2.3, (9) to (11): the score of a point, by the base's singularity and the arm's reachability.
 
 Points are in the base's frame: the origin is on the floor under the base's centre, x is forward.
 The coefficients of (9) are a least-squares fit to a reachability map (§2.3.2).
@@ -74,8 +74,7 @@ class ScoreField:
 
         For the paper's base it is positive in front of the wheel axis.
 
-        Paper: Eq. (10).
-        Paper: Eq. (11).
+        Paper: Eq. (10), (11).
         """
         return self._fields(p)[..., 1]
 
@@ -210,8 +209,9 @@ class ReachFit(NamedTuple):
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Fit (9) to positions by least squares with equal weights.
 
-    The fit uses all positions in the shells around the best shell whose mean is at least `share`
-    times the best mean. Below 0.05 C, `ScoreField.reachability` departs from (9).
+    The fit uses all positions in the best shell and in the shells on both sides of it, up to the
+    first shell whose mean is below `share` times the best mean. Below 0.05 C,
+    `ScoreField.reachability` departs from (9).
 
     Paper: Eq. (9).
 
@@ -254,6 +254,6 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
 
 
 def _explained(y: Array, left: Array, weight: Array | None = None) -> float:
-    """[-] R²: share of the variance of y that is not in the residuals `left`."""
+    """[-] R²: share of the variance of y that the residuals `left` lack; 1 for a constant y."""
     total = np.average((y - np.average(y, weights=weight)) ** 2, weights=weight)
     return float(1 - np.average(left**2, weights=weight) / total) if total > 0 else 1.0

@@ -1,4 +1,4 @@
-"""Tasks, their QP, the controller (Algorithm 2) and the base's admittance law."""
+"""The controller (Algorithm 2): readings, references, tasks, limits, QPs and admittance law."""
 
 CONTROLLERS = ("dbb", "hqp", "repulsive", "barrier", "none")
 """Our law (`dbb`), its step with (26) to (29) as printed (`hqp`), the compared methods

@@ -1,42 +1,42 @@
 """Algorithm 2 on one page: measurement in, arm torques and base velocity command out.
 
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
-table of quantities (`app.control.quantities`). The formulas take arrays and return arrays, and only
-this file connects them; `readings`, `references` and `estimate_load` work on `w` itself. With
-``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
+table of quantities (`app.control.quantities`). The formulas of other modules take arrays instead of
+`w`, and only this file connects them; `readings`, `references` and `estimate_load` work on `w`
+itself. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
-There are no strict levels: each QP is strictly convex, and tasks have weights. A row between links,
-and of T_rep, is a spring with a stiffness that follows its activation β (`insert_rows`). The rows
-of the base are a blend (`blend_base`), and springs only in `set_up_room`. A row with β = 0 has no
-effect, so lines 12 and 16 to 18, which leave out inactive rows, need no branch. The barrier of a
-pair does not depend on β.
+Tasks have weights instead of strict levels, and each QP is strictly convex. Each row of T_sca for a
+pair within the arm, and each row of T_rep (method `repulsive`), is a spring whose stiffness grows
+with its activation β (`insert_rows`). The base's rows are blended with the other tasks
+(`blend_base`); only in `set_up_room` they are springs too. A row with β = 0 has no effect, so the
+branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
-From the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des (29), a_base_cmd, and
-v_cmd by the admittance law (§4.1, `update_command`).
+These quantities lead from the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des
+(29), a_base_cmd, and v_cmd by the admittance law (§4.1, `update_command`).
 
-Base and arm are computed one after the other, because the base follows its commands late.
+The base's command is computed before the arm's torques, because the base follows its commands late.
 
-**The base** (`command_base`), with task gains slow enough for its rare commands:
+**The base** (`command_base`). Its tasks have slow gains (`slow`), because its commands are rare:
 
 1. `set_up_free_base`: a_free is the base's part of the q̈ that minimises the costs of posture and
-   T_2, with the rows between links as springs, subject to the limits of joints, torques and base
-   accelerations. While a person guides the arm, the base comes to rest instead, a_free = −k ν,
-   without a QP; only the method `barrier` then solves a QP too.
+   T_2, with the rows of pairs within the arm as springs, subject to the limits of joints, torques
+   and base accelerations, and for the method `barrier` of distances. While a person guides the arm,
+   the base comes to rest, a_free = −k ν, without a QP; only `barrier` then solves a QP too.
 2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
    a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
 3. `undragged`, if β_m > 0: an acceleration near a_des, in the metric of the base's inertia, that
    drags the end-effector along as little as possible where the arm cannot compensate.
 4. `set_up_room`, only while tracking: the smallest change of this acceleration with which the arm
-   fulfils T_2 within its limits: joints and torques, and for the method `dbb` the distances of L_m
-   and the buffers of the arm's links.
+   fulfils T_2 within its limits: joints and torques, and for the method `dbb` the distances of all
+   pairs (`write_limits`).
 5. The result is clipped to ±a_max, because `set_up_room` has no limit of the base.
 
-**The arm** (`accelerate_arm`) minimises the errors of the tasks; the rows of T_sca are springs that
-compete with them, (29). It is subject to its limits, for the present acceleration of the base
-(`assume_base`). The torques follow from q̈, (26).
+**The arm** (`accelerate_arm`). Its q̈ minimises the errors of the tasks; the rows of T_sca are
+springs that compete with them, (29). The arm's limits apply, and the base has its present
+acceleration (`assume_base`). The torques follow from q̈, (26).
 
 The compared method `hqp` solves neither of these problems: its q̈ is the solution of the paper's
-hierarchy (`app.control.hqp`), which `Controller` computes, with the sampled border.
+hierarchy (`app.control.hqp`), which `Controller` computes. Its border is the sampled one.
 """
 
 import math
@@ -113,7 +113,8 @@ DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 the command itself."""
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
-"""Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room`, `set_up_arm`, `hqp`."""
+"""Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room` and `set_up_arm`, and the
+hierarchy of `app.control.hqp`."""
 
 _READING = types.Array(types.f8, 1, "A")
 
@@ -144,11 +145,12 @@ def update_estimate(
 ) -> bool:
     """Estimate the robot's state from the readings, and convert it to pinocchio's coordinates.
 
-    The present buffer distance `w.d_b` approaches the configured one. Without valid readings, or
-    with the faults `jump` or `localisation`, all former references are forgotten. After a jump of
-    the base's pose, the reference that `take_reference` has written is shifted.
+    The present buffer distance `w.d_b` starts at the configured one, and approaches a new one at
+    `BUFFER_RATE`. Without valid readings, or with the fault `jump` or `localisation`, all
+    references are forgotten. With valid readings, `shift_reference` then shifts the reference that
+    `take_reference` has written.
 
-    Paper: Algorithm 2, line 2, before pinocchio's part of it.
+    Paper: Algorithm 2, the part of line 2 that precedes pinocchio's computation.
 
     Returns:
         Whether the readings have a fault; invalid readings have one.
@@ -179,8 +181,9 @@ def algorithm_2(
     """Self-collision avoidance: one control step.
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
-    `put_commands` writes the fallback command. If Python has to solve a QP (ProxQP, or the cascade
-    of `app.control.hqp`), the whole step is then repeated. A repetition writes the same values.
+    `put_commands` writes the fallback command. If Python has to solve a QP (by ProxQP) or the
+    hierarchy (by `app.control.hqp`), the step ends there, and the caller then repeats the whole
+    step. The repetition computes the same values again, and uses Python's solution.
 
     Paper: Algorithm 2.
 
@@ -195,8 +198,8 @@ def algorithm_2(
         tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
 
     Returns:
-        `w.qp_open`: the number of the QP that Python has to solve before the step is repeated; 0
-        if the step is complete.
+        `w.qp_open`: the number of the problem that Python has to solve before the step is repeated;
+        0 if the step is complete.
     """
     # fmt: off
     update_kinematics(robot, gains, w)               # line 2, closest points of lines 4 and 9
@@ -222,10 +225,10 @@ def algorithm_2(
 
 @compiled()
 def activate_pairs(gains: Any, w: Any) -> None:
-    """The activation of each pair, a function of its distance alone, not of time (Figure 10).
+    """Write the activation β of each pair, a function of its distance and of `w.d_b` (Figure 10).
 
-    If the configured d_b changes, `w.d_b` approaches it at the rate `BUFFER_RATE`, but the border
-    belongs to the new d_b at once.
+    If the configured d_b changes, `update_estimate` lets `w.d_b` approach it at `BUFFER_RATE`, but
+    the border is that of the new d_b at once.
     """
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
@@ -233,7 +236,10 @@ def activate_pairs(gains: Any, w: Any) -> None:
 
 @compiled()
 def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
-    """Lines 3 to 6: acting points and forces of the pairs of arm and base, ẍ_m and β_m."""
+    """Lines 3 to 6: write acting points and forces of the pairs of arm and base, ẍ_m and β_m.
+
+    A pair with β = 0 has no force, and its points are NaN.
+    """
     for i in range(robot.n_mob):
         for unknown in (w.p_n[i], w.p_t[i], w.p_act[i], w.tangent[i]):
             fill(unknown, math.nan)
@@ -265,9 +271,9 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
 
 @compiled()
 def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
-    """The base's problem: a_free, the blend a_des of (29), and the commanded acceleration.
+    """Write the base's accelerations: a_free, the blend a_des of (29), and the commanded one.
 
-    It ends early if Python has to solve a QP (`w.qp_open`). Without a solution the base brakes.
+    The function ends early if Python has to solve a QP. If a QP has no solution, the base brakes.
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -301,7 +307,7 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
 
 @compiled()
 def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
-    """The arm's problem; it ends early if Python has to solve its QP (`w.qp_open`)."""
+    """With valid readings, solve the arm's QP, and write q̈ unless Python has to solve this QP."""
     w.solved[()] = 0.0
     if w.valid[()] == 0.0:
         return
@@ -315,9 +321,9 @@ def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
-    """Line 2 after pinocchio's part, and the distances and closest points of lines 4 and 9.
+    """The part of line 2 that follows pinocchio's computation, and FindClosestPoints of lines 4, 9.
 
-    The results are the dynamics, the end-effector's motion, and the motions of all distances.
+    The results are dynamics, end-effector motion, and distances with closest points and motions.
     """
     M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.J_pin, w.Y_pin, robot.T_J_m)
     put_rows(w.M, M)
@@ -376,7 +382,7 @@ def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
 
 @compiled()
 def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
-    """T_sca: the base's rows, the rows between links, and the task T_rep of method `repulsive`."""
+    """Write T_sca: rows of the base, rows of pairs within the arm, and T_rep (`repulsive`)."""
     n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
     b_r, beta_r = link_accelerations(robot, gains, w), np.zeros(links)
     if gains.link_rows:
@@ -423,7 +429,7 @@ def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
 
 @compiled()
 def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
-    """The tasks below T_sca, and the torque range of this step."""
+    """Write the tasks below T_sca and the torque range; forget references after tracking ends."""
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
@@ -466,18 +472,19 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 
 @compiled()
 def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
-    """Write the limits into w.C, w.l, w.u and w.softness, and return their number.
+    """Write the limits of the QP `which` into w.C, w.l, w.u and w.softness; return their number.
 
-    All problems have the limits of torques and joints, with the approach rates of `gains`.
+    Each QP has the limits of torques and joints, with the approach rates of `gains`. A barrier of a
+    pair has a row for each convex part of l_a.
 
-    - ARM: the torques are within w.u_min and w.u_max. The rows of joints and distances include
-      external forces and a margin for recent errors of velocities; while readings are rare or late,
-      they hold with a slower rate too. A joint limit demands at most the acceleration that the
-      joint's own torque can achieve. If the method has barriers, each convex part of l_a of each
-      pair has one.
-    - FREE_BASE: the barriers of all pairs without margins, if the base takes part in them.
-    - ROOM: if the method has a lookahead (`dbb`), barriers of L_m and the buffers of the arm's
-      links.
+    - ARM: the torques are within w.u_min and w.u_max. If the method has barriers, the distances of
+      all pairs stay above d_min. The limits of joints and distances include external accelerations;
+      those of speeds and distances have a margin for recent errors of velocities. While readings
+      are rare or late, the limits of joints and distances also apply with a slower rate. A joint
+      limit demands at most the acceleration that the joint's own torque can achieve.
+    - FREE_BASE: for the method `barrier`, the barriers of all pairs at d_min.
+    - ROOM: for the method `dbb`, the barriers of L_m at d_min, and those of the pairs within the
+      arm at w.d_b.
     """
     for_arm, link_buffers = which == ARM, which == ROOM and gains.lookahead
     barrier = (for_arm and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
@@ -525,7 +532,7 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
 
 @compiled()
 def assume_base(robot: Any, w: Any, base_source: int) -> None:
-    """Write the base acceleration that the arm's QP assumes; the caller writes a measured one."""
+    """Write `w.a_base_meas` by the drive's model or the command; keep a measured acceleration."""
     if base_source == DRIVE_MODEL:
         for i in range(robot.n_b):
             v = min(max(w.v_cmd[i], -robot.v_max[i]), robot.v_max[i])
@@ -539,11 +546,11 @@ def assume_base(robot: Any, w: Any, base_source: int) -> None:
 def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """Set up the QP of a_free: base and arm together, without the base's rows.
 
-    Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖², with the rows between links as
-    springs; b_ee and these rows have slow gains. While a person guides the arm, a task that brings
-    the base to rest replaces T_2. The constraints are −τ_max ≤ u(q̈) ≤ τ_max, the bounds of the
-    joints at the rates of `gains`, and |J_m q̈_b| ≤ a_max. If the method's base takes part in the
-    barriers, the barriers of all pairs are constraints too. Returns the number of its limits.
+    Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖² with the weight w of T_2, plus the
+    springs of the pairs within the arm. b_ee and the springs have slow gains. While a person guides
+    the arm, a task that brings the base to rest replaces T_2. The constraints are
+    −τ_max ≤ u(q̈) ≤ τ_max, the bounds of the joints at the rates of `gains`, |J_m q̈_b| ≤ a_max, and
+    for the method `barrier` the barriers of all pairs. Returns the number of limits.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
     if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
@@ -570,7 +577,8 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
     If β_m (here `w.B[0]`) is 0, the result is a_des. Otherwise a_des is clipped to ±a_max, and
     `limit_ee_drag` minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are
     the base's inertia and mass, w is `ee_hold.weight`, and D maps a command to the end-effector's
-    acceleration that the arm cannot compensate. The base answers the command a_hold with a_free.
+    acceleration that the arm cannot compensate. The command a_hold leads to the mean acceleration
+    a_free of the base.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -587,14 +595,14 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
 
 @compiled()
 def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
-    """Set up the QP that makes room for the arm.
+    """Set up the QP that changes the base's acceleration to make room for the arm.
 
-    Minimise ‖q̈ − q̈_0‖ in the metric H, with q̈_0 the optimum of the cost for the base's response
-    to `w.a_base_cmd`: the smallest change with which the arm fulfils T_2 within its limits.
-    The cost is the sum of the tasks of base and arm, with a far higher weight of T_2, and with the
-    base's rows in proportion to their activation. The approach rates of the limits match the base's
-    slow response, so the base reacts early: it turns in time if a wrist joint comes near its limit.
-    Returns the number of its limits.
+    Minimise ‖q̈ − q̈_0‖ in the metric H: the smallest change with which the arm fulfils T_2 within
+    its limits. q̈_0 has the base's response to `w.a_base_cmd`, and minimises ½ q̈ᵀ H q̈ + cᵀ q̈ over
+    the arm's entries. This cost is the sum of posture and T_2, with a far higher weight of T_2 than
+    in the other QPs, and of the base's rows as springs that follow their activation. The approach
+    rates of the limits match the base's slow response, so the base reacts early: it turns in time
+    if a wrist joint comes near its limit. Returns the number of limits.
     """
     b_ee, lm_damping = tracking_task(slow, w)
     velocity, weight = slow.ee_damping * w.qd, slow.base_weight * slow.ee_weight
@@ -613,9 +621,8 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
 
     The QP minimises ½ q̈ᵀ H q̈ + cᵀ q̈. H and c contain all tasks below T_sca and, as springs, the
     rows of T_sca that are not the base's. The torque limits of this step are hard; the bounds of
-    the joints and the barriers of distances are soft. There is no slack variable: the slack of a
-    task or a row is its demand minus the result (`explanation.row_slacks`). Returns the number of
-    its limits.
+    the joints and the barriers are soft. There is no slack variable: the slack of a task or a row
+    is its demand minus the result (`explanation.row_slacks`). Returns the number of limits.
     """
     n_b = robot.n_b
     rows = slice(n_b, len(w.B))
@@ -627,13 +634,13 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
 
 @compiled()
 def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
-    """Solve the QP that was set up, within its first m limits.
+    """Solve the QP `which` that has just been set up with m limits.
 
-    FREE_BASE solves for all entries of q̈. ARM keeps the base's entries at `w.qp_fixed`, and ROOM
-    can change them from there (`solve_qp_step`). If the active-set method finds no solution,
-    `w.qp_open` marks the QP as open: `Controller` lets ProxQP solve it and calls `algorithm_2`
-    again. In this second pass the result is ProxQP's solution. This happens at most once for each
-    QP of a step. Returns the solution (n,) and whether it exists.
+    FREE_BASE solves for all entries of q̈. ARM fixes the base's entries to `w.qp_fixed`; ROOM starts
+    from these values, and can change them (`solve_qp_step`). If the active-set method finds no
+    solution, `w.qp_open` marks the QP as open: `Controller` lets ProxQP solve it, and calls
+    `algorithm_2` again. In this second pass the result is ProxQP's solution. This happens at most
+    once for each QP of a step. Returns the solution (n,), and whether one is found by now.
     """
     C, l, u, softness = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
@@ -673,14 +680,14 @@ def next_command(
     a_max: Array,
     v_max: Array,
 ) -> Array:
-    """The velocity command after one command period, by M_a v̇ + D_a v = F, F = M_a a, exactly.
+    """The velocity command after one command period: exact solution of M_a v̇ + D_a v = M_a a.
 
-    The change and the result (n_b,) are limited by `a_max` [m/s² or rad/s²] and `v_max`; `command`
-    and `v_max` are in m/s or rad/s, `period` in s. The input a (n_b,) [m/s² or rad/s²] is the mean
-    of `a_base_cmd` in the command period, so that all steps of the 1 kHz controller have an
-    effect. F is not the base's part of u: that part is not zero while the base is at rest, so that
-    the base would drift. `mass` and `damping` are the diagonals (n_b,) of M_a [kg or kg m²] and D_a
-    [N s/m or N m s].
+    The change of the command (n_b,) is limited to ±`a_max` [m/s² or rad/s²] times `period` [s], and
+    the result to ±`v_max`; `command` and `v_max` are in m/s or rad/s. The input a, `acceleration`
+    (n_b,) [m/s² or rad/s²], is the mean of `a_base_cmd` in the command period, so that all steps of
+    the 1 kHz controller have an effect. The force M_a a is not the base's part of u, because that
+    part is not zero while the base is at rest: the base would drift. `mass` and `damping` are the
+    diagonals (n_b,) of M_a [kg or kg m²] and D_a [N s/m or N m s].
     """
     found, gain = np.empty(len(command)), response(mass, damping, period)[0]
     for i in range(len(command)):
@@ -695,7 +702,7 @@ def next_command(
 def update_command(robot: Any, gains: Any, w: Any) -> None:
     """Compute the admittance law's velocity command at the end of each command period (§4.1).
 
-    For a kind of base whose axes depend on each other, `Controller` then replaces the command by an
+    If the axes of a base depend on each other, `Controller` then replaces the command by an
     admissible one.
     """
     put(w.a_sum, w.a_sum + w.a_base_cmd * w.elapsed[()])
@@ -719,7 +726,7 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Torques from q̈, or the fallback command without a solution; and the base's velocity."""
+    """Write the torques by q̈, (26), or the fallback command, and update the velocity command."""
     for which in (FREE_BASE, ROOM):
         if w.qp_tried[which] != 0.0 and math.isnan(w.qp_x[which, 0]):
             w.given_up[()] += 1.0
@@ -744,8 +751,8 @@ def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
 
-    With valid readings, the first pass of a step marks the problem as open (`w.qp_open`),
-    `app.control.hqp` solves it, and the second pass uses this q̈.
+    With valid readings, the first pass of a step only marks the hierarchy as open (`w.qp_open`),
+    `app.control.hqp` solves it, and the second pass writes the commands by that q̈.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

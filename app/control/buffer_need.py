@@ -1,7 +1,7 @@
 """The d_b that the base requires to move away before an approaching end-effector arrives.
 
 An end-effector approaches the base along -n at a constant speed v, independent of the base. The
-bound of its distance depends on three properties:
+lower bound of its distance from the base depends on three properties of controller and base:
 
 - Dead time t_0 = T_c + delay + τ. The controller's commands are averaged over a command period T_c
   and reach the drive later by the delay; the first-order lag of the drive adds the delay τ. For a
@@ -16,17 +16,17 @@ bound of its distance depends on three properties:
 - The admittance law converts a_k to a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
   a_k within the acceleration limit and w_k within the largest command; slip reduces both.
 
-While the end-effector is nearer than some d_*, the law commands at least a_k(d_*). Thus
-after t_0 each channel reaches its share v_k of v in t_k = -T_k ln(1 - v_k/(a_k T_k)), and until
-then the end-effector has approached the base by no more than
+While the end-effector is nearer than a d_* < d_b, the law commands at least a_k(d_*). Thus after
+t_0 each channel reaches its share v_k of v, in proportion to its final speed w_k, in the time
+t_k = -T_k ln(1 - v_k/(a_k T_k)). Until then the distance decreases by no more than
 
     x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
 
 (without damping, the bracket is v_k²/(2 a_k); v includes the speed of a channel that moves towards
-the arm). The smallest distance is therefore at least the largest d_* - x(d_*). This bound grows
-with d_b. The required d_b is the smallest d_b for which this bound is at least 0.02 m, the reserve;
-it is not below `activation.d_full`. If the sum of the final speeds w_k stays below v at every d_*,
-no d_b suffices.
+the arm). Hence the distance is never below d_* - x(d_*), for every d_*. The largest of these values
+is its lower bound; it grows with d_b. The required d_b is the least one above `activation.d_full`
+for which this bound is at least 0.02 m, the reserve. If the sum of the final speeds w_k stays below
+v at every d_*, no d_b suffices.
 
 The bound has two simplifications. The end-effector does not move along the base, and a force from
 the side has a lever of at least 0.25 m for ω: near the wheel axis the tangential part of the force
@@ -75,14 +75,14 @@ def _bound(
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] largest d_* - x(d_*) by the module's docstring; −∞ if the base reaches v at no d_*.
+    """[m] largest d_* - x(d_*) of the module's docstring; −∞ if w_k are too low at every d_*.
 
     Args:
         d_b: [m] buffer distance.
         channels: (c, 6) J_k(n), J_k(t), m_k [kg or kg m²], upper bounds of a_k and w_k along n, and
             T_k [s]. t is the horizontal part of n, turned by 90°.
         v: [m/s] approach speed.
-        late: [s] t_0.
+        late: [s] dead time t_0.
         traction: [-] share of a speed that is not lost to slip.
         f_max: [N] upper bound of the avoidance force.
         alpha_min: [m] smallest step size.
@@ -125,7 +125,7 @@ _bound_once = direct(_bound)
 
 
 class Approach(NamedTuple):
-    """Approach of the arm to the base."""
+    """Speed, direction and place of an approach of the arm to the base."""
 
     v: float
     """[m/s] speed of the arm's closest point relative to the floor, along -n."""
@@ -142,8 +142,8 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     configuration; the configured d_b has no influence.
 
     Returns:
-        The d_b; never less than the reserve and d_full, so that β can rise. Infinite if no d_b up
-        to 2 m suffices, for example because the base cannot retreat as fast as the arm approaches.
+        The d_b: at least the larger of reserve and d_full, so that β can rise; this value if v ≤ 0.
+        Infinite if no d_b up to 2 m suffices, for example because the arm is faster than the base.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:
@@ -174,8 +174,8 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
     """(k,) [m] lower bound of the smallest distance between arm and base, for each d_b (k,) [m].
 
-    Each d_b must be larger than d_full. The bound is −∞ if the base reaches the speed of the arm,
-    `approach.v`, at no distance.
+    Each d_b must be larger than d_full. The bound is −∞ if the base cannot reach the speed of the
+    arm, `approach.v`, at any distance within d_b.
     """
     ways = list(_ways(approach, base, config))
     return np.array([max(_bound(each, *way) for way in ways) for each in d_b])

@@ -1,4 +1,4 @@
-"""Monitors the speed at which the arm approaches the base, and the d_b that this speed requires."""
+"""Monitor of the speed at which the arm approaches the base, and of the d_b that this requires."""
 
 import math
 from collections import deque
@@ -46,10 +46,10 @@ class BufferWatch:
 
     The approach speed is the speed of the arm's closest point along −n, relative to the floor. The
     speed relative to the base would be smaller while the base retreats. An approach counts while
-    the arm's motion reduces the distance, if the distance is at most d_b, or at most the finite d_b
-    that the approach requires: an end-effector that is farther away can still slow down. An
-    approach steeper than 45° does not count, because motion of the base hardly helps. At distances
-    above 0.3 m, the largest valid d_b, no approach counts.
+    the arm's motion reduces the distance, and the distance is at most the configured d_b or at most
+    the required d_b, if this is finite: an end-effector that is farther away can still slow down.
+    An approach steeper than 45° does not count, because motion of the base hardly helps. At
+    distances above 0.3 m, the largest valid d_b, no approach counts.
     """
 
     def __init__(self, config: Config) -> None:
@@ -66,9 +66,9 @@ class BufferWatch:
     def update(
         self, state: RobotState, control: ControlStep, dt: float, *, gives_way: bool
     ) -> BufferReading:
-        """Evaluate one control step of dt [s] at the robot's state.
+        """Evaluate every tenth control step of dt [s], and return the newest reading.
 
-        `gives_way` states whether the controller moves the base away.
+        `gives_way` states whether the controller moves the base away from the arm.
         """
         if self._steps % _SAMPLE == 0:
             if self._steps == 0:
@@ -99,8 +99,8 @@ class BufferWatch:
         self._speeds = np.full((len(pairs), _EVERY // _SAMPLE, 2), np.nan)
 
     def _look(self, state: RobotState, control: ControlStep) -> None:
-        """Compute the required d_b of each pair whose recent mean speed is an approach; a tremor
-        has a small mean.
+        """Compute the required d_b of each pair whose mean speed in the last 50 control steps is an
+        approach; the mean speed of a tremor is too low.
         """
         for i, speeds in enumerate(self._speeds.tolist()):
             if not (known := [each for each in speeds if not math.isnan(each[0])]):
@@ -123,8 +123,8 @@ def approach_speeds(twists: Array, joints: Array, p_b: Array, n: Array) -> tuple
     """[m/s] speeds of the arm's closest point p_b (3,) [m] of a pair towards the base.
 
     They are the speed relative to the floor, and the speed relative to the base, which only the
-    joints of the arm cause. `twists` (n_j, 6) are those of `RobotState`, `joints` (2,) move the
-    base and the arm's body, and n (3,) is the pair's normal; all are in the world.
+    joints of the arm cause. `twists` (n_j, 6) are those of `RobotState`, n (3,) the pair's normal,
+    both in the world like p_b; `joints` (2,) are the joints that move the base and the arm's body.
     """
     v = -np.dot(n, np.array(point_velocity(twists[joints[1]], p_b)))
     return v, v + np.dot(n, np.array(point_velocity(twists[joints[0]], p_b)))
@@ -134,9 +134,9 @@ def approach_speeds(twists: Array, joints: Array, p_b: Array, n: Array) -> tuple
 def _sample(
     twists: Array, joints: Array, d: Array, p_b: Array, n: Array, farthest: float, speeds: Array
 ) -> None:
-    """Add `approach_speeds` of each pair of L_m to the last `speeds` (n_mob, k, 2), which are NaN
-    before the first ones, and after an instant at which the pair is beyond `farthest` [m] or too
-    steep.
+    """Append `approach_speeds` of each pair of L_m to the pair's last `speeds` (n_mob, k, 2).
+
+    They become NaN while the distance exceeds `farthest` [m], or the normal is steeper than 45°.
     """
     last = speeds.shape[1] - 1
     for i in range(len(joints)):
@@ -152,8 +152,8 @@ _sample_once = direct(_sample)
 
 
 def needed_text(needed: float) -> str:
-    """A required d_b in readable form, rounded up to whole centimetres; and the largest d_b that
-    can be set, if it is smaller.
+    """A required d_b [m] as text, rounded up to whole centimetres; for an infinite one, that no d_b
+    suffices. If the largest d_b that can be set is smaller, the text names it.
     """
     if math.isinf(needed):
         return "no d_b suffices"
@@ -162,7 +162,7 @@ def needed_text(needed: float) -> str:
 
 
 def buffer_warning(reading: BufferReading, config: Config) -> str | None:
-    """The warning after a run with a too small d_b, or None."""
+    """The warning after a run in which d_b was too small, otherwise None."""
     if not reading.too_small_ever:
         return None
     text = (

@@ -1,4 +1,4 @@
-"""The contract of a control step with your own loop: order, units, control period, references."""
+"""Checks of the input from your own loop: control period, gains, units, joint order, references."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def checked_period(dt: float) -> float:
         ConfigError: The value is not a valid control period.
     """
     if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
-        raise ConfigError(f"dt must be within {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
+        raise ConfigError(f"dt must be between {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
     return float(dt)
 
 
@@ -37,8 +37,8 @@ def check_gains(config: Config, dt: float) -> None:
     """Refuse gains that are too large for a control period of dt [s].
 
     Raises:
-        ConfigError: `config` is not a `Config`; or a gain is too large, then the message has the
-            bounds of the gain and of dt.
+        ConfigError: `config` is not a `Config`; or a gain is too large: then the message states the
+            upper bounds of the gain and of dt.
     """
     if not isinstance(config, Config):
         raise ConfigError(
@@ -74,13 +74,13 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
 
 
 def clocks_differ(measurement: Measurement) -> MeasurementError:
-    """The error for a first reading whose time stamp is too far from the time of the step."""
+    """Build the error for a first reading whose time stamp is too far from the time of the step."""
     age = measurement.now - measurement.time
     side = "before" if age > 0.0 else "after"
     return MeasurementError(
         f"measurement.time is {abs(age):.4g} s {side} measurement.now: "
         "both must be seconds of the same clock; readings can be up to "
-        f"{MAX_AGE} s and {HISTORY - 1} control periods old"
+        f"{MAX_AGE} s and up to {HISTORY - 1} control periods old"
     )
 
 
@@ -123,7 +123,7 @@ class JointOrder:
         If `velocity` is None or empty, the velocities are NaN.
 
         Raises:
-            MeasurementError: The number of values differs from the number of names.
+            MeasurementError: The values are not numbers, or not as many as the names.
         """
         q = numbers("joint states: position", position, self._size)
         qd = velocities("joint states: velocity", velocity, self._size)
@@ -156,7 +156,7 @@ def checked_reference(reference: Reference) -> Reference:
 
 
 def no_motion(reference: Reference) -> MeasurementError:
-    """The error for a reference that is no possible motion, with the reason."""
+    """Build the error for a reference that is no possible motion; the message has the reason."""
     pose, v, a = reference
     if not np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
         return MeasurementError("reference: an entry is not a finite number")

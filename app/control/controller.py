@@ -1,8 +1,8 @@
 """The controller: measurement in, one control step out, without simulator or display.
 
-A step calls the compiled functions `take_reference`, `update_estimate` and `run_algorithm_2`;
-before the last one, pinocchio computes kinematics, dynamics and distances. `ControlLoop` is the
-complete control in one object, for your own loop and for the simulation.
+A step calls the compiled functions `take_reference` (with a reference), `update_estimate` and
+`run_algorithm_2`; before the last one, pinocchio computes kinematics, dynamics and distances.
+`ControlLoop` is the complete control in one object, for your own loop and for the simulation.
 """
 
 import logging
@@ -136,6 +136,7 @@ class Controller:
 
         Raises:
             UnknownNameError: The controller does not exist.
+            ConfigError: The measured control period is too long for a gain.
         """
         check_name("controller", name, CONTROLLERS)
         self.name = name
@@ -146,10 +147,11 @@ class Controller:
 
         A new d_b or ε selects a different border at once; the method `hqp` always uses the sampled
         points. The buffer distance in use approaches the new d_b at `algorithm.BUFFER_RATE`,
-        because a jump would abruptly accelerate an arm inside the buffer.
+        because a jump would abruptly accelerate an arm inside the buffer. An addition to the mass
+        of the payload is subtracted from the detected loads.
 
         Raises:
-            ConfigError: The control period is too long for a gain.
+            ConfigError: `config` is not a `Config`, or the control period is too long for a gain.
         """
         check_gains(config, self._dt)
         border, load, w = config.border, config.payload, self.last
@@ -186,8 +188,8 @@ class Controller:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
         The controller forgets posture, speeds, torques, estimate, commands and counts of failures.
-        A measured period stays in use, and until the next valid reading the fallback command has
-        the gravity terms of the last valid posture.
+        A measured control period stays in use, and until the next valid reading the fallback
+        command compensates gravity at the last valid posture.
         """
         self.last.qd[...] = 0.0  # the fallback command damps these speeds
         for name in _MEMORY:
@@ -215,11 +217,11 @@ class Controller:
 
         Returns:
             The quantities of this step, which the next step overwrites. They always contain a
-            command. It is the fallback command if there is no valid reading for 0.1 s, if the
-            readings have contradicted the torques since the last `reset`, or if the arm's QP has
-            no solution. With the fallback command the base brakes, gravity is compensated at the
-            last valid posture (before the first one, at the ready posture), and the predicted joint
-            speeds are damped, except after contradictory readings.
+            command. It is the fallback command before the first valid reading and after 0.1 s
+            without one, after readings that contradict the torques (until `reset`), and if the
+            arm's QP or the hierarchy of `hqp` has no solution. The fallback command brakes the
+            base, compensates gravity at the last valid posture (before the first one, at the ready
+            posture), and damps the estimated joint speeds, except after contradictory readings.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong type or number of entries, the
@@ -234,7 +236,7 @@ class Controller:
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
         """A step as in `step`, with the base acceleration from the model of the drive.
 
-        The model computes it from the last velocity command; `v_cmd` of the result is the new one.
+        The model computes the acceleration from the last velocity command, not from the new one.
         """
         if not self._own_drive:
             return self._step(measurement, reference, DRIVE_MODEL)
@@ -285,14 +287,14 @@ class Controller:
         return w
 
     def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
-        """The base's pose and velocity, advanced to the time at which the joints were measured."""
+        """The base's pose and velocity at the measurement of the joints; NaN for unusable ones."""
         pose, v, _, _, _, now, time, base_time = measurement
         until = time if time == time else now - float(self.last.lag) * self._dt
         age = np.inf if base_time - now > EARLY else until - base_time
         return _later(self._robot, self._gains, self.last.struct, pose, v, age)
 
     def _rescue(self, which: int) -> None:
-        """Solve the open problem `which`, from 0, by ProxQP; write `qp_x` and `qp_tried`."""
+        """Solve an open QP by ProxQP, or the hierarchy; write rows `which` of qp_x and qp_tried."""
         w, m = self.last, int(self.last.qp_rows)
         w.qp_tried[which] = 1.0
         if which == HIERARCHY:
@@ -307,8 +309,7 @@ class Controller:
 class Command(NamedTuple):
     """The commands of one control step.
 
-    `step` and the properties below always refer to the loop's last step, unless this is a copy by
-    `copy.deepcopy`.
+    `step` and the properties below refer to the loop's last step, except in a `copy.deepcopy`.
     """
 
     u_a: Array
@@ -329,7 +330,7 @@ class Command(NamedTuple):
 
     @property
     def load(self) -> float:
-        """[kg] mass of the load in the fault `load`; negative if a stated load has ceased.
+        """[kg] mass of the load in the fault `load`; negative if a load of `payload.mass` is gone.
 
         Without this fault, the mass at the end-effector that best explains the external torques,
         including those of a person.
@@ -411,12 +412,12 @@ class ControlLoop:
         """Use other parameters from the next step on.
 
         Raises:
-            ConfigError: A gain is too large for the control period.
+            ConfigError: `config` is not a `Config`, or a gain is too large for the control period.
         """
         self.controller.configure(config)
 
     def step(self, measured: Measurement, reference: Reference | None = None) -> Command:
-        """One control step.
+        """Compute the commands of one control step.
 
         Args:
             measured: The sensors' readings.
@@ -445,7 +446,7 @@ class ControlLoop:
                 logger.warning("readings, %s: %s%s", name, FAULTS[name], more.get(name, ""))
 
     def _too_long(self) -> str:
-        """Which gain is too large for the measured period, if one is."""
+        """The message about a gain that is too large for the measured period, or no text."""
         try:
             check_gains(self.controller.config, self.controller.dt)
         except ConfigError as error:
@@ -454,7 +455,7 @@ class ControlLoop:
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:
-    """The dimensions of a step's quantities."""
+    """The value of each dimension in `quantities.DIMENSIONS`."""
     pairs, mobile, rows = len(data.pairs.all), len(data.pairs.mobile), len(smooth.joints)
     return {
         "n": model.n,

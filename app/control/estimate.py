@@ -3,12 +3,13 @@
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
 Torques and the base's motion predict a joint's acceleration; the external acceleration is a random
 walk. The noise of the readings is estimated from the readings themselves. The predicted
-accelerations leave an unexplained second difference of the positions. Its changes are due to the
-noise of the positions, and have 20 times the variance of this noise. The weight of a velocity
-depends on its agreement with the difference of the last two positions. The noise of velocities has
-a lower bound in proportion to the noise of positions, because drives compute velocities from the
-same positions. Thus the filter follows readings without noise at once, noisy readings do not shake
-the arm, and velocities that are late, wrongly scaled or missing have little or no effect.
+accelerations explain the second difference of the positions except for a remainder. From reading to
+reading this remainder changes by the noise of the positions, with 20 times the variance of this
+noise. The weight of a velocity depends on its agreement with the difference of the last two
+positions. The noise of velocities has a lower bound in proportion to the noise of positions,
+because drives compute velocities from the same positions. Thus the filter follows readings without
+noise at once, noisy readings do not shake the arm, and velocities that are late, wrongly scaled or
+missing have little or no effect.
 
 The estimate belongs to the newest reading, which can be several periods old; `advance` predicts
 the present state from this estimate, with the accelerations due to torques and base since then.
@@ -55,7 +56,7 @@ _GRAVITY = 9.81  # [m/s²]
 
 @compiled()
 def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
-    """Whether the motion from x (3, n_m) to q (n_m,) is impossible in `steps` steps of dt [s]."""
+    """Whether the arm cannot move from the state x (3, n_m) to q (n_m,) in `steps` times dt [s]."""
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
         if way > (FARTHEST + steps - 1) * dt * qd_max[i]:
@@ -84,9 +85,10 @@ def _begin_at(
     qd_max: Array,
     gains: Any,
 ) -> None:
-    """Take a reading without a filter; a clear change of the velocity is an external acceleration.
+    """Copy a reading into x without a filter; reset P to the noise variances `trusted` (2, n_m).
 
-    The arguments are those of `estimate_arm`, and the noise variances `trusted` (2, n_m).
+    A clear change of the velocity that x[2] and `predicted` do not explain changes the external
+    acceleration x[2]. The other arguments are those of `estimate_arm`.
     """
     steps, dt = len(predicted), gains.dt
     for i in range(len(q)):
@@ -108,13 +110,13 @@ def process_noise(
 ) -> Array:
     """(n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration in 1 s.
 
-    It is at least so large that the filter responds within the longest of `RESPONSE`, `periods`
-    control periods and the blind time [s]: a pull moves a light joint beyond its speed limit within
-    0.05 s, but readings that are older than assumed contradict the predicted motion. If the
-    standard deviation of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower
-    too, so that the noise of estimated speeds is limited. If `periods` > 1, recent errors `v_error`
-    (n_m,) of used velocities increase the process noise, up to `_MOST_DRIFT`; `variance` (n_m,) is
-    that of the positions' noise.
+    It is at least `gains.external_drift`, and so large that the filter responds within the longest
+    of `RESPONSE`, `periods` control periods and the blind time [s]. The response is fast because a
+    pull moves a light joint beyond its speed limit within 0.05 s; the blind time slows it because
+    readings that are older than assumed contradict the predicted motion. If the standard deviation
+    of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower too, which limits
+    the noise of estimated speeds. If `periods` > 1, recent errors `v_error` (n_m,) of used speeds
+    increase the result up to `_MOST_DRIFT`. `variance` (n_m,) is that of the positions' noise.
     """
     drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
     for i in range(len(v_error)):
@@ -143,9 +145,8 @@ def estimate_arm(
     """Update the estimate (x, P) by one reading of positions and velocities.
 
     After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading;
-    in the second case the external acceleration is reset to 0, because it is unknown.
-    Until the estimate of the noise has enough samples, position and velocity are copied from the
-    reading, and only a clear change of the velocity changes the external acceleration.
+    in the second case the external acceleration is reset to 0, because it is unknown. Until the
+    estimate of the noise has `FEWEST` samples, `_begin_at` replaces the filter.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
@@ -186,7 +187,7 @@ def estimate_arm(
 
 @compiled()
 def advance(x: Array, predicted: Array, dt: float) -> None:
-    """Advance x (3, n_m) by k control periods of dt [s]; x[2] adds to `predicted` (k, n_m)."""
+    """Advance x (3, n_m) by k periods of dt [s], with accelerations `predicted` (k, n_m) + x[2]."""
     for k in range(len(predicted)):
         for i in range(x.shape[1]):
             x[1, i] += dt * (predicted[k, i] + x[2, i])
@@ -209,9 +210,10 @@ def _learn(
     The mean velocity since the last reading and the predicted accelerations imply the velocities at
     both readings. For the reading between two intervals, each interval implies a velocity; the
     difference of the two, times the duration of the newer interval, is the unexplained second
-    difference of the positions. An outlier is replaced by the largest plausible sample and has the
-    weight of one period only: it comes from a delay, a stop, or an external force during a gap, not
-    from noise.
+    difference of the positions. Its squared change / 20 is a sample of the positions' noise. After
+    `FEWEST` samples, an outlier is replaced by the largest plausible sample and has the weight of
+    one period only: a delay, a stop, or an external force during a gap causes it, not noise. The
+    squared difference of a velocity from the implied one is a sample of the velocities' noise.
 
     The arguments are those of `estimate_arm`. `samples` includes this reading, q and qd (n_m,) are
     its positions and velocities, and `window` [s] is the time window of the variances. `last`
@@ -258,7 +260,7 @@ def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
 def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden: float) -> None:
     """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]; x[2] by at most `sudden`.
 
-    A smaller gain than the optimal one leaves a larger variance of x[2].
+    If `sudden` limits the correction of x[2], the remaining variance of x[2] is larger.
     """
     share, error = 1.0 / (p[k, k] + variance), reading - x[k]
     gain_0, gain_1, gain_2 = share * p[0, k], share * p[1, k], share * p[2, k]
@@ -287,12 +289,11 @@ def _follow(
     sudden: Array,
     dt: float,
 ) -> None:
-    """Predict each joint since the last reading, and correct it by its position and its velocity.
+    """Predict the state of each joint to this reading; correct it by the position and the velocity.
 
     A measured velocity counts as the mean velocity of the last control period, as in drives and
-    simulators; NaN has no effect. The arguments are those of `estimate_arm`, and `sudden` (n_m,)
-    [rad/s² or m/s²], the largest change of the external acceleration by each of the two
-    corrections.
+    simulators; NaN has no effect. The arguments are those of `estimate_arm`. `sudden` (n_m,)
+    [rad/s² or m/s²] is the largest change of the external acceleration by a correction.
     """
     advance(x, predicted, dt)
     for i in range(len(q)):
@@ -312,14 +313,13 @@ def _follow(
 
 @compiled()
 def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float) -> Array:
-    """(n_m, n_m) covariance of the change of mean external torques between two intervals [s].
+    """(n_m, n_m) covariance by noise of the change of mean external torques between two intervals.
 
-    The mean of an estimated acceleration is the difference of two velocities, divided by the
-    interval. P (n_m, 3, 3) is mainly due to possible changes of the acceleration, not to noise:
-    for a filter that knows only positions, the noise of the mean is due to `_NOISE` P, and that of
-    the velocities themselves, which imply the inertia of the mass `loaded` [kg], is due to P / 2. M
-    is the arm's inertia matrix, J (3, n_m) the arm's part of the end-effector's linear Jacobian. P
-    does not include `_FRICTION`.
+    The mean of an estimated acceleration is the difference of two velocities, divided by `interval`
+    [s]. Most of the velocities' variance in P (n_m, 3, 3) stands for possible changes of the
+    acceleration; noise is the rest: the part `_NOISE` in the torques by the arm's inertia matrix M,
+    and one half in the inertia forces of the mass `loaded` [kg], both for a filter of positions
+    alone. J (3, n_m) is the arm's part of the end-effector's linear Jacobian; `_FRICTION` is added.
     """
     inertia, C = np.empty_like(M), np.zeros_like(M)
     for i in range(len(M)):
@@ -338,10 +338,10 @@ def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float)
 def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
 
-    A load changes the external torques at once, and only by its weight and its inertia. A person's
-    force usually changes its direction, or has changed before, or grows for a longer time. The
-    changes are in units of the noise: noisy joints count less. The change by a load is compared
-    with the noise and with the mean square of the earlier changes.
+    A load changes the external torques at once, and only by its weight and its inertia. The result
+    is 0 for a force that changes in a different direction, has changed before, or grows for longer,
+    as a person's force usually does. The changes are in units of the noise: noisy joints count
+    less. The change by a load is compared with the noise and the mean square of earlier changes.
 
     Args:
         torques: (8, n_m) [N m or N] mean external torques in intervals; the newest is first.
@@ -384,16 +384,16 @@ def _mass(torque: Array, lift: Array) -> float:
 def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
     """Estimate the mass of a load at the end-effector, and detect a load that begins or ceases.
 
-    A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) from its weight and from its
-    inertia. `w.load` is the mass that best explains the external torques; a force of a person
-    counts too. `w.loaded` is the sum of all sudden loads, minus the changes of the payload's mass,
-    without the friction that remains after a person's push upwards. It becomes 0 below
-    `_LEAST_LOAD`, or if the torques of the newest intervals contain less than half of it.
-    `w.unstated` is `w.loaded` while the newest two intervals contain at least half of it; otherwise
-    it is 0. It is also 0 if the mass at the end-effector would then be negative, because a person
-    pushes upwards. `elapsed` [s] is the time between the last two steps, whose difference of
-    `w.v_ee` is the acceleration; `jumped` states whether the arm cannot have moved to the newest
-    reading.
+    A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) by its weight and its inertia.
+    `w.load` is the mass that best explains the external torques; a force of a person counts too.
+    `w.loaded` is the sum of all sudden loads, minus the additions to the payload's mass, without
+    the friction that remains after a person's push upwards. It becomes 0 below `_LEAST_LOAD`, or if
+    none of the intervals 0, 1 and 3 (0 is the newest) contains more than half of it. `w.unstated`
+    is `w.loaded` while interval 0 or 1 contains more than half of it, otherwise 0. It is also 0 if
+    the mass at the end-effector would then be negative, because a person pushes upwards. `elapsed`
+    [s] is the time between the last two steps, whose difference of `w.v_ee` is the acceleration;
+    `jumped` states whether the arm cannot have moved to the newest reading. Before `_SETTLED`
+    samples of the noise nothing changes.
     """
     n_b, dt = len(w.g) - len(w.q_m), gains.dt
     if w.samples[()] < _SETTLED:
@@ -432,8 +432,8 @@ def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
 def _judge_load(gains: Any, w: Any, C: Array) -> None:
     """Update `w.load`, `w.loaded` and `w.unstated` at the end of an interval.
 
-    The intervals before a detected load are then changed, as if the load had been present, so that
-    no load counts twice. C as in `_sudden_mass`.
+    If a load is detected, the intervals before it are changed as if the load had been present, so
+    that no load counts twice. C is that of `_sudden_mass`.
     """
     torques, lifts = w.torques, w.lifts
     if math.isnan(torques[1, 0]):  # the first interval after a gap

@@ -59,7 +59,7 @@ class ForceSplit(NamedTuple):
     f: Planar
     """[N] f_m,i of (14), the sum of the next two."""
     away: Planar
-    """[N] component of f along -n, which moves the base away from the arm."""
+    """[N] component of f along the horizontal part of n: it moves the base away from the arm."""
     turn: Planar
     """[N] component of f across n, from the step (12), (13) towards a better score."""
     away_acceleration: ByAxis
@@ -78,7 +78,7 @@ class ForceSplit(NamedTuple):
 
 
 class NearPair(NamedTuple):
-    """One link pair inside a buffer, or at the bound of its barrier."""
+    """One link pair that is nearer than the buffer distance, or at the bound of its barrier."""
 
     a: str
     """Name of the body nearer to the base, as in `lm`."""
@@ -91,7 +91,7 @@ class NearPair(NamedTuple):
     beta: float
     """[-] activation parameter."""
     n: tuple[float, float, float]
-    """Unit normal from `a` to `b`, in the base's frame."""
+    """Normal from `a` to `b`, in the base's frame, of length 1 or less."""
     above: float
     """[-] share of the force, 0 to 1, that vanishes because the arm approaches from above, where no
     motion of the base helps."""
@@ -105,7 +105,7 @@ class NearPair(NamedTuple):
 
 
 class Level(NamedTuple):
-    """The slack of one task: its demand minus its result."""
+    """The slack of one task: the task's demand minus the result."""
 
     name: LevelName
     """"base": the base's rows of T_sca; "arm": the rows T_rep of the arm; "links": rows
@@ -130,10 +130,10 @@ class Explanation(NamedTuple):
     chain: tuple[str, ...]
     """Names of all bodies: the base, then those of the arm from the base outwards."""
     near: tuple[NearPair, ...]
-    """Pairs inside a buffer or at the bound of their barrier: first the pairs of L_m, then the
+    """Pairs nearer than d_b or at the bound of their barrier: first the pairs of L_m, then the
     pairs within the arm. Each of these two groups is in the order of decreasing activation."""
     nearest: tuple[str, str, float]
-    """Body names and distance [m] of the nearest pair with the base, inside a buffer or not."""
+    """Body names and distance [m] of the nearest pair with the base, nearer than d_b or not."""
     axes: tuple[Axis, ...]
     """The base's axes, which define the components of its accelerations."""
     base_avoidance: ByAxis
@@ -158,7 +158,7 @@ class Explanation(NamedTuple):
 
     @property
     def bearing(self) -> NearPair | None:
-        """The deepest pair in penetration, else the most active pair (of L_m if any), or None."""
+        """The pair in deepest penetration, otherwise the first pair of `near`, if there is one."""
         inside = (pair for pair in self.near if pair.d < 0.0)
         return min(inside, key=lambda pair: pair.d, default=next(iter(self.near), None))
 
@@ -274,7 +274,7 @@ def _near_pair(model: RobotModel, w: ControlStep, i: int, *, limited: bool) -> N
 
 
 def _force_split(model: RobotModel, w: ControlStep, i: int) -> ForceSplit | None:
-    """The force on the base for a pair, or None if the method does not move the base for it."""
+    """The force on the base by a pair; None without active base rows or an acting point."""
     if not w.B[0] > 0.0 or np.isnan(w.p_act[i, 0]):
         return None
     field = ScoreField.of(model, w.pairs[i].b)

@@ -1,4 +1,4 @@
-"""Inputs of the law besides measurements: the robot's constants and the gains, as structs."""
+"""Constant inputs of Algorithm 2: the robot's constants and the gains of a method, as structs."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ _ROBOT: dict[str, Any] = {
     "qd_limits": _MATRIX,  # (2, n_m) [rad/s, m/s]
     "qd_max": _VECTOR,  # (n_m,) [rad/s, m/s]
     "tau_max": _VECTOR,  # (n_m,) [N m, N]
-    "ready_inertia": _VECTOR,  # (n_m,) [kg m², kg]
-    "tau_limits": _MATRIX,  # (2, n_m) [N m, N]
+    "ready_inertia": _VECTOR,  # (n_m,) [kg m², kg] of each joint at the ready posture
+    "tau_limits": _MATRIX,  # (2, n_m) [N m, N] ∓tau_max
     "R_tip": _MATRIX,  # (3, 3) rotation of the end-effector in the frame of the last joint
     "p_tip": _VECTOR,  # (3,) [m] origin of the end-effector in the frame of the last joint
     "shapes": _MATRIX,  # (P, 16) of `Shapes`
@@ -131,7 +131,7 @@ def robot_struct(
 ) -> Any:
     """`ROBOT`: constants of a robot, and of the closest points and distances of its link pairs.
 
-    Raises the errors of `ScoreField.of`.
+    If a body of L_m has no reachability, it raises the error of `ScoreField.of`.
     """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile

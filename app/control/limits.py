@@ -1,9 +1,8 @@
 """The robot's limits as rows l ≤ C q̈ ≤ u: torques, joint positions and speeds, distances.
 
 Torques are hard. Joint limits and distances are soft: if they contradict each other or the torque
-limits, the QP still has a solution.
-External forces move the arm as well; joint limits and distances constrain the total acceleration
-of the arm, including the estimated external part.
+limits, the QP still has a solution. External forces move the arm as well; joint limits and
+distances constrain the total acceleration of the arm, including the estimated external part.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, A
 
 @compiled()
 def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
-    """λ² (q_limit − q) − 2 λ q̇ [rad/s² or m/s²], the bound from a position limit of a joint.
+    """λ² (q_limit − q) − 2 λ q̇ [rad/s² or m/s²]: bound on q̈ by a position limit of a joint.
 
-    λ is `rate` [1/s]. At the distance e from the limit, the acceleration towards the limit is at
+    λ is `rate` [1/s]. With the distance e from the limit, the acceleration towards the limit is at
     most λ² e + 2 λ ė. Thus a joint that starts with −ė ≤ λ e does not pass the limit.
     """
     return rate**2 * (limit - q) - 2 * rate * qd
@@ -46,7 +45,7 @@ def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
 
 @compiled()
 def velocity_bound(qd: float, limit: float, rate: float) -> float:
-    """κ (±q̇_max − q̇) [rad/s² or m/s²], the bound from a speed limit ±q̇_max; κ = `rate` [1/s]."""
+    """κ (±q̇_max − q̇) [rad/s² or m/s²]: bound on q̈ by a speed limit ±q̇_max; κ = `rate` [1/s]."""
     return rate * (limit - qd)
 
 
@@ -56,10 +55,10 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 
     ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
     that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
-    because a smaller h counts as −2 max_speed/λ. It is the second-order form of the barriers
-    ḣ + λ h ≥ 0 of libraries at velocity level. `Jdqd` [m/s²] is the acceleration of the distance at
-    q̈ = 0, `d_dot` [m/s] its speed, `h` [m] is d − d_min, `rate` [1/s] λ, and `max_speed` [m/s] the
-    largest speed of separation.
+    because an h below −2 max_speed/λ counts as this value. This is the second-order form of the
+    barrier ḣ + λ h ≥ 0, which libraries with velocity commands use. `Jdqd` [m/s²] is the
+    acceleration of the distance at q̈ = 0, `d_dot` [m/s] the speed of the distance, `h` [m] is
+    d − d_min, `rate` [1/s] λ, and `max_speed` [m/s] the largest speed of separation.
     """
     return -2.0 * rate * d_dot - rate**2 * max(h, -2.0 * max_speed / rate) - Jdqd
 
@@ -78,23 +77,23 @@ def early_barrier_bound(
 
 @compiled()
 def fastest_rate(blind_time: float, dt: float) -> float:
-    """[1/s] upper bound 1/(2 T) of the rates of the early bounds; infinite for T ≤ dt.
+    """[1/s] largest rate 1/(2 T) of the additional, slower bounds on q̈; infinite for T ≤ dt.
 
-    T is the blind time [s], dt [s] the control period. Without a newer reading, the law reacts to
-    its own prediction. A faster reaction to a wrong prediction lets the arm oscillate.
+    T is the blind time [s] (`w.blind_time`), dt [s] the control period. Between readings the law
+    reacts to its own prediction. A faster reaction to a wrong prediction lets the arm oscillate.
     """
     return 0.5 / blind_time if blind_time > dt else math.inf
 
 
 @compiled()
 def speed_margin(v_error: Array, qd_max: Array) -> Array:
-    """(n_m,) [rad/s or m/s] margin of speeds for recent errors (n_m,) of used velocities."""
+    """(n_m,) [rad/s or m/s] margin of the speed limits: 3 `v_error`, at most `qd_max` / 2."""
     return np.minimum(_MARGIN * v_error, _MOST_MARGIN * qd_max)
 
 
 @compiled()
 def speed_error(J: Array, v_error: Array) -> float:
-    """[m/s] error of J q̇ by independent errors (n_m,) of the joints' speeds."""
+    """[m/s] error of J q̇, for J (n_m,) and independent errors (n_m,) of the joints' speeds."""
     square = 0.0
     for i in range(len(J)):
         square += J[i] ** 2 * v_error[i] ** 2
@@ -113,8 +112,8 @@ def joint_bounds(
 ) -> Array:
     """(2, n_m) [rad/s² or m/s²] lower and upper bounds on q̈_m, from position and speed limits.
 
-    For each joint and side, the tightest one of these bounds counts: those by position and by
-    speed, each with its rate [1/s] and with the rate `fastest` if this is slower. A slow rate
+    For each joint and side, the tightest of four bounds counts: by position and by speed, each with
+    its own rate [1/s], and each with the smaller one of this rate and `fastest` [1/s]. A slow rate
     brakes early, a fast one brakes strongly. If a lower bound exceeds the upper bound of the same
     joint, the two are exchanged.
     """
@@ -150,18 +149,18 @@ def torque_reachable_bounds(
     qdd_b: Array,
     qdd_ext: Array,
 ) -> Array:
-    """Bounds (2, n_m) on q̈_m, relaxed so that each joint can satisfy them by its torque alone.
+    """The `bounds` (2, n_m) on q̈_m, changed so that each joint can satisfy them by its own torque.
 
-    No joint demands more than its own torque achieves in this step with the other torques in the
-    middle of their ranges. If one joint demanded more, the other torques would switch between their
-    limits, and an arm that needs more than its torque limits would become unstable. The
-    acceleration towards a speed limit is bounded too: if a joint's torque changes at the rate r,
-    its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose speed is lower than the
-    speed limit by v can therefore brake in time from the acceleration √(2 (M_aa⁻¹)_ii r v).
+    First, the acceleration towards a speed limit is bounded: if a joint's torque changes at the
+    rate r, its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose speed is lower
+    than the speed limit by v can therefore brake in time from √(2 (M_aa⁻¹)_ii r v). Then no bound
+    demands more than the joint's torque achieves in this step, with the other torques in the middle
+    of their ranges. If one joint demanded more, the other torques would switch between their
+    limits, and an arm at its torque limits would become unstable.
 
     M, h, L_aa, u_min and u_max are quantities of the step, `torque_rate` is r [N m/s or N/s],
-    `room` (2, n_m) the lower and the upper speed limit minus q̇_m, `qdd_b` (n_b,) the acceleration
-    of the base's coordinates, and `qdd_ext` (n_m,) the external acceleration of the joints.
+    `room` (2, n_m) is the lower and the upper speed limit, each minus q̇_m. `qdd_b` (n_b,) is q̈_b,
+    and `qdd_ext` (n_m,) the external acceleration of the joints.
     """
     found = np.empty_like(bounds)
     n_b, n_m = len(qdd_b), len(qdd_ext)
@@ -193,7 +192,7 @@ def torque_rows(
 
 @compiled()
 def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u: Array) -> None:
-    """Write the bounds (2, n_m) on q̈_m into rows of C (n_m, n), in units (n_m,) of each joint.
+    """Write the bounds (2, n_m) on q̈_m, divided by `unit` (n_m,), into C (n_m, n), l and u (n_m,).
 
     The unit is the speed limit of the joint, so that a violation costs the same for every joint.
     The bounds apply to the sum of q̈_m and the external acceleration `qdd_ext` (n_m,).
@@ -210,7 +209,7 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
 def distance_rows(
     J: Array, least: Array, rows: Array, qdd_ext: Array, C: Array, l: Array, u: Array
 ) -> None:
-    """Write J q̈ ≥ least for some rows (k,) of J into rows of C (k, n), l and u (k,).
+    """Write J q̈ ≥ `least` (k,), for the rows of J with the indices `rows` (k,), into C, l and u.
 
     This bound applies to the sum of q̈ and the external acceleration `qdd_ext` (n_m,) of the arm.
     """
@@ -228,23 +227,22 @@ def distance_rows(
 def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max: Array) -> float:
     """[N] largest push on the arm's closest point towards the other body that the arm can resist.
 
-    A force F against the normal requires the torque t_i + J_i F of each joint, with the distance's
-    Jacobian J_i and the torque t_i without that force. No torque exceeds its limit τ_i up to
+    A push F against the normal requires the torque t_i + J_i F of joint i, with the distance's
+    Jacobian J_i and the torque t_i without the push. The torques stay within their limits τ_i up to
 
-        F = min_i (τ_i − t_i sgn J_i) / |J_i|,
+        F_0 = min_i (τ_i − t_i sgn J_i) / |J_i|.
 
-    minus the force v²/(2 d) / (J M⁻¹ Jᵀ), with the arm's parts of J and M, that stops a pair within
-    d if it approaches at the speed v. Against a larger push the arm resists for a moment by its
-    inertia, and joints can exceed their speed limits. The bound is 0 in three cases: at contact, if
-    the arm cannot stop in time even without a push, and if no joint of the arm changes the
-    distance.
+    The result is F_0 minus the force v²/(2 d) / (J M⁻¹ Jᵀ), with the arm's parts of J and M. This
+    force stops a pair that approaches at the speed v within the distance d. Against a larger push
+    the arm resists for a moment by its inertia, and joints can exceed their speed limits. The
+    result is at least 0; it is 0 at contact, and if no joint of the arm changes the distance.
 
     Args:
         d: [m] distance of the pair.
         J: (n,) Jacobian of the distance.
         d_dot: [m/s] speed of the distance, negative during an approach.
         M: (n, n) inertia matrix.
-        load: (n,) t: gravity at rest, or `steady_torques`.
+        load: (n,) torques t: the gravity terms at rest, or `steady_torques`.
         tau_max: (n_m,) torque limits.
     """
     n_m, static = len(tau_max), np.inf
@@ -264,7 +262,6 @@ def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
     """(n,) torque of each joint that keeps this joint's speed constant, without external forces.
 
     The other joints have their present accelerations q̈ (n,): a wrist at its speed limit needs more
-    torque while an elbow brakes. M (n, n) is the inertia matrix, h (n,) the Coriolis and gravity
-    terms.
+    torque while an elbow brakes. M (n, n) and h (n,) are the step's quantities.
     """
     return h + M @ qdd - np.diag(M) * qdd

@@ -1,9 +1,9 @@
 """Linear algebra of small matrices, and a strictly convex QP with soft limits.
 
 For matrices of ten rows the overhead of LAPACK exceeds the computation. The QP uses the dual
-active-set method of Goldfarb and Idnani. The search has no solution after ten passes for each row,
-if hard rows seem infeasible, or if the data are not finite; then ProxQP, which takes a millisecond,
-is the rare last resort.
+active-set method of Goldfarb and Idnani. The search ends without a solution after ten passes per
+row, if hard rows seem infeasible, or if the data are not finite. Then ProxQP, which takes a
+millisecond, is the rare last resort.
 """
 
 import math
@@ -160,7 +160,8 @@ def _activate_row(
 ) -> tuple[int, bool]:
     """Change y and the active rows, the first `size` of `kept`, until row p is at its bound.
 
-    `side` is 1 if row p is below its lower bound, −1 if above its upper one, `miss` the distance.
+    `side` is 1 if row p is below its lower bound, −1 if above its upper one, `miss` the distance
+    from this bound. K and y are those of `_nearest_within`.
 
     Returns:
         Number of active rows, and whether row p is at its bound; if not, the hard rows are
@@ -196,11 +197,11 @@ def _activate_row(
 
 @compiled()
 def compliances(softness: Array, length: Array) -> Array:
-    """(m,) compliances of the rows, which are scaled to unit length.
+    """(m,) compliances of the rows after their scaling to unit length; 0 for hard rows.
 
     Before this scaling, all rows of the same softness ε² > 0 have the compliance ε² κ, where κ is
-    the square of the shortest soft row: a slack s costs ½ s² / (ε² κ) in each of them. If the cost
-    depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
+    the squared length of the shortest soft row: a slack s costs ½ s² / (ε² κ) in each of them. If
+    the cost depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
 
     Args:
         softness: (m,) [-] softness of each row; a row with 0 is hard.
@@ -301,7 +302,7 @@ def _nearest_within(
 
 @compiled()
 def _joined(fixed: Array, rest: Array) -> Array:
-    """(n,) the first entries, then the others."""
+    """(n,) the entries `fixed`, then the entries `rest`."""
     x = np.empty(len(fixed) + len(rest))
     put(x[: len(fixed)], fixed)
     put(x[len(fixed) :], rest)

@@ -176,7 +176,7 @@ x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
 P_est | P | n_m 3 3 | | joints | estimate | memory: covariance of the Kalman state
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: estimated noise variance of positions and velocities
-q_last |  | 3 n_m | rad | joints | estimate |
+q_last |  | 3 n_m | rad/s, rad | joints | estimate |
     memory: last velocity from positions, last position, and the unexplained second difference of
     the positions
 v_error | | n_m | rad/s, m/s | joints | readings |
@@ -273,9 +273,10 @@ command_due | | | 1 | | §4.1 | 1 in a step with a new velocity command
 v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command of the last command period
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: present velocity command
 # A QP that Python has to solve
-qp_open | | | 1 | | | number 1 to 4 of the QP that Python has to solve; 0 without one
-qp_x | | 4 n | | reduced | | solutions of the four QPs from Python; NaN without a solution
-qp_tried | | 4 | 1 | | | 1 for each QP that Python has tried to solve
+qp_open | | | 1 | | | number 1 to 4 of the problem that Python has to solve; 0 without one
+qp_x | | 4 n | | reduced | |
+    solutions by Python of the three QPs and of the hierarchy; NaN without a solution
+qp_tried | | 4 | 1 | | | 1 for each of these problems that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP
 qp_fixed | | n_b | | reduced | | base's entries of q̈ before the QP; fixed in the arm's QP
@@ -327,7 +328,7 @@ class ControlStep:
         pairs: Sequence[Pair],
         rows: Sequence[Sequence[int]],
     ) -> None:
-        """Memory for a robot.
+        """Allocate the memory for a robot.
 
         Args:
             sizes: The value of each dimension in `DIMENSIONS`.
@@ -369,7 +370,7 @@ class ControlStep:
 
     @property
     def base_avoidance(self) -> Array:
-        """(n_b,) [m/s² or rad/s²] β_m ẍ_m; 0 if the method does not move the base."""
+        """(n_b,) [m/s² or rad/s²] β_m ẍ_m; 0 without active rows of the base."""
         return self.B[: self.n_b] * self.xdd_m
 
     def __getstate__(self) -> dict[str, Any]:

@@ -5,22 +5,23 @@ period in this module. The Kalman filter estimates the state of the arm at the n
 present state is predicted from this state over the age of the reading, with the known torques and
 the motion of the base. Thus repeated readings, lost readings, impossible readings, and readings
 with a known delay are the same case. A time stamp of the readings shows their age, and the caller's
-clock the control period. Without them, both are estimated from the readings themselves, as are two
-further properties:
+clock the control period. Without them, both are estimated from the readings themselves. The module
+decides on four properties of the readings:
 
-- **The lag**: a delay that begins during a motion is the age at which the predicted state equals
-  the reading. Any delay is the number of periods until accelerations due to the torques and the
-  base appear in the measured positions. The readings of the last 50 to 100 periods count, so that
-  noise hides the delay as little as possible.
-- **The period**: the motion of a joint, divided by the integral of its velocity with the stated
-  period as the time step, is 1. If successive measurements of this ratio agree on a different value
-  for 0.05 s, the loop does not run at the stated period.
-- **The contradiction**: a joint is far above its speed limit, and no lag lets the commanded torques
-  explain its motion better than no torques. Usually the readings of joints are then swapped, have a
-  wrong sign, or are too late. Readings that jump in many successive steps count too.
-- **The velocities** are not used if no plausible period explains their ratio to the positions, or
-  if they exceed the speed limits by far. Then the joint velocities are computed from the positions,
-  and the base's velocity from the model of the drive.
+- **The lag**, their delay in periods. A delay that begins during a motion is the age at which the
+  predicted state equals the reading (`_match_lag`). Any other delay is the number of periods until
+  accelerations due to the torques and the base appear in the measured positions (`_find_lag`). The
+  readings of up to 100 periods count for it, so that noise hides the delay as little as possible.
+- **The period**. The motion of a joint, divided by the integral of its velocity with the stated
+  period as the time step, is 1 if this period is right. If successive measurements of this ratio
+  agree on a different value for 0.05 s, the loop does not run at the stated period.
+- **The contradiction**. The readings contradict the torques if a joint is far above its speed
+  limit, and no lag lets the commanded torques explain its motion better than no torques. Usually
+  the readings of joints are then swapped, have a wrong sign, or are too late. Readings that jump in
+  many successive steps count too.
+- **The velocities** are not used if no plausible period explains their ratio to the positions, if a
+  clock shows that the period does not explain it, or if they exceed the speed limits by far. Then
+  the joint velocities are computed from the positions, and the base's from the drive's model.
 """
 
 import math
@@ -131,10 +132,10 @@ _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
     """The joint positions q (n_m,) without the jumps by full turns that some drivers make.
 
-    A position of at most one turn moves by full turns to the value nearest to `last` (n_m,), if
-    this value is at most 0.05 rad beyond the limits (2, n_m). A `first` reading that is farther
-    beyond a limit moves back by one turn, unless the result is beyond the other limit. Thus
-    positions in degrees remain implausible.
+    A position within ±1 turn is changed by full turns to the value nearest to `last` (n_m,), if
+    this value is at most 0.05 rad beyond the limits (2, n_m). A `first` reading has no last one: a
+    position more than 0.05 rad beyond a limit is changed by one turn, unless the result is beyond
+    the other limit. Thus positions in degrees remain implausible.
     """
     found = q.copy()
     for i in range(len(q)):
@@ -163,7 +164,7 @@ def _same(a: Array, b: Array) -> bool:
 
 @compiled()
 def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
-    """Whether a velocity of base or joints (qd) is not 0; if all are 0, the result is `unknown`."""
+    """Whether a velocity of base or joints (qd) is NaN or not 0; if all are 0, `unknown`."""
     for v in base_velocity:
         if v != 0.0:
             return True
@@ -178,7 +179,7 @@ def _is_repeated(
     w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float, dt: float
 ) -> bool:
     """Whether the readings have the last time stamp [s]; without a stamp, whether they equal the
-    last readings although the robot moves. With `base_time`, only the joints count.
+    last readings although the robot moves. With `Measurement.base_time`, only the joints count.
     """
     if not math.isnan(stamp):
         return stamp == w.stamp[()]
@@ -204,11 +205,11 @@ def _is_repeated(
 
 @compiled()
 def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
-    """Number of repetitions before a new reading; 0 without a new one, or for a robot at rest.
+    """Number of repeated readings before the new reading q, qd (n_m,); 0 if the robot was at rest.
 
-    Equal readings of a robot at rest do not show whether the driver repeats them. The driver has
-    repeated them if the new reading is farther away than a joint moves in two control periods at
-    its new velocity.
+    Equal readings of a robot at rest do not show whether the driver repeats them: they are only
+    counted, with the result 0. The driver has repeated them if a different reading follows in which
+    a joint is farther away than it moves in two control periods at its new velocity.
     """
     if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
         w.rested[()] = 0.0 if first else w.rested[()] + 1.0
@@ -223,10 +224,11 @@ def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
 
 @compiled()
 def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -> Array:
-    """The base's velocity: the reading `read` (n_b,), or the prediction by its drive's model.
+    """The base's velocity: each entry of the reading `read` (n_b,), or its prediction.
 
-    A reading is not used if it is missing, or larger than twice the limit of its axis. The
-    prediction does not pass the command; after a gap it is the command, at the first reading 0.
+    An entry is predicted by the drive's model if it is missing, or larger than twice the limit of
+    its axis. The prediction approaches the command, and does not pass it; after a gap it is the
+    command, at the first reading 0.
     """
     found, time = read.copy(), (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
     for i in range(len(read)):
@@ -252,7 +254,7 @@ def _implausible(q: Array, limits: Array) -> bool:
 
 @compiled()
 def _recall(w: Any, ago: int, count: int) -> Array:
-    """(count, n_m) predicted accelerations of successive periods, until `ago` periods ago."""
+    """(count, n_m) predicted accelerations in `count` periods; the last is `ago` periods old."""
     found = np.empty((count, w.history.shape[1]))
     for k in range(count):
         put(found[k], w.history[(int(w.periods[()]) - ago - count + 1 + k) % HISTORY])
@@ -261,7 +263,7 @@ def _recall(w: Any, ago: int, count: int) -> Array:
 
 @compiled()
 def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool) -> None:
-    """Store the arm's predicted acceleration in the control period that has just ended."""
+    """Store the accelerations of arm (predicted) and base in the period that has just ended."""
     if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
         w.known[()] = 0.0  # a gap
         return
@@ -279,9 +281,10 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
 
 @compiled()
 def _catch_up(w: Any, missed: float, dt: float) -> None:
-    """Predict the motion in the control periods that the loop has missed; too many are a gap.
+    """Predict the motion in the periods that the loop has missed; `HISTORY` or more are a gap.
 
-    Meanwhile the last commands have acted, and the law has used no velocity.
+    The last commands are assumed to act in these periods. The law has used no velocity in them;
+    `w.qd_used` gets the predicted velocities.
     """
     if missed >= HISTORY:
         w.known[()] = 0.0
@@ -332,10 +335,11 @@ def _polynomials(ages: Array, count: int) -> Array:
 
 @compiled()
 def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
-    """Add the positions q to the newest group, and estimate `w.lag` at the end of each group.
+    """Estimate `w.lag` if the newest group of readings is full; add the positions q to a group.
 
     Each possible lag predicts the motion of the last groups' mean positions, which have little
-    noise, up to a polynomial of time for the motion by external forces (`_weigh_lags`).
+    noise, up to a polynomial of time for the motion by external forces (`_weigh_lags`). `age` + 1
+    periods have passed since the last reading.
     """
     ages = w.group_age
     for k in range(len(ages)):
@@ -385,8 +389,8 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
 def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
     """(n_m,) [rad] error of the motion predicted for n groups, because of unmodelled friction.
 
-    Friction is part of the external forces. A polynomial describes these forces, but not where a
-    joint turns back, because the friction torque changes there at once.
+    Friction is part of the external forces. A polynomial describes the motion by these forces, but
+    not where a joint turns back, because the friction torque changes there at once.
     """
     found, torque = np.zeros(len(w.q_m)), np.zeros(len(w.q_m))
     for i in range(len(w.q_m)):
@@ -419,11 +423,11 @@ def _compare_lags(
 
     Returns:
         (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
-        and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sums of the
-        squared residuals; the sum [rad²] below which a lag is clearly better than these two; and
-        the evidence of a contradiction. This is the logarithm of the likelihood ratio of no
-        prediction to the best lag, from the joints that have just been faster than `_VIOLENT`
-        times their speed limit.
+        and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sum of the squared
+        residuals of each lag; the sum [rad²] below which a lag is clearly better than the present
+        lag and no prediction; and the evidence of a contradiction. This evidence is the logarithm
+        of the likelihood ratio of no prediction to the best lag up to 24 periods, for the joints
+        that have just been faster than `_VIOLENT` times their speed limit.
     """
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
@@ -449,16 +453,16 @@ def _compare_lags(
 def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     """Update the evidence with a new group, and change the lag if the evidence is sufficient.
 
-    If `w.ratio` is 1 and the base has no fault, the evidence against all lags, within
-    ±`_LARGEST_GAIN`, is added to `w.contradiction`.
+    If `w.ratio` is 1, without the faults `base` and `localisation`, the evidence of a contradiction
+    (`_compare_lags`), within ±`_LARGEST_GAIN`, is added to `w.contradiction`.
 
     The evidence for each lag is a sum that never becomes negative (a CUSUM test): each new group
     adds the gain of the lag minus `_DOUBT`. The gain is the logarithm of a likelihood ratio, with
     an upper bound, so no single event can decide. It is 0 if the residuals of the lag are not
-    clearly smaller than those of the present lag and of no prediction. Sufficient evidence changes
-    the lag if the residuals of the newest two thirds of the groups are clearly smaller too, or if
-    the evidence has grown for longer than the span of all groups. Without this condition, a sudden
-    change of a person's force would look like a delay while it is among the oldest groups.
+    clearly smaller than those of the present lag and of no prediction. Evidence above `_CONVINCING`
+    changes the lag, to at most 24 periods, if the residuals of the newest two thirds of the groups
+    are clearly smaller too, or if the evidence has grown for longer than the span of all groups.
+    Otherwise, a person's sudden force within the oldest groups would look like a delay.
     """
     ages, lags, n = w.group_age, len(w.evidence), 0
     oldest = min(int(w.known[()]), HISTORY) - lags - 1
@@ -514,12 +518,12 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
     The joint with the largest displacement, relative to its noise, is used. A driver's filter can
     delay velocities by up to 0.01 s, and rare readings seem to delay them by half an interval. Each
-    possible delay implies a ratio: if one is near 1, `w.ratio` becomes 1, else the geometric mean
-    of the smallest and the largest. A mean outside of 1/8 to 10 is not plausible: `w.no_velocity`
-    and `w.ratio` become 1. Successive ratios other than 1 that agree within 15 % for 0.05 s, at
-    least two, set the fault `period`; the first one can also agree with 1. From then on, each one
-    corrects the period, and needs a larger displacement. If a clock confirms the period, they set
-    `w.no_velocity` instead.
+    possible delay implies a ratio. If the range of these ratios comes within 10 % of 1, or contains
+    0, `w.ratio` becomes 1, otherwise the geometric mean of the range's ends. A mean outside of 1/8
+    to 10 is not plausible: `w.no_velocity` and `w.ratio` become 1. At least two successive ratios
+    other than 1 that agree within 15 % for 0.05 s set the fault `period`; the first one can also
+    agree with a 1 before it. If a clock confirms the period, they set `w.no_velocity` instead; if
+    it shows a different one, neither. After the fault, 2 % replaces 10 %, for larger motions.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
     if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:
@@ -573,11 +577,11 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
 @compiled()
 def _count_periods(w: Any, now: float, dt: float) -> float:
-    """Number of missed steps, one for each control period dt [s], before this step at `now` [s].
+    """Number of control periods dt [s] that the loop has missed before this step at `now` [s].
 
     It is 0 without a clock, infinite after a pause of more than 0.1 s, and −1 for a second step in
-    the same period: after a stall, some loops catch up. Delays of up to 0.9 periods do
-    not count. A coarse clock rests for some steps, and then its jitter is larger.
+    the same period: after a stall, some loops catch up. Delays of up to 0.9 periods do not count;
+    if a coarse clock has not changed for some steps, 0.9 periods for each of these steps.
     """
     interval, steps = now - w.clock[()], 1.0 + w.clock_rest[()]
     w.clock_rest[()] = steps if interval == 0.0 else 0.0
@@ -596,8 +600,8 @@ def _count_periods(w: Any, now: float, dt: float) -> float:
 def _watch_clock(w: Any, now: float, dt: float) -> float:
     """Compare the control period dt [s] with the caller's clock; `now` [s] is NaN without one.
 
-    The fault `stall` is a step that is too late for a period that the clock has confirmed. Returns
-    the result of `_count_periods`.
+    A step after missed periods sets the fault `stall` if the clock has confirmed the period, or
+    after a pause of more than 0.1 s. Returns the result of `_count_periods`.
     """
     interval, missed = now - w.clock[()], _count_periods(w, now, dt)
     w.clock[()], usual = now, missed == 0.0
@@ -626,12 +630,11 @@ def _watch_clock(w: Any, now: float, dt: float) -> float:
 
 @compiled()
 def _measure_period(w: Any, dt: float) -> None:
-    """Measure the control period, stated as dt [s], by the intervals of the clock.
+    """Measure the ratio `w.clock_ratio` of the true control period to dt [s], by the clock.
 
-    It is right if it is the mean of all intervals, the mean of the usual ones, or the length of
-    most of them. Steps that catch up after a stall do not count. Two successive measurements that
-    differ from it, and agree, set the fault `period`; then `w.clock_ratio` is the ratio of the true
-    period to dt.
+    The ratio is 1 if, within 5 %, dt is the mean of all intervals of the clock, the mean of those
+    without a stall, or the length of most of them. Steps that catch up after a stall do not count.
+    Two successive ratios that differ from 1, and agree, set the fault `period`.
     """
     time, number = w.clock_span[0]
     usual_time, usual = w.clock_span[1]
@@ -652,8 +655,8 @@ def _measure_period(w: Any, dt: float) -> None:
 def _is_too_old(w: Any, age: float, dt: float) -> bool:
     """Whether an age [s] by a time stamp is too long for a prediction, or clearly negative.
 
-    The age is NaN without a time stamp. A clearly negative age means that the clocks differ: then
-    the reading is invalid.
+    The age is NaN without a time stamp. A too long age sets the fault `lag`. A clearly negative age
+    means that the clocks differ, and sets the fault `invalid`.
     """
     future, old = age < -EARLY, age > min(MAX_AGE, (HISTORY - 1) * dt)
     if future:
@@ -667,9 +670,9 @@ def _is_too_old(w: Any, age: float, dt: float) -> bool:
 def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
     """Set `w.lag` to the age [s] of a new reading plus the delay that time stamps do not show.
 
-    The lag is a number of control periods. It remains if this sum is within 0.9 periods of it:
-    else the jitter of the clock would change the number of periods between two readings. A change
-    of the lag is subtracted from `w.age`, except at the first reading.
+    The lag is this sum, rounded to control periods. A sum within 0.9 periods of the present lag
+    does not change it: jitter of the clock must not change the number of periods between two
+    readings. A change of the lag is subtracted from `w.age`, except at the first reading.
 
     Returns:
         Whether the reading is older than the last one: then `w.age` is negative.
@@ -685,7 +688,7 @@ def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
 
 @compiled()
 def _forget_groups(w: Any) -> None:
-    """Forget all groups of readings, because their ages are unknown."""
+    """Forget all groups of readings, and the evidence for lags: the groups' ages are unknown."""
     fill(w.evidence, 0.0)
     for k in range(len(w.group_age)):
         w.group_age[k] = HISTORY * (k + 1.0)
@@ -749,9 +752,9 @@ def later_base(
 ) -> tuple[Array, Array]:
     """The pose (3,) and the velocity (n_b,) of the base, `age` [s] after their readings.
 
-    The velocity changes by the assumed accelerations of the last control periods. A missing one is
-    replaced by the present velocity, and stays missing. Readings that are too old, or later than
-    the control step, are lost. If the age is negative, the velocity is assumed to be constant.
+    The velocity changes by the assumed accelerations of the last control periods. If an entry of
+    the velocity is NaN, the pose moves at the present velocity, and the entry remains NaN. With an
+    age above `_SELDOM`, all results are NaN. If the age is negative, the velocity is constant.
     """
     w.base_late[()] = 1.0
     if not age <= _SELDOM:
@@ -783,13 +786,14 @@ def _differs(error: Array, way: float, turn: float) -> bool:
 
 @compiled()
 def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
-    """Update `w.pose_last` by a reading (3,) after a time [s]; equal readings are repetitions.
+    """Update `w.pose_last` by a reading (3,) of the base's pose, `time` [s] after the last one.
 
-    Odometry is often slower than the joints' readings: between its readings, the base moves at its
-    velocity. The fault `localisation` is a reading that contradicts the velocity: a jump, or recent
-    changes of the pose that differ from the integral of the velocity by more than `_NEAR` plus half
-    of the path. Without a new reading for `_SELDOM`, the motion since the last one is compared too.
-    `w.pose_jump` is for `shift_reference`.
+    Odometry is often slower than the joints' readings: an equal reading is a repetition, and the
+    pose then moves by the base's velocity. A reading that contradicts the velocity sets the fault
+    `localisation`: a jump, or recent changes of the pose that differ from the integral of the
+    velocity by more than `_NEAR` plus half of the path. Without a new reading for `_SELDOM`, the
+    motion since the last one is compared too. `w.pose_jump` becomes the difference from the
+    expected pose, for `shift_reference`.
     """
     moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
     for i in range(3):
@@ -832,10 +836,10 @@ def _begin_pose(w: Any, pose: Array, known: bool) -> None:
 
 @compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Store the base's readings.
+    """Store the base's readings, and compare them with each other and with the drive's model.
 
-    The fault `base` is a change of velocity that the assumed acceleration of the base does not
-    explain: `w.astray` is a decaying sum of such changes.
+    `w.astray` is a decaying sum of the changes of velocity that the assumed acceleration of the
+    base does not explain. A large sum sets the fault `base`.
     """
     time = (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
     begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
@@ -857,7 +861,7 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 
 @compiled()
 def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
-    """Predict the arm's velocity without valid readings, for the fallback command's damping."""
+    """Predict the arm's velocity for the fallback command; 0 with the fault `contradictory`."""
     w.age[()] += 1.0
     w.known[()] = w.unstated[()] = 0.0
     fill(w.v_last, math.nan)
@@ -881,7 +885,7 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     The positions are compared with those predicted for the last control periods. Thus a delay that
     begins or ends during a motion is known at once; `_find_lag` finds the other delays. A robot
     that stops is not mistaken for a delay, because its velocities differ from the past velocities.
-    Readings without velocities are not compared.
+    The lag changes only with velocities, `FEWEST` samples of the noise and a `w.ratio` of 1.
 
     Returns:
         Whether the reading is older than the last one; then `w.age` is negative.
@@ -916,9 +920,10 @@ def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool
     """Update `w.v_error` and `w.blind_time` after a new reading.
 
     `w.v_error` is the largest recent error of the velocities that the law used for the time of the
-    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. It decays with the time
-    constant of the noise estimate. `w.blind_time` includes `_LATE` after a large error or a jump of
-    the arm, unless a time stamp shows the age: the readings can then be older than assumed.
+    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. A reading in the next
+    period, without a lag, adds no error. `w.v_error` decays with the time constant of the noise
+    estimate. After a large error or a jump of the arm, the readings can be older than assumed:
+    `w.blind_time` then includes `_LATE`, unless a time stamp has shown that the readings are old.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, blind = math.exp(-steps * gains.dt / gains.noise_window), steps + lag > 1.0
@@ -946,9 +951,9 @@ def _use_estimate(gains: Any, w: Any) -> None:
 def _checked_positions(
     robot: Any, w: Any, base_pose: Array, q_m: Array, drive: Array, first: bool
 ) -> tuple[Array, bool]:
-    """The positions (n_m,) without jumps by full turns, and whether they are unusable.
+    """The positions (n_m,) without jumps by full turns, and whether the reading is unusable.
 
-    The faults of the last step are cleared.
+    The faults of the last step are cleared; the faults `invalid` and `implausible` can be set.
     """
     fill(w.faults, 0.0)
     q, lost = q_m.copy(), not math.isfinite(q_m.sum() + drive.sum())
@@ -964,7 +969,7 @@ def _checked_positions(
 def _store_reading(
     w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float
 ) -> None:
-    """Store a reading; the next one is a repetition if it is equal."""
+    """Store a reading; a comparison with it shows whether the next reading is a repetition."""
     w.stamp[()] = stamp
     put(w.reading[0], q)
     put(w.reading[1], qd)
@@ -974,7 +979,7 @@ def _store_reading(
 
 @compiled()
 def _remains_valid(w: Any, lost: bool, first: bool, dt: float) -> bool:
-    """Update `w.valid` and the faults that lead to the fallback command; `w.valid` as a bool."""
+    """Update the faults `stale` and `contradictory` and `w.valid`; returns `w.valid` as a bool."""
     w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * dt > MAX_AGE else 0.0
     w.faults[CONTRADICTORY] = 1.0 if w.contradiction[()] > _CONTRADICTORY else 0.0
     unusable = w.faults[STALE] != 0.0 or w.faults[CONTRADICTORY] != 0.0
@@ -1001,7 +1006,7 @@ def take_readings(
     the first usable reading, if there has been no usable reading for 0.1 s, and from the fault
     `contradictory` until `reset`.
 
-    The arguments after `w`, a `STEP`, are the fields of a `Measurement`.
+    The arguments after `w`, a `STEP`, are the fields of a `Measurement` without `base_time`.
     """
     _use_stated_lag(gains, w)
     first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
@@ -1050,9 +1055,9 @@ def _take_new(
 ) -> None:
     """Update the estimate of the arm's motion by new readings q and qd (n_m,).
 
-    Unusable velocities are ignored; the positions are used. Without time stamps, equal readings at
-    rest can be repetitions. More than 0.1 s of them are a gap of unknown duration; after it, a
-    reading that the arm cannot reach within 0.1 s is a jump.
+    An unusable velocity counts as missing. Without time stamps, equal readings at rest can be
+    repetitions (`_rested`). More than 0.1 s of repetitions are a gap of unknown duration; after it,
+    a reading that the arm cannot reach within 0.1 s is a jump.
     """
     rested = 0.0 if stamped else _rested(w, q, qd, gains.dt, first)
     if rested > 0.0:

@@ -5,12 +5,14 @@ a sample if its pose jumps, which means that its own velocity does not explain t
 pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
 acceleration of the reference. It ends at the sample after two mean intervals, with the sample's own
 velocity. If the own velocity is 0 or does not match the poses, the mean velocity since the previous
-sample replaces it. If its acceleration would exceed about `_LEAP`, it ends later, and beyond the
-sample along this velocity. Thus a steady motion stays steady, and jitter has no effect. Without a
-further sample the reference comes to rest at the last sample. A sample that requires more than the
-correction speed is approached within this speed and about `_LEAP`; it can be the first sample after
-a pause, an outlier or noise. Then each polynomial ends at rest at the sample or on the way to it;
-in the second case each step starts a new one. The first reference and references without jumps are
+sample replaces it. If the acceleration of the polynomial would exceed about `_LEAP`, the polynomial
+ends later, and beyond the sample along this velocity. Thus a steady motion stays steady, and jitter
+has no effect. Without a further sample the reference comes to rest at the last sample.
+
+The first sample after a pause, an outlier or noise can require more than the correction speed
+(`task.ee_speed`). The reference then approaches the sample within this speed and about `_LEAP`:
+each polynomial ends at rest, at the sample or on the way to it; in the second case each step starts
+a new polynomial. The first reference, and references without jumps while no polynomial lasts, are
 used unchanged: the law itself limits the correction speed. A repeated reference is no sample, and
 counts as a reference at rest: a velocity is valid only while the poses move.
 
@@ -89,7 +91,7 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
 
 @compiled()
 def _leaps(way: Array, v: Array, time: float, dt: float) -> bool:
-    """Whether v (6,) does not explain a motion `way` (6,) in a time; dt is the period; both [s]."""
+    """Whether the velocity v (6,) does not explain the motion `way` (6,) in `time` [s]."""
     leaps = False
     for i in range(6):
         leaps = leaps or abs(way[i] - time * v[i]) > _LEAP * max(time, dt) ** 2
@@ -104,7 +106,7 @@ def _largest(motion: Array) -> float:
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Start a polynomial to the newest sample, at `way` (6,) from the caller's last reference."""
+    """Start a polynomial to the newest sample; `way` (6,) leads to it from the last reference."""
     between = w.since_sample[()]
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion
@@ -121,10 +123,10 @@ def _take_sample(gains: Any, w: Any, way: Array) -> None:
 
 @compiled()
 def _aim(gains: Any, w: Any, v_end: Array) -> None:
-    """Start a polynomial from the present reference to the newest sample, with the velocity v_end.
+    """Start a polynomial from the present reference to the newest sample, with v_end (6,) there.
 
-    The polynomial ends at rest in three cases: v_end is 0, the correction speed is too low for
-    v_end, or it is too low for the distance of the sample.
+    The polynomial ends at rest if v_end is 0, or if the correction speed is too low for v_end or
+    for the distance of the sample; for a distant sample it ends on the way (`w.way_capped`).
     """
     at, v, a = _state(w.way, w.way_time[()])
     _put_moved(w.x_origin, w.x_origin.copy(), at)
@@ -156,8 +158,8 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
 def _continue_way(gains: Any, w: Any, time: float) -> None:
     """Evaluate the polynomial `time` [s] later, and write the result as the reference.
 
-    If no further sample arrives in time, a new polynomial comes to rest at the last sample. At the
-    end of the polynomial, its duration becomes 0, and no reference is written.
+    If no further sample arrives in time, or if the polynomial ends on the way to the sample, a new
+    polynomial replaces it. After its end, the duration becomes 0, and no reference is written.
     """
     late = w.since_sample[()] > _OVERDUE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
@@ -216,9 +218,9 @@ def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T:
 def shift_reference(gains: Any, w: Any) -> None:
     """Shift the reference of this step by the end-effector's motion at jumps of the base's pose.
 
-    The shift returns to 0, not faster than the correction speed. The first reference has none:
-    `w.tracking` is that of the last step. The jump is in `w.pose_jump`; the kinematics are still
-    those before it.
+    The shift returns to 0, not faster than the correction speed. The first reference after guiding
+    has no shift: here `w.tracking` is still that of the last step. `w.pose_jump` has the jump; the
+    kinematics are still those before the jump.
     """
     x, y, turn = w.p_ee[0] - w.p_o[0], w.p_ee[1] - w.p_o[1], w.pose_jump[2]
     c, s, moved = math.cos(turn), math.sin(turn), np.zeros(6)
@@ -236,7 +238,7 @@ def shift_reference(gains: Any, w: Any) -> None:
 
 @compiled()
 def _return_from(gains: Any, w: Any, moved: Array) -> None:
-    """Continue the present shift by `moved` (6,) [m, rad], and plan its return to 0."""
+    """Add `moved` (6,) [m, rad] to the present shift, and start the return of the sum to 0."""
     at, v, a = np.zeros(6), np.zeros(6), np.zeros(6)
     if w.shift_duration[()] > 0.0:
         at, v, a = _state(w.shift, w.shift_time[()])

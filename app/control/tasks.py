@@ -1,10 +1,10 @@
 """The tasks of a control step, and their continuous transition (§3.2 to §3.4).
 
 T_sca has rows J q̈ = b, each with an activation β. The tasks below T_sca (end-effector, posture,
-guided arm, base at rest) are one strictly convex objective ½ q̈ᵀ H q̈ + cᵀ q̈, and each row of T_sca
-is a spring against its solution. Thus the result is continuous when rows enter or leave; the
-paper's hierarchy of strict levels jumps where levels become dependent. The reduced accelerations
-q̈ (n,) begin with the n_b of the base.
+guided arm, base at rest) are one strictly convex objective ½ q̈ᵀ H q̈ + cᵀ q̈. A row of T_sca is
+either a spring against the solution of this objective (`insert_rows`) or blended with it
+(`blend_base`). Thus the result is continuous when rows enter or leave; the paper's hierarchy of
+strict levels jumps where levels become dependent. q̈ (n,) begins with the n_b entries of the base.
 """
 
 import math
@@ -87,12 +87,12 @@ def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
 def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) -> Array:
     """ẍ_rep = k_p n − k_v ṗ (3,) [m/s²]: pushes the arm's closest point away from the base.
 
-    n (3,) is the unit normal from the base to the arm, ṗ (3,) [m/s] the velocity of the closest
-    point relative to the base; k_p is in m/s², k_v in 1/s. The compared method `repulsive` realises
-    this by the arm alone. It is a simplified form of the method that §4.2.1 names, by Dietrich et
-    al. (2011, 2012): k_p and k_v are constant, and the activation β fades the task in and out. In
-    Dietrich's method the force is the gradient of a potential of the distance, and the damping
-    depends on the configuration.
+    n (3,) is the normal from the base to the arm, of length 1 or less, ṗ (3,) [m/s] the velocity of
+    the closest point relative to the base; k_p is in m/s², k_v in 1/s. The compared method
+    `repulsive` realises ẍ_rep by the arm alone. It is a simplified form of the method by Dietrich
+    et al. (2011, 2012) that §4.2.1 names: k_p and k_v are constant, and the activation β fades the
+    task in and out. In Dietrich's method the force is the gradient of a potential of the distance,
+    and the damping depends on the configuration.
     """
     return k_p * n - k_v * velocity
 
@@ -109,7 +109,7 @@ def generate_avoidance_task(
     b_sca: Array,
     B: Array,
 ) -> None:
-    """Write the rows of T_sca: those of the base, then those between links.
+    """Write the rows of T_sca: those of the base, then those of the pairs within the arm.
 
     The base's rows are [J_m O] q̈ = ẍ_m with J̇_m = 0; all have the activation β_m.
 
@@ -197,7 +197,7 @@ def end_effector_task(
     """T_2 ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
 
     The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times `max_speed`. Therefore
-    the end-effector approaches a distant target with this speed.
+    the end-effector approaches a distant target at `max_speed`.
 
     Paper: Eq. (26), its task T_2.
 
@@ -210,7 +210,8 @@ def end_effector_task(
         max_speed: [m/s] and [rad/s] upper bound of the correction speed.
 
     Returns:
-        The right-hand side b (6,) of J_ee q̈ = b; and λ [m²], the square of the bounded error.
+        The right-hand side b (6,) of J_ee q̈ = b; and λ [m²], the squared norm of the bounded pose
+        error (m and rad count alike).
     """
     b, rest = np.empty(6), 0.0
     for part in range(0, 6, 3):
@@ -232,10 +233,11 @@ def add_tracking(
 ) -> tuple[Array, Array]:
     """Add T_2 to the posture task (H, c): the cost ½ w ‖J_ee q̈ − b‖² with a large weight w [-].
 
-    If a limit or another task makes a strict level nearly dependent, this level would demand
+    If a limit or another task nearly contradicted T_2 as a strict level, this level would demand
     unbounded accelerations. The weighted task instead has an error of 1/w of the posture's demand.
-    A remaining error adds a damping λ ‖q̈ + k_v q̇‖² in the metric H, where λ is the square of the
-    error (Levenberg and Marquardt, by Sugihara 2011). Thus an arm at full stretch comes to rest.
+    A remaining pose error adds the cost ½ w λ ‖q̈ + k_v q̇‖² in the metric H, where λ is the square
+    of this error: the damping of Levenberg and Marquardt in the form by Sugihara (2011). Thus an
+    arm at full stretch comes to rest.
 
     J (6, n) is J_ee, b (6,) the right-hand side of T_2, `lm_damping` λ [m²], `velocity` k_v q̇ (n,);
     H is (n, n), c (n,).
@@ -273,7 +275,7 @@ def posture_objective(
     base_weight: float,
     base_damping: float,
 ) -> tuple[Array, Array]:
-    """H (n, n) and c (n,) that move the arm towards a posture, and bring the base to rest.
+    """H (n, n) and c (n,) that damp the arm, move it towards a posture, and bring the base to rest.
 
     Without this task (26) does not determine the motion in the null space of T_2: the paper's robot
     has nine accelerations, and T_2 six rows. A joint also has a restoring acceleration proportional
@@ -335,11 +337,11 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 
 @compiled()
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
-    """H = M (n, n) and c (n,) of min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), the task of a guided arm.
+    """H = M (n, n) and c (n,) of the task of a guided arm: ½ (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0).
 
-    u_0 (n_m,) [N m or N] is the torque without T_sca. As a function of q̈_a the cost has the
-    Hessian M_aa. For a fixed acceleration of the base the minimum is at u_a = u_0, and rows of the
-    avoidance task add J_rᵀ λ. There is no posture task, because the person would feel it.
+    u_0 (n_m,) [N m or N] is the torque without T_sca. For a fixed acceleration of the base, the
+    cost as a function of q̈_a has the Hessian M_aa and its minimum at u_a = u_0; each row of T_sca
+    adds a torque along its J_rᵀ. There is no posture task, because the person would feel it.
     """
     n_b, c = len(h) - len(u_0), np.zeros(len(h))
     for i in range(len(u_0)):
@@ -351,10 +353,10 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
 def add_base_rest_task(
     H: Array, c: Array, L_aa: Array, qd: Array, weight: float, damping: float, n_b: int
 ) -> tuple[Array, Array]:
-    """H and c of `guided_objective`, extended by the task that brings the base to rest.
+    """H and c of a guided arm for a free base, with the task that brings this base to rest.
 
-    `L_aa` is the Cholesky factor of M_aa, `qd` (n,) is q̇; `weight` [-] and `damping` [1/s] are
-    those of the base.
+    The arguments H and c are those of `guided_objective`, `L_aa` is the Cholesky factor of M_aa,
+    `qd` (n,) is q̇; `weight` [-] and `damping` [1/s] are `base_weight` and `base_damping`.
     """
     n = len(c)
     H, c = H.copy(), c.copy()
@@ -381,7 +383,7 @@ def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array
     This is our extension. The force (14) acts on the base alone; without a reaction a released arm
     would stay in the buffer, and the base would continue to move. `d` (k,) [m] and `J` (k, n) are
     distances and Jacobians of the pairs of arm and base; f [N] is the force at contact, d_b [m] the
-    buffer distance.
+    buffer distance. 1 − d/d_b is limited to 0 … 1, and J_a is the arm's part of J.
     """
     u = np.zeros(J.shape[1] - n_b)
     for i in range(len(d)):
@@ -396,7 +398,7 @@ def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array
 def insert_rows(
     H: Array, c: Array, J: Array, b: Array, beta: Array, least: float, fixed: int
 ) -> tuple[Array, Array]:
-    """The tasks below (H, c) with rows of T_sca above them, each in proportion to its activation.
+    """Add rows of T_sca to the tasks below, ½ q̈ᵀ H q̈ + cᵀ q̈, as springs that follow β.
 
     Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇. With ε = `least`, its compliance is
     (1 − β_i + ε)/β_i times J_i H⁻¹ J_iᵀ, the compliance of the tasks below along this row. For
@@ -404,10 +406,10 @@ def insert_rows(
 
         J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
 
-    the blend of (29). With other rows, row i has no effect at β_i = 0, and at β_i = 1 it is
-    satisfied up to `least`. The paper's blend, of all rows with the solution without any of them,
-    jumps when a row enters while a different row is active. The computing time is proportional to
-    the number of rows.
+    the blend of (29), where q̈*_∖i is the solution without row i. With other rows, row i has no
+    effect at β_i = 0, and at β_i = 1 it is satisfied up to an error in proportion to ε. The paper
+    blends all rows with the solution without any of them: this blend jumps when a row enters while
+    a different row is active. The computing time is proportional to the number of rows.
 
     Paper: Eq. (29).
 
@@ -417,7 +419,7 @@ def insert_rows(
         J: (k, n) rows J_i of T_sca.
         b: (k,) right-hand sides b_i.
         beta: (k,) [-] activations β_i.
-        least: [-] remaining share of a row's compliance at β = 1.
+        least: [-] ε, compliance of a row at β = 1, relative to J_i H⁻¹ J_iᵀ.
         fixed: Number of fixed first entries of q̈, which do not contribute to J_i H⁻¹ J_iᵀ.
 
     Returns:
@@ -451,7 +453,7 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
 
 @compiled()
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
-    """R (3, n_b): end-effector motion by the base's axes that the arm cannot compensate.
+    """R (3, n_b) from ν of the base to end-effector velocity that the arm cannot compensate.
 
     An arm that lacks a joint, or is at full stretch, cannot compensate the base's motion: the base
     drags the end-effector along, the distance stays the same, and the base would continue. Our
