@@ -250,8 +250,8 @@ class TaskConfig(Strict):
     posture_stiffness: float = number(4.0, 0.0, 100.0)
     """[1/s²] stiffness of the arm's posture task, towards the starting posture."""
     joint_centering: float = number(8.0, 0.0, 100.0, "Joint-limit stiffness")
-    """[1/s²] acceleration of a joint at a position limit towards the middle of its range, divided
-    by half of the range. It is proportional to the fifth power of the distance from the middle."""
+    """[1/s²] restoring acceleration of a joint at a position limit, divided by half of its range.
+    This acceleration is proportional to the fifth power of the distance from the middle."""
     posture_damping: float = number(4.0, 0.0, 100.0)
     """[1/s] damping of the arm's posture task."""
     base_damping: float = number(3.0, 0.0, 20.0, "Base damping k")
@@ -301,8 +301,8 @@ class EstimateConfig(Strict):
     """[s] time window in which the noise of positions and velocities is estimated."""
     delay: float = number(0.0, 0.0, 0.03, "Known reading age", advanced=True)
     """[s] known age of the readings at the start of a control step, or the part of it that their
-    time stamps do not show. A value above 24 control periods counts as 24 control periods. The
-    controller also detects and compensates a larger age, up to the same limit."""
+    time stamps do not show. More than 24 control periods count as 24. The controller also detects
+    and compensates a larger age, up to 24 periods or, with time stamps, 0.1 s."""
 
 
 class PayloadConfig(Strict):

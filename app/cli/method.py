@@ -258,7 +258,7 @@ def bench(
         robot: Name of the robot; `dbb robots` lists all names.
         no_border: Do not measure the sampling of a new border, which takes minutes.
         seed: Seed of all random numbers: for the simulated paths, for the synthetic borders, and
-            for the QP with which solver libraries are compared.
+            for the QP that a library solves for comparison with the control step.
     """
     options.check_seed(seed)
     try:

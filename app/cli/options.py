@@ -32,8 +32,8 @@ ConfigOption = Annotated[
     NO_DEFAULT,
     tyro.conf.arg(
         help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
-        "are not in the file have the robot's defaults. An option of this command that sets a "
-        "parameter overrides the file."
+        "are not in the file have the robot's defaults. Options of this command that set "
+        "parameters, if it has any, override the file."
     ),
 ]
 Processes = Annotated[

@@ -307,7 +307,7 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
 
 @compiled()
 def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
-    """With valid readings, solve the arm's QP, and write q̈ unless Python has to solve this QP."""
+    """With valid readings, solve the arm's QP and write q̈, or leave this QP open for Python."""
     w.solved[()] = 0.0
     if w.valid[()] == 0.0:
         return

@@ -62,7 +62,7 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
     parts = [
         Part("Warnings", points=robot.warnings or ["none"]),
         Part(
-            "Bodies over meshes, in the ready posture",
+            "Bodies over the hulls of the links, in the ready posture",
             png=pictures.bodies,
             tables=[_bodies(robot)],
             points=_bare(pictures.bare),

@@ -153,8 +153,8 @@ def shape_content(shape: Shape) -> dict[str, Any]:
 
 _HEADER = (
     "Made by `dbb new-robot`. Lengths in metres, angles in radians, masses in kilograms.",
-    "Each number is measured, from the URDF, from an option, chosen, counted or assumed; check the "
-    "assumed numbers.",
+    "Each number is measured, from the URDF, from an option, chosen, fitted, counted or assumed; "
+    "check the assumed numbers.",
 )
 
 

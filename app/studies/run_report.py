@@ -58,7 +58,7 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
 
 
 def _missing(run: Trace) -> list[str]:
-    """A sentence on the columns with missing values; empty if no required column has any."""
+    """A list with a sentence on required columns with missing values; empty if there are none."""
     empty = zip(run.columns, np.isnan(run.table).sum(axis=0).tolist(), strict=True)
     found = [
         f"{column.name} ({count} of {len(run)} rows)"

@@ -62,12 +62,12 @@ def with_travel(
     without: Sequence[str] = (),
     leaders: Sequence[Joint] | None = None,
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which the shapes of each descendant of `carrier` cover its sampled positions.
+    """Geometry in which each link below `carrier` has shapes that cover its sampled positions.
 
     `leaders`, by default all moving joints below `carrier`, move through their ranges: first one at
     a time with the others at rest, then all at once, each at the same share of its range. Mimic
-    joints follow. The shapes are in the frames of the links at rest, see `held_at`. Links beyond
-    the joints in `without` do not change.
+    joints follow. The shapes are in the frames of the links at rest, with all joints at
+    `held_at`. Links beyond the joints in `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]

@@ -242,7 +242,7 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]]) -> tuple[_Wheel, _Wheel]:
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The drive of a left and a right wheel, with all similar wheels in line with one of them."""
+    """The drive of a left and a right wheel, and of similar wheels ahead of or behind them."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])

@@ -184,8 +184,8 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
     """Times (N,) [s] with a step `dt` [s], and closest points of base and end-effector at them.
 
     The times cover the longest interval of the lateral guiding in the buffer of the base, cut to
-    `LONGEST` [s]. The points are on a spline through those of the recorded rows: points from the
-    collision library have errors of about 0.3 mm, which is more than the motion in a step.
+    `LONGEST` [s]. The points are on a spline through those of the recorded rows, because the
+    errors of the collision library, about 0.3 mm, are larger than the motion in a step.
     """
     run = sources.runs[LATERAL].trace
     outside = sources.distances(LATERAL) >= sources.config.border.d_b
