@@ -195,7 +195,8 @@ def _resumable(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
             yield count
     except KeyboardInterrupt:
         print(
-            f"{kept:.0f} of {cases} cases are in {out}; the same command continues the study",
+            f"{kept:.0f} of {cases} cases are stored in {out}; "
+            "the same command continues the study",
             file=sys.stderr,
         )
         raise
