@@ -500,16 +500,17 @@ def test_line_outside_the_buffer_has_nothing_to_show(
 
 
 @pytest.mark.parametrize(
-    ("lost", "bare", "near", "moved", "needed", "outcome"),
+    ("lost", "bare", "near", "moved", "needed", "touching", "outcome"),
     [
-        (0.0, 0.02, 0.1, 0.01, 0.1, "failed"),
-        (0.0, 0.07, 0.1, 0.01, 0.1, "failed"),
-        (0.0, 0.08, 0.1, 0.01, 0.1, "nothing to show"),
-        (1.0, 0.02, 0.1, 0.01, 0.1, "warned"),
-        (1.0, 0.02, 0.02, 0.01, 0.1, "failed"),
-        (0.0, 0.02, 0.1, 0.2, 0.1, "passed"),
-        (0.0, 0.02, 0.1, 0.2, np.inf, "warned"),
-        (0.0, 0.08, 0.1, 0.2, np.inf, "nothing to show"),
+        (0.0, 0.02, 0.1, 0.01, 0.1, (), "failed"),
+        (0.0, 0.07, 0.1, 0.01, 0.1, (), "failed"),
+        (0.0, 0.08, 0.1, 0.01, 0.1, (), "nothing to show"),
+        (1.0, 0.02, 0.1, 0.01, 0.1, (), "warned"),
+        (1.0, 0.02, 0.02, 0.01, 0.1, (), "failed"),
+        (0.0, 0.02, 0.1, 0.2, 0.1, (), "passed"),
+        (0.0, 0.02, 0.1, 0.2, np.inf, (), "warned"),
+        (0.0, 0.08, 0.1, 0.2, np.inf, (), "nothing to show"),
+        (0.0, 0.02, 0.1, 0.2, 0.1, ("in_contact", "floor_contact"), "failed"),
     ],
     ids=[
         "compensates",
@@ -520,6 +521,7 @@ def test_line_outside_the_buffer_has_nothing_to_show(
         "moves away",
         "buffer too small",
         "too small, and outer half",
+        "two contacts in one step",
     ],
 )
 def test_outcome_of_a_guiding_run_depends_on_base_arm_and_buffer(
@@ -530,26 +532,29 @@ def test_outcome_of_a_guiding_run_depends_on_base_arm_and_buffer(
     near: float,
     moved: float,
     needed: float,
+    touching: tuple[str, ...],
     outcome: str,
 ) -> None:
-    """The runs are replaced by figures without contact."""
+    """The runs are replaced by their figures, and the contacts of the first of two steps."""
     from app.simulation import run
 
     monkeypatch.setattr(checks, "carried_ee", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
 
     def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
-        counts = ("contacts", "arm_contacts", "floor_contacts", "solver_failures")
         least = bare if controller == "none" else near
-        reported = dict.fromkeys(counts, 0)
-        small = needed > 0.15
+        small, base = needed > 0.15, {"solver_failures": 0, "base_displacement_m": moved}
         return SimpleNamespace(
-            figures=reported | {"min_clearance_m": least, "base_displacement_m": moved},
-            trace=SimpleNamespace(buffer=BufferReading(0.1, needed, 0.1, needed, small, small)),
+            figures=base | {"min_clearance_m": least},
+            trace=SimpleNamespace(
+                buffer=BufferReading(0.1, needed, 0.1, needed, small, small),
+                of=lambda quantity: np.array([quantity in touching, False]),
+            ),
         )
 
     monkeypatch.setattr(run, "run_scenario", figures)
     row = run_row(written(finished[0]), finished[1], "guiding-front")
     assert row.outcome == outcome
+    assert row.numbers["contacts"] == bool(touching)
     still = moved < 0.05 and bare < 0.075 and near > 0.05
     assert ("moves away by less than" in row.text) is still
     assert ("is too small" in row.text) is (outcome == "warned" and needed > 0.15)
