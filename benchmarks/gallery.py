@@ -241,10 +241,6 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
         return row
     found, took = dbb("check-robot", own, *how)
     row |= {key: made[key] for key in _FIGURES}
-    row["over_hulls"] = {  # without flat parts, whose hulls have no volume
-        name: max(filter(None, body["over_cover"]), default=None)
-        for name, body in made["bodies"].items()
-    }
     if found is None:
         return took | row
     checks = {each.pop("name"): each for each in found["checks"]}

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from app.cli.common import print_json
 from app.cli.main import COMMANDS, main
 from app.errors import LogError
 from app.robot import assets
@@ -28,6 +29,7 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.log_file import read_trace
 from app.simulation.trace.metrics import verdict
+from app.studies.runs import write_json
 from tests.raw_client import RawClient
 
 pytestmark = pytest.mark.slow
@@ -688,3 +690,11 @@ def test_import_error_within_the_package_keeps_its_traceback(monkeypatch):
     monkeypatch.setattr(sys.modules[main.__module__], "_run", fails)
     with pytest.raises(ImportError):
         main(["run"])
+
+
+def test_printed_and_written_json_have_null_for_a_number_that_is_not_finite(tmp_path, capsys):
+    content = {"a": [math.nan, np.float64(math.inf), 1.5], "b": np.array([0.0, -math.inf])}
+    print_json(content)
+    write_json(tmp_path / "a.json", content)
+    for text in (capsys.readouterr().out, (tmp_path / "a.json").read_text()):
+        assert json.loads(text) == {"a": [None, None, 1.5], "b": [0.0, None]}

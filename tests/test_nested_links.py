@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+import trimesh
+from trimesh.creation import box
 
 from app.onboarding import new_robot
 from app.onboarding.check import check_robot
@@ -43,15 +46,21 @@ class Toy(NamedTuple):
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Toy:
     """A torso around the root of the arm; upper arm and forearm protrude from it."""
-    folder = tmp_path_factory.mktemp("torso")
+    return with_torso(tmp_path_factory.mktemp("torso"), '<box size="0.2 0.2 0.34"/>')
+
+
+def with_torso(folder: Path, shape: str) -> Toy:
+    """A robot with a torso, whose frame is at the root of the arm."""
     torso = [
-        link("torso", solid('<box size="0.2 0.2 0.34"/>')),
+        link("torso", solid(shape)),
         joint("spine", "fixed", "base", "torso", xyz="0.15 0 0.25"),
     ]
     path = write(folder, robot([*cart(), *torso, *arm()]))
     request = Request(urdf=str(path), base="base", tip="hand", out=folder / "torso")
     parsed = parse(request)
-    path = write(folder, new_robot.rebased_urdf(parsed, name="torso", header="test"))
+    urdf = new_robot.rebased_urdf(parsed, name="torso", header="test")
+    urdf, pieces = new_robot.in_pieces_urdf(urdf, parsed.geometry, folder)
+    path, parsed = write(folder, urdf), replace(parsed, geometry=pieces)
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=1500, seed=1, d_b=0.15)
@@ -109,15 +118,30 @@ def test_check_has_no_row_for_a_robot_without_nested_links(toy: Toy) -> None:
 
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])
 def test_a_plant_reports_the_collisions_that_the_fit_finds(toy: Toy, engine: str) -> None:
-    """The upper arm always overlaps the torso; a contact depends only on the other links.
+    """The upper arm always overlaps the torso; a contact depends only on the other links."""
+    built = toy.meetings.random.distances[:, column(toy, UPPER)]
+    assert (built < -0.01).all()
+    check_contacts(toy, engine, range(4, 8))
+
+
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])
+def test_a_plant_uses_the_pieces_of_the_fit(tmp_path: Path, engine: str) -> None:
+    """The hull of a torso between two plates contains the upper arm, but its pieces do not."""
+    sides = [box(extents=(0.3, 0.02, 0.6)).apply_translation((0.0, y, 0.1)) for y in (-0.45, 0.45)]
+    trimesh.util.concatenate(sides).export(tmp_path / "torso.stl")
+    toy = with_torso(tmp_path, '<mesh filename="torso.stl"/>')
+    assert not toy.model.description.nested
+    check_contacts(toy, engine, range(UPPER, 8))
+
+
+def check_contacts(toy: Toy, engine: str, others: range) -> None:
+    """Compare the contacts of a plant with the fit's distances of the base and other units.
 
     A unit, as in `app.onboarding.fit.units`, is a group of links that moves as one rigid body.
     """
-    others = toy.meetings.random.distances[:, [column(toy, k) for k in (4, 5, 6, 7)]].min(axis=1)
-    built = toy.meetings.random.distances[:, column(toy, UPPER)]
-    assert (built < -0.01).all()
+    gaps = toy.meetings.random.distances[:, [column(toy, k) for k in others]].min(axis=1)
     q_m = toy.meetings.random.q_m
-    free, hit = q_m[others > 0.01][:40], q_m[others < -0.01][:40]
+    free, hit = q_m[gaps > 0.01][:40], q_m[gaps < -0.01][:40]
     assert len(free) == len(hit) == 40
     plant, state = planar_plant(engine, toy.model), RobotState(toy.model)
     for postures, expected in ((free, False), (hit, True)):

@@ -161,6 +161,15 @@ def test_contact_pairs_of_links_follow_from_their_bodies():
     assert not any("panda_link2" in pair for pair in near_base)
 
 
+def test_links_of_an_unmonitored_pair_touch_the_base_but_not_another_part_of_the_arm():
+    pairs = {"lm-l2": "", "lm-l3": "", "l1-l3": ""}
+    hidden = DESCRIPTION.model_copy(update={"unwatched": pairs})
+    links = link_contact_pairs(hidden)
+    assert links["base_link", "panda_link2"] == links["base_link", "panda_link5"] == "arm_base"
+    assert ("panda_link0", "panda_link5") not in links
+    assert ("lm", "l2") not in body_contact_pairs(hidden)
+
+
 def test_nested_links_are_no_contact_pair_and_other_pairs_stay():
     nested = DESCRIPTION.bodies[-1].model_copy(update={"nested": {"panda_hand": ("panda_link0",)}})
     built = DESCRIPTION.model_copy(update={"bodies": (*DESCRIPTION.bodies[:-1], nested)})

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from pydantic_core import to_jsonable_python
 
 from app.cli.options import Given, Setup, configured
 from app.errors import ConfigError, check_name, printable
@@ -17,6 +14,7 @@ from app.jobs.progress import progress_bar
 from app.simulation.case import RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.words import number_text
+from app.studies.runs import json_text
 from app.system import home_expanded
 
 if TYPE_CHECKING:
@@ -54,12 +52,8 @@ def show(text: str) -> None:
 
 
 def print_json(result: object) -> None:
-    """Print one JSON object on standard output; `result` can have numbers and arrays of numpy.
-
-    A number that is not finite becomes null.
-    """
-    plain = to_jsonable_python(result, inf_nan_mode="null", fallback=lambda x: x.tolist())
-    print(json.dumps(plain, indent=2, allow_nan=False))
+    """Print the `json_text` of a result on standard output."""
+    print(json_text(result))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:

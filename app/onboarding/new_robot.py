@@ -40,7 +40,13 @@ from app.onboarding.record import NewRobot, Parsed
 from app.onboarding.request import Request
 from app.onboarding.warn import borne_push, carried_ee, holding_warning, push_warning, warnings_of
 from app.onboarding.whole import Whole, one_message, whole_robot
-from app.onboarding.write import compiled, description, rebased_urdf, write_robot
+from app.onboarding.write import (
+    compiled,
+    description,
+    in_pieces_urdf,
+    rebased_urdf,
+    write_robot,
+)
 from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
@@ -128,6 +134,8 @@ def _make_robot(
 ) -> tuple[NewRobot, BorderData]:
     """Write the URDF; make the border, and the robot without warnings and lines for guiding."""
     path = folder / _URDF
+    urdf, pieces = in_pieces_urdf(urdf, parsed.geometry, folder)
+    parsed = replace(parsed, geometry=pieces)
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))

@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 import tomlkit
+import trimesh
 from tomlkit.items import Item
 
 from app.config import Config
@@ -23,7 +24,14 @@ from app.onboarding import ROOT
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
-from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
+from app.onboarding.read.links import (
+    Geometry,
+    LinkGeometry,
+    LinkInertia,
+    in_pieces,
+    is_foreign,
+    load_mesh,
+)
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.tree import FREE, Joint
 from app.onboarding.record import NewRobot, Parsed
@@ -36,7 +44,7 @@ from app.robot.urdf import mesh_path
 from app.strict import file_text
 from app.system import temporary_folder, whole_folder, write_whole
 
-MESH_FOLDER = "meshes"  # folder of the converted meshes within a robot's folder
+MESH_FOLDER = "meshes"  # folder of the converted and cut meshes within a robot's folder
 _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 
 
@@ -69,8 +77,9 @@ def _sources_text(robot: NewRobot) -> str:
         copied = "Meshes of installed packages are not copied."
     if MESH_FOLDER in folders:
         lines.append(
-            f"- Meshes in the folder `{MESH_FOLDER}`: they had another unit, up axis or format, or "
-            "were larger than 4 MB, and are converted to STL in metres"
+            f"- Meshes in the folder `{MESH_FOLDER}`: those in `.stl` had another unit, up axis or "
+            "format, or were larger than 4 MB, and are converted to metres; those in `.obj` are "
+            "collision meshes, cut into nearly convex pieces"
         )
         copied = "No other mesh is copied."
     licence = request.licence or (
@@ -209,6 +218,10 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
             robot.append(_joint(tree.joint_of[link], rest))
         shapes, inertia = parsed.geometry[link], parsed.inertias[link]
         robot.append(_link(link, tree.links[link], shapes, inertia, home))
+    return _text(robot)
+
+
+def _text(robot: Element) -> str:
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
@@ -233,6 +246,32 @@ def mesh_name(address: str, home: Path | None) -> str:
             load_mesh(path).export(target)
         path = target
     return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
+
+
+def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geometry]:
+    """The text of a new URDF, and the geometry of its links, both with the shapes `in_pieces`.
+
+    For a shape of several pieces, the URDF names an OBJ file that is written in `home`, the folder
+    of the URDF. It has an object for each piece. The engines use the hull of each object.
+    """
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    tree, cut = ElementTree.fromstring(urdf, parser), dict(geometry)
+    for link in tree.iterfind("link"):
+        name, found = str(link.get("name")), []
+        shapes = geometry[name].shapes if name in geometry else ()
+        for element, shape in zip(link.findall("collision"), shapes, strict=True):
+            pieces = in_pieces(shape)
+            found += pieces
+            if len(pieces) < 2:
+                continue
+            stem = re.sub(r"\W", "_", name, flags=re.ASCII)
+            path = f"{MESH_FOLDER}/{stem}_{zlib.crc32(name.encode()):08x}_{len(found)}.obj"
+            (home / MESH_FOLDER).mkdir(exist_ok=True)
+            trimesh.Scene([each.mesh for each in pieces]).export(home / path, include_normals=False)
+            element[:] = [Element("geometry")]
+            SubElement(element[0], "mesh", filename=path)
+        cut |= {name: geometry[name]._replace(shapes=tuple(found))} if shapes else {}
+    return _text(tree), cut
 
 
 def _link(

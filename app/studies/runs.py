@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic_core import to_jsonable_python
+
 from app.system import write_whole
 
 if TYPE_CHECKING:
@@ -61,6 +63,15 @@ def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> No
     write_table(path, {name: [row.get(name) for row in rows] for name in names})
 
 
+def json_text(content: object) -> str:
+    """Indented JSON of content that can have numbers and arrays of numpy.
+
+    A number that is not finite is null.
+    """
+    plain = to_jsonable_python(content, inf_nan_mode="null", fallback=lambda x: x.tolist())
+    return json.dumps(plain, indent=2, allow_nan=False)
+
+
 def write_json(path: Path, content: object) -> None:
-    """Write JSON completely or not at all."""
-    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    """Write the `json_text` of content, completely or not at all."""
+    write_whole(path, json_text(content) + "\n")

@@ -49,7 +49,7 @@ class LinkShape(NamedTuple):
     """Triangles of the shape, in the link's frame [m]. A mesh file with more than `MOST_FACES`
     triangles is simplified."""
     hull: trimesh.Trimesh  # convex hull of the shape, in the link's frame [m]
-    kind: str  # tag of the geometry
+    kind: str  # tag of the geometry; "piece" after `in_pieces`
     radius: float | None  # [m] radius of a cylinder, sphere or capsule; None for other shapes
 
 
@@ -123,12 +123,17 @@ def _shape(element: Element, where: str) -> LinkShape:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """A shape, as nearly convex pieces if it is a mesh, so that hulls meet only where links do."""
-    pieces = convex_pieces(shape.mesh) if shape.kind == "mesh" else []
-    if len(pieces) < 2:
+    """A shape, as nearly convex pieces if it is a mesh, so that hulls meet only where links do.
+
+    A primitive shape, and a piece, remain as they are.
+    """
+    if shape.kind != "mesh":
         return [shape]
+    whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
+    if len(pieces) < 2:
+        return [whole]
     corners = (_outermost(np.asarray(piece.vertices), 4) for piece in pieces)
-    return [shape._replace(mesh=m, hull=hull_mesh(p)) for m, p in zip(pieces, corners, strict=True)]
+    return [whole._replace(mesh=m, hull=hull_mesh(p)) for m, p in zip(pieces, corners, strict=True)]
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:

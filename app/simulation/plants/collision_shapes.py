@@ -82,12 +82,18 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links that the pairs of `body_contact_pairs` cover, without those in `nested`."""
+    """Pairs of links that the pairs of `body_contact_pairs` cover, without those in `nested`.
+
+    A pair of l_m in `unwatched` is included: its bodies can overlap by design, but not its links.
+    """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
-    nested = description.nested
+    nested, mobile = description.nested, description.mobile_body.name
+    near = [(mobile, body.name) for body in description.bodies[2:]]
+    near = [(a, b) for a, b in near if f"{a}-{b}" in description.unwatched]
+    bodies = {**body_contact_pairs(description), **dict.fromkeys(near, "arm_base")}
     return {
         pair: group
-        for (a, b), group in body_contact_pairs(description).items()
+        for (a, b), group in bodies.items()
         for pair in product(covers[a], covers[b])
         if frozenset(pair) not in nested
     }
