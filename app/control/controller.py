@@ -287,7 +287,8 @@ class Controller:
     def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
         """The base's pose and velocity, advanced to the time at which the joints were measured."""
         pose, v, _, _, _, now, time, base_time = measurement
-        until = time if time == time else now - float(self.last.lag) * self._dt
+        new = time == time and time != self.last.stamp
+        until = time if new else now - float(self.last.lag) * self._dt
         age = np.inf if base_time - now > EARLY else until - base_time
         return _later(self._robot, self._gains, self.last.struct, pose, v, age)
 
