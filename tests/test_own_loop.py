@@ -863,6 +863,25 @@ def test_resting_joints_of_coarse_encoders_are_no_repetition(
     assert found.share < 1.0
 
 
+@pytest.mark.parametrize("field", ["time", "base_time", "now and time"])
+@pytest.mark.parametrize("begin", [EPOCH, 1e5 + 0.123], ids=["UNIX time", "monotonic time"])
+def test_time_in_single_precision_is_refused_or_reported_by_its_name(
+    run, field: str, begin: float, caplog
+) -> None:
+    """A float32 resolves 128 s of a UNIX time: all readings seem to be repeated, then stale."""
+    fields = field.split(" and ")
+
+    def rounded(k: int, m: Measurement, kind: Callable[[Any], Any] = float) -> Measurement:
+        times = dict.fromkeys(["now", "time", *fields], begin + 0.001 * k)
+        return m._replace(**times | {each: kind(np.float32(times[each])) for each in fields})
+
+    with pytest.raises(MeasurementError, match=f"{fields[0]} must be a float of 64 bits"):
+        run(lambda k, m: rounded(k, m, np.float32), time=0.01)
+    found = run(rounded, time=0.4)
+    assert not found.faults or f"measurement.{fields[0]} seems to be a float32" in caplog.text
+    assert found.faults or found.share < 1.05
+
+
 @pytest.mark.parametrize("age", [0.3, -0.1])
 def test_odometry_that_is_too_old_or_later_than_the_step_is_not_used(run, age: float) -> None:
     found = run(odometry(0, 1, age), time=0.5)

@@ -37,6 +37,7 @@ from app.control.contract import (
     clocks_differ,
     implausible,
     no_motion,
+    rounding,
 )
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
@@ -215,11 +216,9 @@ class Controller:
 
         Returns:
             The quantities of this step, which the next step overwrites. They always contain a
-            command. It is the fallback command if there is no valid reading for 0.1 s, if the
-            readings have contradicted the torques since the last `reset`, or if the arm's QP has
-            no solution. With the fallback command the base brakes, gravity is compensated at the
-            last valid posture (before the first one, at the ready posture), and the predicted joint
-            speeds are damped, except after contradictory readings.
+            command: the fallback command (docs/own_loop.md) if there is no valid reading for 0.1 s,
+            if the readings have contradicted the torques since the last `reset`, or if the arm's QP
+            has no solution.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong type or number of entries, the
@@ -402,8 +401,7 @@ class ControlLoop:
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        Call `reset` after a protective stop or a pause, or after a person has moved the arm without
-        the controller. The reset clears commands, posture and estimate.
+        Call it after a protective stop, a pause, or a motion of the arm without the controller.
         """
         self.controller.reset()
         self.reported.clear()
@@ -424,17 +422,15 @@ class ControlLoop:
             reference: Desired motion of the end-effector, or None while a person guides the arm.
 
         Raises:
-            MeasurementError: A reading or the reference has a wrong type or number of entries, the
-                reference is not a possible motion, a joint of the first reading is far outside of
-                its position limits, or the first reading's time stamp is too far from `now`.
+            MeasurementError: As `Controller.step`.
         """
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
         if self.controller.faulty:
-            self._report(command)
+            self._report(command, measured)
         return command
 
-    def _report(self, command: Command) -> None:
+    def _report(self, command: Command, measured: Measurement) -> None:
         """Log each fault of the readings once until `reset`."""
         for name in command.faults:
             if name not in self.reported:
@@ -443,7 +439,8 @@ class ControlLoop:
                     "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
                     "period": f" ({self.controller.dt * 1000:.2f} ms{self._too_long()})",
                 }
-                logger.warning("readings, %s: %s%s", name, FAULTS[name], more.get(name, ""))
+                note = more.get(name, "") + rounding(measured, 0.5 * self.controller.dt)
+                logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
 
     def _too_long(self) -> str:
         """Which gain is too large for the measured period, if one is."""

@@ -55,10 +55,7 @@ _GRAVITY = 9.81  # [m/s²]
 
 @compiled()
 def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float, waited: Array) -> bool:
-    """Whether the motion from x (3, n_m) to q (n_m,) is impossible in `steps` steps of dt [s].
-
-    The last readings of the joints were `waited` (n_m,) steps before x.
-    """
+    """Whether a motion in `steps` is impossible; x is `waited` (n_m,) steps after a reading."""
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
         if way > (FARTHEST + steps - 1 + waited[i]) * dt * qd_max[i]:  # not NaN

@@ -197,12 +197,11 @@ def _repeated_joints(w: Any, q: Array, qd: Array, stamp: float, dt: float) -> Ar
             enough = max(_CLEARLY_FAR * w.grain[i], 0.0 if known else _LEAST_WAY)
             clear = clear or (w.grain[i] > 0.0 and way > enough)
             sure[i] = known or far or w.q_last[3, i] > 0.0
-            moves = (sure[i] or w.interval[()] > 1.0) and dt * abs(speed) > _STILL
+            moves = dt * abs(speed) > _STILL and (sure[i] or w.interval[()] > 1.0)
             found[i] = waits or moves
     ends = (w.q_last[3].max() + w.age[()] + 1.0) * dt > MAX_AGE
     if stamp == w.stamp[()]:
-        fill(found, True)
-        clear = True
+        found[:], clear = True, True
     elif alike and math.isnan(stamp):
         fill(found, bool(found.any()) and not (ends and farthest < _LEAST_WAY))
     else:
@@ -234,16 +233,15 @@ def _rested(w: Any, q: Array, qd: Array, old: Array, dt: float, first: bool) -> 
     repeated them if the new reading is farther away than a joint moves in two control periods at
     its new velocity. The second result (n_m,) is the further number of each single joint.
     """
-    rested, far = 0.0 if first else w.rested.min(), np.zeros(len(q), np.bool_)
-    further = np.zeros(len(q))
+    rested = 0.0 if first else w.rested.min()
+    far, further = np.zeros(len(q), np.bool_), np.zeros(len(q))
     for i in range(len(q)):
         speed, change = 0.0 if math.isnan(qd[i]) else abs(qd[i]), abs(q[i] - w.reading[0, i])
         far[i] = change - 2.0 * dt * speed > _STILL and not old[i]
     rested = rested if far.any() else 0.0
     for i in range(len(q)):
         more = w.rested[i] - rested
-        if far[i] and not first and 0.0 < more * dt <= MAX_AGE:
-            further[i] = more
+        further[i] = more if far[i] and not first and 0.0 < more * dt <= MAX_AGE else 0.0
         equal = q[i] == w.reading[0, i] and _alike(qd[i], w.reading[1, i])
         w.rested[i] = w.rested[i] + 1.0 if equal and not first else 0.0
     return rested, further
@@ -291,10 +289,7 @@ def _recall(w: Any, ago: int, count: int) -> Array:
 
 @compiled()
 def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool) -> None:
-    """Store the arm's predicted acceleration in the control period that has just ended.
-
-    The base's acceleration is measured if both velocities are `fresh` readings without a delay.
-    """
+    """Store the arm's predicted acceleration in the control period that has just ended."""
     if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
         w.known[()] = 0.0  # a gap
         return
@@ -1037,9 +1032,7 @@ def take_readings(
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, if there has been no usable reading for 0.1 s, and from the fault
-    `contradictory` until `reset`.
-
-    The arguments after `w`, a `STEP`, are the fields of a `Measurement`.
+    `contradictory` until `reset`. The arguments after `w` are the fields of a `Measurement`.
     """
     _use_stated_lag(gains, w)
     first, qd, v, stamped = math.isnan(w.q_posture[0]), qd_m.copy(), base_velocity, time == time
@@ -1084,9 +1077,9 @@ def take_readings(
 
 @compiled()
 def _is_older(gains: Any, w: Any, q: Array, qd: Array, old: Array, age: float, first: bool) -> bool:
-    """Whether new readings are older than the last ones; `age` [s] is NaN without a time stamp.
+    """Whether new readings are older than the last ones; predictions replace those of `old` joints.
 
-    Predictions replace the repeated readings of `old` joints.
+    `age` [s] is NaN without a time stamp.
     """
     for i in range(len(q)):
         if old[i]:

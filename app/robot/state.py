@@ -120,9 +120,12 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def _seconds(name: str, value: Any) -> float:
-    """A time [s]; None becomes NaN, and a time in nanoseconds raises a `MeasurementError`."""
+    """A time [s]; None becomes NaN. Nanoseconds and single precision raise a `MeasurementError`."""
     if value is None:
         return np.nan
+    if isinstance(value, np.floating) and value.itemsize < 8:
+        coarse = f"{value.dtype} resolves only {np.spacing(value):.2g} s at {value:g} s"
+        raise MeasurementError(f"measurement.{name} must be a float of 64 bits: {coarse}")
     found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
     if abs(found) >= _LATEST:
         raise MeasurementError(
