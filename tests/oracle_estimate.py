@@ -32,7 +32,7 @@ class Estimate:
         )
         self.jumped = False
         """Whether the last reading is too far away for a motion of the arm."""
-        self.last, self.samples, self.v_last = np.zeros((3, n_m)), 0, np.full(n_b, np.nan)
+        self.last, self.samples, self.v_last = np.zeros((4, n_m)), 0, np.full(n_b, np.nan)
 
     def gap(self) -> None:
         """A step without a measurement: the base's acceleration is unknown in the next step."""
@@ -54,7 +54,7 @@ class Estimate:
         if continued:
             self._learn(q, qd, predicted, config.noise_window)
         else:
-            self.last = np.array([qd, q, np.full_like(q, np.nan)])
+            self.last = np.array([qd, q, np.full_like(q, np.nan), 0.0 * q])
         least, ratio = config.least_noise, config.velocity_noise
         of_q, of_qd = self.variances
         noise = np.maximum(of_q, least**2)
@@ -76,7 +76,7 @@ class Estimate:
 
     def _learn(self, q: Array, qd: Array, predicted: Array, window: float) -> None:
         """Learn the noise of positions (third differences) and velocities (two positions)."""
-        speed_before, now, unexplained_before = self.last
+        speed_before, now, unexplained_before, _ = self.last
         speed = (q - now) / self._dt
         unexplained = self._dt * (speed - speed_before) - self._dt**2 * predicted
         of_q, of_qd = (unexplained - unexplained_before) ** 2 / 20, (qd - speed) ** 2
@@ -90,7 +90,7 @@ class Estimate:
             weights[of_q > largest] = -np.expm1(-self._dt / window)
             of_q = np.minimum(of_q, largest)
         self.variances[0, counted] += (weights * (of_q - self.variances[0]))[counted]
-        self.last = np.array([speed, q, unexplained])
+        self.last = np.array([speed, q, unexplained, 0.0 * q])
 
     def _filter(self, q: Array, qd: Array, predicted: Array, noise: Array, drift: Array) -> None:
         """Predict over dt, then correct by the position, then by the velocity."""

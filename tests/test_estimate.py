@@ -43,7 +43,7 @@ class RunningEstimate:
 
     def __init__(self, n_m: int) -> None:
         """Start with zero external acceleration and unknown noise."""
-        self._x, self._P, self._last = np.zeros((3, n_m)), np.zeros((n_m, 3, 3)), np.zeros((3, n_m))
+        self._x, self._P, self._last = np.zeros((3, n_m)), np.zeros((n_m, 3, 3)), np.zeros((4, n_m))
         self._variances, self._samples = np.zeros((2, n_m)), np.zeros(())
         self._v_last: Array | None = None
 
@@ -216,12 +216,12 @@ def test_large_jump_of_the_positions_restarts_the_estimate(ready: PushedArm) -> 
 def test_noise_of_mean_external_accelerations_is_known(noise: float) -> None:
     """Changes from one interval to the next but one, with a mass matrix of 1 and without motion."""
     rng, c, qd_max = np.random.default_rng(0), Config().estimate, np.full(7, 2.0)
-    x, P, last = np.zeros((3, 7)), np.zeros((7, 3, 3)), np.zeros((3, 7))
+    x, P, last = np.zeros((3, 7)), np.zeros((7, 3, 3)), np.zeros((4, 7))
     variances, samples, pushed = np.zeros((2, 7)), np.zeros(()), []
     gains = Gains(DT, c.external_drift, c.least_noise, c.velocity_noise, c.noise_window)
     for _ in range(4000):
         read = np.stack((noise * rng.standard_normal(7), np.full(7, np.nan)))
-        drift = process_noise(np.zeros(7), variances[0], qd_max, 1, DT, gains)
+        drift = process_noise(np.zeros(7), variances[0], qd_max, np.ones(7), DT, gains)
         memory = x, P, variances, last, samples
         estimate_arm(*memory, np.zeros((1, 7)), read, qd_max, drift, gains)
         pushed.append(x[2].copy())

@@ -766,6 +766,122 @@ def test_rare_readings_of_the_joints_are_known_with_a_time_stamp_of_the_base_onl
     assert found.share < 1.05
 
 
+def joints(degrade: Degradation, which: Sequence[int] = range(7)) -> Degradation:
+    """Change the readings of these joints only."""
+
+    def degraded(k: int, m: Measurement) -> Measurement:
+        other, own = degrade(k, m), np.isin(np.arange(7), which)
+        return m._replace(
+            q_m=np.where(own, other.q_m, m.q_m), qd_m=np.where(own, other.qd_m, m.qd_m)
+        )
+
+    return degraded
+
+
+def base(degrade: Degradation) -> Degradation:
+    """Change the readings of the base only."""
+
+    def degraded(k: int, m: Measurement) -> Measurement:
+        other = degrade(k, m)
+        return m._replace(base_pose=other.base_pose, base_velocity=other.base_velocity)
+
+    return degraded
+
+
+def without_velocities(k: int, m: Measurement) -> Measurement:
+    return m._replace(qd_m=NAN)
+
+
+SOURCES = {
+    "joints at 50 Hz": (lambda: joints(every_nth(20)), {"repeated"}),
+    "joints at 30 Hz": (lambda: joints(every_nth(33)), {"repeated"}),
+    "joints at 50 Hz without velocities": (
+        lambda: both(joints(every_nth(20)), without_velocities),
+        {"repeated", "velocity"},
+    ),
+    "odometry at 50 Hz": (lambda: base(every_nth(20)), set()),
+    "odometry at 10 Hz": (lambda: base(every_nth(100)), set()),
+    "joints at 50 Hz, odometry at 140 Hz": (
+        lambda: both(base(every_nth(7)), joints(every_nth(20))),
+        {"repeated"},
+    ),
+    "joints at 140 Hz, odometry at 50 Hz": (
+        lambda: both(base(every_nth(20)), joints(every_nth(7))),
+        {"repeated"},
+    ),
+    "one joint at 100 Hz": (lambda: joints(every_nth(10), [6]), {"repeated"}),
+    "three joints at 100 Hz": (lambda: joints(every_nth(10), [4, 5, 6]), {"repeated"}),
+    "three joints at 50 Hz": (lambda: joints(every_nth(20), [4, 5, 6]), {"repeated"}),
+    "three joints at 100 Hz, the others at 250 Hz": (
+        lambda: both(joints(every_nth(10), [4, 5, 6]), joints(every_nth(4), range(4))),
+        {"repeated"},
+    ),
+    "three joints at 100 Hz without velocities": (
+        lambda: both(joints(every_nth(10), [4, 5, 6]), without_velocities),
+        {"repeated", "velocity"},
+    ),
+}
+"""Readings of which each source has its own rate, and the faults that they cause."""
+LATERALLY, BY_REFERENCE = {"start": SIDE, "pull": LATERAL}, {"start": SIDE, "pull": np.zeros(3)}
+
+
+@pytest.mark.parametrize("case", SOURCES)
+def test_each_source_of_readings_has_its_own_rate(run, case: str) -> None:
+    """Joints reached 2 to 55 times their speed limits, and odometry shifted the base by 8 mm."""
+    make, faults = SOURCES[case]
+    plain, found = run(**LATERALLY), run(make(), **LATERALLY)
+    assert set(found.faults) == faults
+    assert found.share < 1.05
+    assert found.nearest > 0.02
+    followed = BY_REFERENCE | {"reference": wobbling}
+    plain, tracked = run(**followed), run(make(), **followed)
+    assert set(tracked.faults) == faults
+    assert np.linalg.norm(tracked.ee - plain.ee, axis=1).max() < (0.035 if "30" in case else 0.012)
+    if not faults:
+        np.testing.assert_allclose(found.base, run(**LATERALLY).base, atol=2e-3)
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("measured", [True, False], ids=["velocity", "no velocity"])
+@pytest.mark.parametrize("drives", [True, False], ids=["base moves", "base rests"])
+def test_resting_joints_of_coarse_encoders_are_no_repetition(
+    run, step: float, measured: bool, drives: bool
+) -> None:
+    """The encoders count in units of `step` [rad]; after 0.7 s, a person pulls."""
+    before, now = list[Array](), [0]
+
+    def coarse(k: int, m: Measurement) -> Measurement:
+        q, now[:] = step * np.round(m.q_m / step), [k]
+        before[:] = [*before, q][-2:]
+        return m._replace(q_m=q, qd_m=(q - before[0]) / 0.001 if measured else NAN)
+
+    def driven(v: Array) -> Array:
+        return v + np.array([0.1, 0.0]) * (drives and now[0] < 600)
+
+    found = run(coarse, pull=lambda k: PULL * (k > 700), driven=driven)
+    assert set(found.faults) <= (set() if measured else {"velocity", "repeated"})
+    assert found.share < 1.0
+
+
+@pytest.mark.parametrize("field", ["time", "base_time", "now and time"])
+@pytest.mark.parametrize("begin", [EPOCH, 1e5 + 0.123], ids=["UNIX time", "monotonic time"])
+def test_time_in_single_precision_is_refused_or_reported_by_its_name(
+    run, field: str, begin: float, caplog
+) -> None:
+    """A float32 resolves 128 s of a UNIX time: all readings seem to be repeated, then stale."""
+    fields = field.split(" and ")
+
+    def rounded(k: int, m: Measurement, kind: Callable[[Any], Any] = float) -> Measurement:
+        times = dict.fromkeys(["now", "time", *fields], begin + 0.001 * k)
+        return m._replace(**times | {each: kind(np.float32(times[each])) for each in fields})
+
+    with pytest.raises(MeasurementError, match=f"{fields[0]} must be a float of 64 bits"):
+        run(lambda k, m: rounded(k, m, np.float32), time=0.01)
+    found = run(rounded, time=0.4)
+    assert not found.faults or f"measurement.{fields[0]} seems to be a float32" in caplog.text
+    assert found.faults or found.share < 1.05
+
+
 @pytest.mark.parametrize("age", [0.3, -0.1])
 def test_odometry_that_is_too_old_or_later_than_the_step_is_not_used(run, age: float) -> None:
     found = run(odometry(0, 1, age), time=0.5)
@@ -1595,7 +1711,7 @@ def test_jumps_of_the_base_pose_do_not_shake_the_arm(
     found = run(degrade, start=ready, reference=still, pull=np.zeros(3))
     way = float(np.linalg.norm(np.diff(found.ee[500:], axis=0), axis=1).sum())
     assert way < longest
-    assert found.share < 0.9
+    assert found.share < 1.0
 
 
 @pytest.mark.parametrize("odometry", [1, 200], ids=["1 kHz", "5 Hz"])

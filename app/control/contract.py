@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.config import Config, Parameter, sections
-from app.control.readings import HISTORY, MAX_AGE
+from app.control.readings import EARLY, HISTORY, MAX_AGE
 from app.control.references import FASTEST, HARDEST
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, did_you_mean
@@ -80,8 +80,18 @@ def clocks_differ(measurement: Measurement) -> MeasurementError:
     return MeasurementError(
         f"measurement.time is {abs(age):.4g} s {side} measurement.now: "
         "both must be seconds of the same clock; readings can be up to "
-        f"{MAX_AGE} s and up to {HISTORY - 1} control periods old"
+        f"{MAX_AGE} s and up to {HISTORY - 1} control periods old{rounding(measurement, EARLY)}"
     )
+
+
+def rounding(measurement: Measurement, dt: float) -> str:
+    """A note on a time that single precision has rounded to multiples of more than dt [s]."""
+    for name in ("now", "time", "base_time"):
+        value = np.float32(getattr(measurement, name))
+        step = float(np.spacing(value))
+        if step > dt and getattr(measurement, name) == float(value):
+            return f" (measurement.{name} seems to be a float32, which resolves only {step:.2g} s)"
+    return ""
 
 
 class JointOrder:

@@ -37,6 +37,7 @@ from app.control.contract import (
     clocks_differ,
     implausible,
     no_motion,
+    rounding,
 )
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
@@ -289,7 +290,8 @@ class Controller:
     def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
         """The base's pose and velocity at the measurement of the joints; NaN for unusable ones."""
         pose, v, _, _, _, now, time, base_time = measurement
-        until = time if time == time else now - float(self.last.lag) * self._dt
+        new = time == time and time != self.last.stamp
+        until = time if new else now - float(self.last.lag) * self._dt
         age = np.inf if base_time - now > EARLY else until - base_time
         return _later(self._robot, self._gains, self.last.struct, pose, v, age)
 
@@ -402,8 +404,7 @@ class ControlLoop:
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        Call `reset` after a protective stop or a pause, or after a person has moved the arm without
-        the controller. The reset clears commands, posture and estimate.
+        Call it after a protective stop, a pause, or a motion of the arm without the controller.
         """
         self.controller.reset()
         self.reported.clear()
@@ -424,17 +425,15 @@ class ControlLoop:
             reference: Desired motion of the end-effector, or None while a person guides the arm.
 
         Raises:
-            MeasurementError: A reading or the reference has a wrong type or number of entries, the
-                reference is not a possible motion, a joint of the first reading is far outside of
-                its position limits, or the first reading's time stamp is too far from `now`.
+            MeasurementError: As `Controller.step`.
         """
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
         if self.controller.faulty:
-            self._report(command)
+            self._report(command, measured)
         return command
 
-    def _report(self, command: Command) -> None:
+    def _report(self, command: Command, measured: Measurement) -> None:
         """Log each fault of the readings once until `reset`."""
         for name in command.faults:
             if name not in self.reported:
@@ -443,7 +442,8 @@ class ControlLoop:
                     "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
                     "period": f" ({self.controller.dt * 1000:.2f} ms{self._too_long()})",
                 }
-                logger.warning("readings, %s: %s%s", name, FAULTS[name], more.get(name, ""))
+                note = more.get(name, "") + rounding(measured, 0.5 * self.controller.dt)
+                logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
 
     def _too_long(self) -> str:
         """The message about a gain that is too large for the measured period, or no text."""

@@ -55,11 +55,14 @@ _GRAVITY = 9.81  # [m/s²]
 
 
 @compiled()
-def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
-    """Whether the arm cannot move from the state x (3, n_m) to q (n_m,) in `steps` times dt [s]."""
+def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float, waited: Array) -> bool:
+    """Whether the arm cannot move from the state x (3, n_m) to q (n_m,) in `steps` times dt [s].
+
+    `waited` (n_m,) is the number of steps from each joint's last reading to x.
+    """
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
-        if way > (FARTHEST + steps - 1) * dt * qd_max[i]:
+        if way > (FARTHEST + steps - 1 + waited[i]) * dt * qd_max[i]:  # not NaN
             return True
     return False
 
@@ -90,8 +93,12 @@ def _begin_at(
     A clear change of the velocity that x[2] and `predicted` do not explain changes the external
     acceleration x[2]. The other arguments are those of `estimate_arm`.
     """
-    steps, dt = len(predicted), gains.dt
+    steps, dt, expected = len(predicted), gains.dt, x.copy()
+    advance(expected, predicted, dt)
     for i in range(len(q)):
+        if math.isnan(q[i]):
+            x[0, i], x[1, i] = expected[0, i], expected[1, i]
+            continue
         speed = last[0, i] if math.isnan(qd[i]) else qd[i]
         if steps > 0:
             gained = speed - x[1, i] - steps * dt * x[2, i] - dt * predicted[:, i].sum()
@@ -106,24 +113,26 @@ def _begin_at(
 
 @compiled()
 def process_noise(
-    v_error: Array, variance: Array, qd_max: Array, periods: int, blind_time: float, gains: Any
+    v_error: Array, variance: Array, qd_max: Array, periods: Array, blind_time: float, gains: Any
 ) -> Array:
     """(n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration in 1 s.
 
     It is at least `gains.external_drift`, and so large that the filter responds within the longest
-    of `RESPONSE`, `periods` control periods and the blind time [s]. The response is fast because a
-    pull moves a light joint beyond its speed limit within 0.05 s; the blind time slows it because
+    of `RESPONSE`, the blind time [s], and the control periods from the joint's last reading until
+    now, `periods` (n_m,). The response is fast because a pull moves a light joint beyond its speed
+    limit within 0.05 s; the blind time slows it because
     readings that are older than assumed contradict the predicted motion. If the standard deviation
     of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower too, which limits
     the noise of estimated speeds. If `periods` > 1, recent errors `v_error` (n_m,) of used speeds
     increase the result up to `_MOST_DRIFT`. `variance` (n_m,) is that of the positions' noise.
     """
-    drift, time = np.full(len(v_error), gains.external_drift), periods * gains.dt
+    drift = np.full(len(v_error), gains.external_drift)
     for i in range(len(v_error)):
+        time = periods[i] * gains.dt
         noise = math.sqrt(variance[i] * time)
         slow = (noise / (_SHAKE * qd_max[i])) ** (2.0 / 3.0)
         drift[i] = max(drift[i], noise / max(RESPONSE, time, slow, blind_time) ** 3)
-        if periods > 1:
+        if periods[i] > 1.0:
             implied = v_error[i] * math.sqrt(3.0 / time**3)
             drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
     return drift
@@ -146,17 +155,18 @@ def estimate_arm(
 
     After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading;
     in the second case the external acceleration is reset to 0, because it is unknown. Until the
-    estimate of the noise has `FEWEST` samples, `_begin_at` replaces the filter.
+    estimate of the noise has `FEWEST` samples, `_begin_at` replaces the filter. A
+    joint without a position is only predicted.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
         P: (n_m, 3, 3) covariances; updated.
         variances: (2, n_m) noise variances of positions and velocities; updated.
-        last: (3, n_m) as in `_learn`; updated.
+        last: (4, n_m) as in `_learn`; updated.
         samples: () number of samples of the noise; updated.
         predicted: (k, n_m) `predicted_joint_acceleration` in each of the k control periods
             since the last reading; no rows after a gap.
-        read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN without a velocity.
+        read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN if one is unknown.
         qd_max: (n_m,) joint speed limits.
         drift: (n_m,) `process_noise`.
         gains: `GAINS`.
@@ -165,8 +175,8 @@ def estimate_arm(
         Whether the arm cannot have moved to the reading.
     """
     steps, dt, q, qd = len(predicted), gains.dt, read[0], read[1]
-    jumped = steps > 0 and has_jumped(x, q, qd_max, steps, dt)
-    continued = steps > 0 and not jumped
+    jumped = steps > 0 and has_jumped(x, q, qd_max, steps, dt, last[3])
+    continued, periods = steps > 0 and not jumped, steps + last[3]
     if jumped:
         fill(x[2], 0.0)
     if continued:
@@ -174,11 +184,13 @@ def estimate_arm(
         _learn(variances, last, samples, predicted, q, qd, gains.noise_window, dt)
     else:
         for i in range(len(q)):
-            last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
+            if not math.isnan(q[i]):
+                last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
+                last[3, i] = 0.0
             last[2, i] = math.nan
     trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
     if continued and samples[()] >= FEWEST:
-        sudden = _SUDDEN * steps * dt * qd_max
+        sudden = _SUDDEN * dt * periods * qd_max
         _follow(x, P, predicted, q, qd, trusted, drift, sudden, dt)
         return jumped
     _begin_at(x, P, trusted, last, predicted if continued else predicted[:0], q, qd, qd_max, gains)
@@ -217,8 +229,9 @@ def _learn(
 
     The arguments are those of `estimate_arm`. `samples` includes this reading, q and qd (n_m,) are
     its positions and velocities, and `window` [s] is the time window of the variances. `last`
-    (3, n_m) has the velocity at the last reading, from the positions; the last position; and the
-    last unexplained second difference, or NaN.
+    (4, n_m) has the velocity at the last reading, from the positions; the last position; the last
+    unexplained second difference, or NaN; and the control periods since this reading. Without a
+    position, the first two are predicted.
     """
     steps = len(predicted)
     share = max(1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / window))
@@ -227,8 +240,16 @@ def _learn(
         for k in range(steps):
             gained += dt * predicted[k, i]
             way += dt * gained
+        if math.isnan(q[i]):
+            last[1, i] += steps * dt * last[0, i] + way
+            last[0, i] += gained
+            last[3, i] += steps
+            continue
         begin = (q[i] - last[1, i] - way) / (steps * dt)
         unexplained = steps * dt * (begin - last[0, i])
+        if last[3, i] > 0.0:  # the predicted periods before the newest ones count too
+            begin = last[0, i] + unexplained / ((steps + last[3, i]) * dt)
+            last[3, i] = 0.0
         of_q = (unexplained - last[2, i]) ** 2 / 20.0
         last[0, i], last[1, i], last[2, i] = begin + gained, q[i], unexplained
         if not math.isnan(qd[i]):
@@ -278,6 +299,19 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden
 
 
 @compiled()
+def grow(p: Array, drift: float, periods: int, dt: float) -> None:
+    """Predict the covariance p (3, 3) of a joint over control periods of dt [s]."""
+    for _ in range(periods):
+        for j in range(3):
+            p[1, j] += dt * p[2, j]
+            p[0, j] += dt * p[1, j]
+        for j in range(3):
+            p[j, 1] += dt * p[j, 2]
+            p[j, 0] += dt * p[j, 1]
+        p[2, 2] += drift**2 * dt
+
+
+@compiled()
 def _follow(
     x: Array,
     P: Array,
@@ -298,14 +332,9 @@ def _follow(
     advance(x, predicted, dt)
     for i in range(len(q)):
         p = P[i]
-        for _ in range(len(predicted)):
-            for j in range(3):
-                p[1, j] += dt * p[2, j]
-                p[0, j] += dt * p[1, j]
-            for j in range(3):
-                p[j, 1] += dt * p[j, 2]
-                p[j, 0] += dt * p[j, 1]
-            p[2, 2] += drift[i] ** 2 * dt
+        grow(p, drift[i], len(predicted), dt)
+        if math.isnan(q[i]):
+            continue
         _correct(x[:, i], p, 0, q[i], variances[0, i], sudden[i])
         if not math.isnan(qd[i]):
             _correct(x[:, i], p, 1, qd[i], variances[1, i], sudden[i])

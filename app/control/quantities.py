@@ -123,7 +123,11 @@ agreed | | | s | | readings |
     memory: duration of the successive measurements that agree on a `ratio` other than 1
 corrected | | | 1 | | readings | memory: 1 after the fault `period`
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
-rested | | | 1 | | readings | memory: number of equal readings while the robot rests
+rested | | n_m | 1 | joints | readings |
+    memory: number of equal readings of each joint that are no repetitions
+grain | | n_m | rad, m | joints | readings |
+    memory: upper bound of the resolution of each joint's readings; 0 before a change
+interval | | | 1 | | readings | memory: control periods between the last two new readings
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
 pose_read | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
@@ -145,6 +149,7 @@ base_history | | 128 n_b | m/s², rad/s² | axes | readings |
     memory: assumed accelerations of the base in the periods of `history`
 base_late | | | 1 | | readings |
     memory: 1 if the base's readings have a time stamp, and are advanced to the time of the joints'
+base_lost | | | 1 | | readings | memory: 1 if the last step had no new reading of the base
 periods | | | 1 | | readings | memory: index of the newest row of `history`
 known | | | 1 | | readings | memory: number of rows of `history` since the last gap
 group | | 16 n_m | rad | joints | readings | memory: mean positions of the last groups of readings
@@ -176,9 +181,9 @@ x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
 P_est | P | n_m 3 3 | | joints | estimate | memory: covariance of the Kalman state
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: estimated noise variance of positions and velocities
-q_last |  | 3 n_m | rad/s, rad | joints | estimate |
-    memory: last velocity from positions, last position, and the unexplained second difference of
-    the positions
+q_last |  | 4 n_m | rad/s, rad, 1 | joints | estimate |
+    memory: last velocity from positions, last position, the unexplained second difference of the
+    positions, and the control periods from the joint's newest reading to the newest of all
 v_error | | n_m | rad/s, m/s | joints | readings |
     memory: recent error of the velocities that the law used; 0 while all readings are new
 qd_used | | 128 n_m | rad/s, m/s | joints | readings |

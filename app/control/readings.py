@@ -38,6 +38,7 @@ from app.control.estimate import (
     advance,
     estimate_arm,
     estimate_load,
+    grow,
     has_jumped,
     predicted_joint_acceleration,
     process_noise,
@@ -54,7 +55,8 @@ FAULTS = {
     "(degrees?) and the order of the joints",
     "velocity": "velocities of joints or base are missing, impossible, or do not match the "
     "positions: positions and the model of the base's drive are used instead",
-    "repeated": "the readings have not changed: the motion since the last new reading is predicted",
+    "repeated": "readings of joints have not changed although these joints move: the motion since "
+    "the last new reading is predicted",
     "stale": "for 0.1 s, all readings were invalid, implausible, too old, or repeated: the step "
     "returns the fallback command",
     "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
@@ -82,6 +84,9 @@ HISTORY = 128
 """Largest age of a reading, in control periods, over which the motion can be predicted."""
 MAX_AGE = 0.1
 """[s] largest time without a new reading before the fallback command."""
+_GRAINS, _CLEARLY_FAR = 2.5, 10.0  # [-] smallest motions, relative to an encoder's resolution,
+# that change its reading, and that cause a report if the reading remains
+_EQUAL = 1e-9  # [rad or m] rounding error of this resolution
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions' noise
@@ -154,91 +159,113 @@ def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
 
 
 @compiled()
+def _alike(a: float, b: float) -> bool:
+    """Whether two numbers are equal, or both NaN."""
+    return a == b or (a != a and b != b)
+
+
+@compiled()
 def _same(a: Array, b: Array) -> bool:
     """Whether two arrays are equal; two entries that are NaN count as equal."""
+    same = True
     for i in range(len(a)):
-        if a[i] != b[i] and not (math.isnan(a[i]) and math.isnan(b[i])):
-            return False
-    return True
+        same = same and _alike(a[i], b[i])
+    return same
 
 
 @compiled()
-def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
-    """Whether a velocity of base or joints (qd) is NaN or not 0; if all are 0, `unknown`."""
-    for v in base_velocity:
-        if v != 0.0:
-            return True
-    for v in qd:
-        if v != 0.0:  # NaN too
-            return True
-    return unknown
+def _repeated_joints(w: Any, q: Array, qd: Array, stamp: float, dt: float) -> Array:
+    """(n_m,) whether each joint's reading is a repetition; joints can have different drivers.
 
-
-@compiled()
-def _is_repeated(
-    w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float, dt: float
-) -> bool:
-    """Whether the readings have the last time stamp [s]; without a stamp, whether they equal the
-    last readings although the robot moves. With `Measurement.base_time`, only the joints count.
+    All are repetitions if the readings have the last time stamp [s]. Otherwise a joint's reading is
+    one if it equals the last one although the joint moves; without a velocity, the motion must
+    exceed the resolution of its encoder. If no reading has changed, one repetition shows that all
+    are repetitions, also by a smaller motion if the last readings were rare; after 0.1 s without a
+    predicted motion the arm is at rest. If other readings have changed, repetitions count up to
+    0.1 s. The fault is reported if a motion exceeds the resolution clearly.
     """
-    if not math.isnan(stamp):
-        return stamp == w.stamp[()]
-    if not (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
-        return False
-    v = base_velocity
-    if w.base_late[()] != 0.0:  # `later_base` has advanced the base's readings
-        v = base_velocity[:0]
-    elif not (_same(base_pose, w.pose_read) and _same(base_velocity, w.v_read)):
-        return False
-    if not _moves(v, qd, w.no_velocity[()] != 0.0):
-        return False
-    if w.age[()] > 0.0:
-        return True
-    fastest = 0.0
-    for speed in w.x_est[1]:
-        fastest = max(fastest, abs(speed) * dt)
-    for speed in v:
-        if abs(speed) * dt > fastest:  # not NaN
-            fastest = abs(speed) * dt
-    return fastest > _STILL
-
-
-@compiled()
-def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
-    """Number of repeated readings before the new reading q, qd (n_m,); 0 if the robot was at rest.
-
-    Equal readings of a robot at rest do not show whether the driver repeats them: they are only
-    counted, with the result 0. The driver has repeated them if a different reading follows in which
-    a joint is farther away than it moves in two control periods at its new velocity.
-    """
-    if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
-        w.rested[()] = 0.0 if first else w.rested[()] + 1.0
-        return 0.0
-    far = 0.0
+    found, sure = np.zeros(len(q), np.bool_), np.zeros(len(q), np.bool_)
+    alike, clear, farthest = True, False, 0.0
     for i in range(len(q)):
-        speed = 0.0 if math.isnan(qd[i]) else abs(qd[i])
-        far = max(far, abs(q[i] - w.reading[0, i]) - 2.0 * dt * speed)
-    rested, w.rested[()] = w.rested[()], 0.0
-    return rested if far > _STILL else 0.0
+        change, known = abs(q[i] - w.reading[0, i]), w.no_velocity[()] == 0.0 and qd[i] == qd[i]
+        if change > 0.0 or not _alike(qd[i], w.reading[1, i]):
+            alike = False
+            _learn_grain(w, i, change)
+        elif not (known and qd[i] == 0.0):
+            waits, speed = w.age[()] + w.q_last[3, i] > 0.0, w.x_est[1, i]
+            way = abs(w.x_est[0, i] - w.lag[()] * dt * speed - q[i]) + dt * abs(speed)
+            farthest, far = max(farthest, way), 0.0 < _GRAINS * w.grain[i] < way
+            enough = max(_CLEARLY_FAR * w.grain[i], 0.0 if known else _LEAST_WAY)
+            clear = clear or (w.grain[i] > 0.0 and way > enough)
+            sure[i] = known or far or w.q_last[3, i] > 0.0
+            moves = dt * abs(speed) > _STILL and (sure[i] or w.interval[()] > 1.0)
+            found[i] = waits or moves
+    ends = (w.q_last[3].max() + w.age[()] + 1.0) * dt > MAX_AGE
+    if stamp == w.stamp[()]:
+        found[:], clear = True, True
+    elif alike and math.isnan(stamp):
+        fill(found, bool(found.any()) and not (ends and farthest < _LEAST_WAY))
+    else:
+        found &= sure & (not ends)
+    w.faults[REPEATED] = 1.0 if clear and found.any() else 0.0
+    return found
 
 
 @compiled()
-def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -> Array:
-    """The base's velocity: each entry of the reading `read` (n_b,), or its prediction.
+def _learn_grain(w: Any, i: int, change: float) -> None:
+    """Correct the resolution of joint i by one step of Euclid's algorithm: it divides a change."""
+    grain = w.grain[i] if w.grain[i] > 0.0 else change
+    rest = abs(change - grain * round(change / grain)) if grain > 0.0 else 0.0
+    w.grain[i] = rest if rest > _EQUAL else grain
 
-    An entry is predicted by the drive's model if it is missing, or larger than twice the limit of
-    its axis. The prediction approaches the command, and does not pass it; after a gap it is the
-    command, at the first reading 0.
+
+@compiled()
+def _base_is_repeated(w: Any, pose: Array, velocity: Array) -> bool:
+    """Whether the readings of the base equal the last ones although the base moves."""
+    same = _same(pose, w.pose_read) and _same(velocity, w.v_read)
+    return same and bool(np.any(velocity != 0.0))  # NaN too
+
+
+@compiled()
+def _rested(w: Any, q: Array, qd: Array, old: Array, dt: float, first: bool) -> tuple[float, Array]:
+    """Number of repetitions before a new reading; 0 without a new one, or for a robot at rest.
+
+    Equal readings of a robot at rest do not show whether the driver repeats them. The driver has
+    repeated them if the new reading is farther away than a joint moves in two control periods at
+    its new velocity. The second result (n_m,) is the further number of each single joint.
     """
-    found, time = read.copy(), (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
+    rested = 0.0 if first else w.rested.min()
+    far, further = np.zeros(len(q), np.bool_), np.zeros(len(q))
+    for i in range(len(q)):
+        speed, change = 0.0 if math.isnan(qd[i]) else abs(qd[i]), abs(q[i] - w.reading[0, i])
+        far[i] = change - 2.0 * dt * speed > _STILL and not old[i]
+    rested = rested if far.any() else 0.0
+    for i in range(len(q)):
+        more = w.rested[i] - rested
+        further[i] = more if far[i] and not first and 0.0 < more * dt <= MAX_AGE else 0.0
+        equal = q[i] == w.reading[0, i] and _alike(qd[i], w.reading[1, i])
+        w.rested[i] = w.rested[i] + 1.0 if equal and not first else 0.0
+    return rested, further
+
+
+@compiled()
+def _usable_velocity(robot: Any, w: Any, read: Array, fresh: bool, first: bool) -> Array:
+    """The base's velocity: the reading `read` (n_b,), or the prediction by its drive's model.
+
+    A reading is not used if it is not `fresh`, missing, or larger than twice the limit of its axis.
+    The prediction does not pass the command; after a gap it is the command, at the first reading 0.
+    """
+    found = read.copy()
     for i in range(len(read)):
-        if not abs(read[i]) <= 2.0 * robot.v_max[i]:  # NaN too
+        possible = abs(read[i]) <= 2.0 * robot.v_max[i]  # not NaN
+        if not (possible and fresh):
             rest = min(max(w.v_cmd[i], -robot.v_max[i]), robot.v_max[i]) - w.base_velocity[i]
-            change = time * w.a_base_meas[i]
+            change = w.elapsed[()] * w.a_base_meas[i]
             if math.isnan(w.v_last[i]) or change * rest > rest * rest:
                 change = rest
             found[i] = 0.0 if first else w.base_velocity[i] + change
-            w.faults[VELOCITY] = 1.0
+            if fresh:
+                w.faults[VELOCITY] = 1.0
     return found
 
 
@@ -267,10 +294,9 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
     if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
         w.known[()] = 0.0  # a gap
         return
-    if fresh and w.age[()] == 0.0 and w.lag[()] == 0.0 and w.base_late[()] == 0.0:
-        a_base = (base_velocity - w.v_last) / gains.dt
-    else:
-        a_base = w.a_base_meas
+    late = w.lag[()] != 0.0 or w.base_late[()] != 0.0 or w.base_lost[()] != 0.0
+    measured = fresh and not late and w.elapsed[()] == gains.dt
+    a_base = (base_velocity - w.v_last) / gains.dt if measured else w.a_base_meas
     qdd_b = times(robot.J_m_inv, a_base)
     w.periods[()] = (w.periods[()] + 1.0) % HISTORY
     w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
@@ -529,14 +555,14 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:
         _measure_from(w, q, qd)
         return
-    right, precisely = _RIGHT, 1.0
-    if w.corrected[()] != 0.0:
-        right, precisely = _MEASURED_RIGHT, _PRECISELY
-    far, most = -1, 1.0
-    w.since[()] += 1.0
+    corrected = w.corrected[()] != 0.0
+    right, precisely = (_MEASURED_RIGHT, _PRECISELY) if corrected else (_RIGHT, 1.0)
+    far, most, w.since[()] = -1, 1.0, w.since[()] + 1.0
     w.travel_time[()] += steps * gains.dt
     for i in range(len(q)):
         w.travel[1, i] += steps * gains.dt * 0.5 * (w.reading[1, i] + qd[i])
+        if w.q_last[3, i] > 0.0:  # its readings are older
+            w.travel[0, i], w.travel[1, i], w.travel[2, i] = q[i], 0.0, qd[i]
         way = precisely * max(_LEAST_WAY, _NOISES * math.sqrt(w.noise_var[0, i]))
         share = abs(q[i] - w.travel[0, i]) / way
         if share > most:
@@ -835,17 +861,23 @@ def _begin_pose(w: Any, pose: Array, known: bool) -> None:
 
 
 @compiled()
-def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
+def _take_base(
+    robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fresh: bool, first: bool
+) -> None:
     """Store the base's readings, and compare them with each other and with the drive's model.
+
+    `velocity` (n_b,) is the one in use. If the readings are not `fresh`, the last pose remains.
 
     `w.astray` is a decaying sum of the changes of velocity that the assumed acceleration of the
     base does not explain. A large sum sets the fault `base`.
     """
-    time = (1.0 + w.age[()]) * gains.dt  # [s] since the last reading
+    time = w.elapsed[()]
     begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
-    fresh = math.isfinite(pose.sum()) and (first or not _same(pose, w.pose_read))
-    if begins or (fresh and math.isinf(w.pose_way[0])):
-        _begin_pose(w, pose, fresh)
+    if not fresh:
+        put(pose, w.pose_read)
+    moved = math.isfinite(pose.sum()) and (first or not _same(pose, w.pose_read))
+    if begins or (moved and math.isinf(w.pose_way[0])):
+        _begin_pose(w, pose, moved)
     else:
         _take_pose(robot, w, pose, time)
     if not math.isnan(w.v_last[0]):
@@ -857,6 +889,10 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
                 w.faults[BASE] = 1.0
     put(w.v_last, velocity)
     put(w.base_velocity, velocity)
+    w.base_late[()], w.base_lost[()] = 0.0, 0.0 if fresh else 1.0
+    if fresh:
+        put(w.pose_read, pose)
+        put(w.v_read, velocity)
 
 
 @compiled()
@@ -898,7 +934,9 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     for k in range(count):
         difference = speed = 0.0
         for i in range(len(q)):
-            variance = w.noise_var[0, i] + unexpected**2 + (time * w.v_error[i]) ** 2
+            more = w.q_last[3, i] + min(w.rested[i], MAX_AGE / gains.dt)  # without a reading
+            missed = unexpected * (1.0 + more) ** 2
+            variance = w.noise_var[0, i] + missed**2 + (time * w.v_error[i]) ** 2
             errors[k] += (q[i] - x[0, i]) ** 2 / variance
             difference += (qd[i] - x[1, i]) ** 2
             speed += x[1, i] ** 2
@@ -916,35 +954,43 @@ def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
 
 
 @compiled()
-def _learn_errors(robot: Any, gains: Any, w: Any, predicted: Array, jumped: bool) -> None:
+def _learn_errors(
+    robot: Any, gains: Any, w: Any, predicted: Array, periods: Array, jumped: bool
+) -> None:
     """Update `w.v_error` and `w.blind_time` after a new reading.
 
     `w.v_error` is the largest recent error of the velocities that the law used for the time of the
-    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. A reading in the next
-    period, without a lag, adds no error. `w.v_error` decays with the time constant of the noise
-    estimate. After a large error or a jump of the arm, the readings can be older than assumed:
-    `w.blind_time` then includes `_LATE`, unless a time stamp has shown that the readings are old.
+    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. `periods` (n_m,) is the
+    number of control periods from each joint's last reading until now; an error counts if it is
+    above 1. `w.v_error` decays with the time constant of the noise estimate. After a large error or
+    a jump of the arm, the readings can be older than assumed: `w.blind_time` then includes `_LATE`,
+    unless a time stamp has shown that the readings are old.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
-    decay, blind = math.exp(-steps * gains.dt / gains.noise_window), steps + lag > 1.0
+    decay, stamped = math.exp(-steps * gains.dt / gains.noise_window), not math.isnan(w.stamp[()])
     used = w.qd_used[(int(w.periods[()]) - lag) % len(w.qd_used)] if lag > 0 else predicted
-    compared, doubtful = not jumped and (lag == 0 or w.known[()] > lag), jumped
+    compared = not jumped and (lag == 0 or w.known[()] > lag)
+    doubtful = jumped and not (stamped and steps + lag > 1.0)
     for i in range(len(predicted)):
         error = abs(w.x_read[1, i] - used[i]) if compared else 0.0
-        doubtful = doubtful or error > _DOUBTFUL * gains.dt * robot.qd_max[i]
+        blind, large = periods[i] > 1.0, error > _DOUBTFUL * gains.dt * robot.qd_max[i]
+        doubtful = doubtful or (large and not (stamped and blind))
         w.v_error[i] = max(error if blind else 0.0, decay * w.v_error[i])
-    if doubtful and (math.isnan(w.stamp[()]) or steps + lag == 1.0):
+    if doubtful:
         w.blind_time[()] = max(w.blind_time[()], min((steps + lag) * gains.dt, MAX_AGE) + _LATE)
 
 
 @compiled()
-def _use_estimate(gains: Any, w: Any) -> None:
-    """Write the estimated positions and velocities, and update `w.qd_used` and `w.blind_time`."""
+def _use_estimate(robot: Any, gains: Any, w: Any) -> None:
+    """Write the present state, and update `w.qd_used` and `w.blind_time`."""
     put(w.q_m, w.x_est[0])
     put(w.qd_m, w.x_est[1])
     decayed = math.exp(-gains.dt / gains.noise_window) * w.blind_time[()]
-    w.blind_time[()] = max((w.age[()] + w.lag[()] + 1.0) * gains.dt, decayed)
+    periods = w.age[()] + w.lag[()] + w.q_last[3].max() + 1.0
+    w.blind_time[()] = max(periods * gains.dt, decayed)
     put(w.qd_used[int(w.periods[()]) % len(w.qd_used)], w.qd_m)
+    put(w.base_pose, w.pose_last)
+    _drive_on(robot, w, w.base_pose, w.lag[()] * gains.dt)
 
 
 @compiled()
@@ -963,18 +1009,6 @@ def _checked_positions(
         lost = _implausible(q, robot.q_limits)
         w.faults[IMPLAUSIBLE] = 1.0 if lost else 0.0
     return q, lost
-
-
-@compiled()
-def _store_reading(
-    w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, stamp: float
-) -> None:
-    """Store a reading; a comparison with it shows whether the next reading is a repetition."""
-    w.stamp[()] = stamp
-    put(w.reading[0], q)
-    put(w.reading[1], qd)
-    put(w.pose_read, base_pose)
-    put(w.v_read, base_velocity)
 
 
 @compiled()
@@ -1009,62 +1043,90 @@ def take_readings(
     The arguments after `w`, a `STEP`, are the fields of a `Measurement` without `base_time`.
     """
     _use_stated_lag(gains, w)
-    first, qd, velocity = math.isnan(w.q_posture[0]), qd_m.copy(), w.base_velocity.copy()
+    first, qd, v, stamped = math.isnan(w.q_posture[0]), qd_m.copy(), base_velocity, time == time
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
     missed = _watch_clock(w, now, gains.dt)
     before, w.elapsed[()] = w.elapsed[()], (1.0 + missed if missed < HISTORY else 1.0) * gains.dt
+    age, older, old = now - time, False, np.zeros(len(q), np.bool_)
+    if not (lost or first):
+        old = _repeated_joints(w, q, qd, time, gains.dt)
     w.age[()] += 0.0 if first else min(missed, 1.0 * HISTORY)
-    age, stamped = now - time, math.isfinite(time)
-    if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, time, gains.dt):
-        lost, w.faults[REPEATED] = True, 1.0
-    lost = lost or _is_too_old(w, age, gains.dt)
+    not_new = bool(old.all()) or _is_too_old(w, age, gains.dt)
+    lost = lost or not_new
     if not _remains_valid(w, lost, first, gains.dt):
         _advance_blind(robot, gains, w)
         return
-    if not lost:
-        velocity = _usable_velocity(robot, gains, w, base_velocity, first)
+    # Without a time stamp of its own, the base's reading is as old as that of the joints.
+    base_new = w.base_late[()] != 0.0 or not (stamped and not_new)
+    base_new = base_new and not _base_is_repeated(w, base_pose, v)
+    velocity = _usable_velocity(robot, w, v, base_new, first)
     if missed >= 0.0:
-        _remember(robot, gains, w, velocity, not lost)
+        _remember(robot, gains, w, velocity, base_new)
         advance(w.x_est, _recall(w, 0, 1), gains.dt)
     _catch_up(w, missed, gains.dt)
-    w.base_late[()] = 0.0
-    unseen = not lost
-    if unseen and stamped:
-        lost = _use_stamp(w, age, gains.dt, first)
-    elif unseen and not first:
-        lost = _match_lag(w, q, qd, gains)
-    if lost:
+    shown = np.stack((q, qd))
+    if not lost:
+        older = _is_older(gains, w, q, qd, old, age, first)
+        if older:
+            base_new, velocity = False, _usable_velocity(robot, w, v, False, first)
+    _take_base(robot, gains, w, base_pose.copy(), velocity, base_new, first)
+    if lost or older:
         w.age[()] += 1.0
     else:
-        _take_base(robot, gains, w, base_pose.copy(), velocity, first)
-        _take_new(robot, gains, w, q, qd, first, stamped)
-    if unseen:
-        _store_reading(w, base_pose, base_velocity, q, qd, time)
-    if w.lag[()] > w.stated_lag[()]:
-        w.faults[LAG] = 1.0
+        _take_new(robot, gains, w, q, qd, old, first, stamped)
+    if not lost:
+        w.stamp[()] = time
+        put_rows(w.reading, shown)
+    w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else w.faults[LAG]
     estimate_load(gains, w, before, w.faults[JUMP] != 0.0)
     w.faults[LOAD] = 1.0 if w.unstated[()] != 0.0 else 0.0
-    _use_estimate(gains, w)
-    put(w.base_pose, w.pose_last)
-    _drive_on(robot, w, w.base_pose, (w.age[()] + w.lag[()]) * gains.dt)
+    _use_estimate(robot, gains, w)
+
+
+@compiled()
+def _is_older(gains: Any, w: Any, q: Array, qd: Array, old: Array, age: float, first: bool) -> bool:
+    """Whether new readings are older than the last ones; predictions replace those of `old` joints.
+
+    `age` [s] is NaN without a time stamp.
+    """
+    for i in range(len(q)):
+        if old[i]:
+            q[i] = w.x_est[0, i] - w.lag[()] * gains.dt * w.x_est[1, i]
+            qd[i] = w.x_est[1, i]
+    if not math.isnan(age):
+        return _use_stamp(w, age, gains.dt, first)
+    return not first and _match_lag(w, q, qd, gains)
+
+
+@compiled()
+def _mark_unknown(robot: Any, w: Any, read: Array, old: Array) -> None:
+    """Replace unusable velocities, and the predictions for `old` joints, by NaN in `read`."""
+    for i in range(len(old)):
+        if w.no_velocity[()] != 0.0 or not abs(read[1, i]) <= FARTHEST * robot.qd_max[i]:
+            read[1, i] = math.nan
+            w.faults[VELOCITY] = 1.0
+        if old[i]:
+            read[0, i] = read[1, i] = math.nan
 
 
 @compiled()
 def _take_new(
-    robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool, stamped: bool
+    robot: Any, gains: Any, w: Any, q: Array, qd: Array, old: Array, first: bool, stamped: bool
 ) -> None:
     """Update the estimate of the arm's motion by new readings q and qd (n_m,).
 
-    An unusable velocity counts as missing. Without time stamps, equal readings at rest can be
-    repetitions (`_rested`). More than 0.1 s of repetitions are a gap of unknown duration; after it,
-    a reading that the arm cannot reach within 0.1 s is a jump.
+    The readings of `old` joints (n_m,) are predictions. An unusable velocity counts as missing.
+    Without time stamps, equal readings at rest can be repetitions (`_rested`). More than 0.1 s of
+    repetitions are a gap of unknown duration; after it, a reading that the arm cannot reach within
+    0.1 s is a jump.
     """
-    rested = 0.0 if stamped else _rested(w, q, qd, gains.dt, first)
+    rested, further = _rested(w, q, qd, old, gains.dt, first or stamped)
+    w.q_last[3] += further
     if rested > 0.0:
         _forget_groups(w)
     w.age[()] += rested
     gap, longest = rested * gains.dt > MAX_AGE, round(MAX_AGE / gains.dt)
-    leapt = gap and has_jumped(w.x_read, q, robot.qd_max, longest, gains.dt)
+    leapt = gap and has_jumped(w.x_read, q, robot.qd_max, longest, gains.dt, 0.0 * q)
     age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
     if first:
         _begin(w, q, qd)
@@ -1073,19 +1135,16 @@ def _take_new(
     else:
         _find_lag(robot, w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
-    for i in range(len(qd)):
-        if w.no_velocity[()] != 0.0 or not abs(qd[i]) <= FARTHEST * robot.qd_max[i]:
-            read[1, i] = math.nan
-            w.faults[VELOCITY] = 1.0
-    lag = int(w.lag[()])
+    lag, w.interval[()] = int(w.lag[()]), age + 1.0
     steps = age + 1 if w.known[()] >= age + 1 + lag and not gap else 0
-    known = _recall(w, lag, steps)
+    known, periods = _recall(w, lag, steps), age + 1 + lag + w.q_last[3]
+    _mark_unknown(robot, w, read, old & (steps > 0))
     if leapt:
         fill(w.x_read[2], 0.0)
     memory = w.x_read, w.P_est, w.noise_var, w.q_last, w.samples
-    drift = process_noise(
-        w.v_error, w.noise_var[0], robot.qd_max, steps + lag, w.blind_time[()], gains
-    )
+    drift = process_noise(w.v_error, w.noise_var[0], robot.qd_max, periods, w.blind_time[()], gains)
+    for i in range(len(qd)):
+        grow(w.P_est[i], drift[i], int(further[i]), gains.dt)
     jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains) or leapt
     w.faults[JUMP] = 1.0 if jumped else 0.0
     forgotten = min(age + 1.0, _GROUP) * _DOUBT / _GROUP
@@ -1098,5 +1157,5 @@ def _take_new(
     if lag > 0:
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)
     if not first:
-        _learn_errors(robot, gains, w, predicted, jumped)
+        _learn_errors(robot, gains, w, predicted, periods, jumped)
     w.age[()] = 0.0

@@ -120,9 +120,12 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def _seconds(name: str, value: Any) -> float:
-    """A time [s], NaN for None; a `MeasurementError` if it is no number, or is in nanoseconds."""
+    """A time [s], NaN for None; a `MeasurementError` for nanoseconds and single precision."""
     if value is None:
         return np.nan
+    if isinstance(value, np.floating) and value.itemsize < 8:
+        coarse = f"{value.dtype} resolves only {np.spacing(value):.2g} s at {value:g} s"
+        raise MeasurementError(f"measurement.{name} must be a float of 64 bits: {coarse}")
     found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
     if abs(found) >= _LATEST:
         raise MeasurementError(
