@@ -234,8 +234,8 @@ class EeHoldConfig(Strict):
     base's motion in this direction counts as motion that the arm cannot compensate. At a speed far
     below v_h, almost all of it counts, at 2 v_h one seventeenth."""
     weight: float = number(3000.0, 0.01, 1e5, "End-effector hold weight")
-    """[-] weight of the end-effector motion that the base would cause, relative to the base's
-    mass."""
+    """[-] weight of the end-effector's motion that the base causes and the arm cannot compensate,
+    as a multiple of the base's mass."""
 
 
 class TaskConfig(Strict):

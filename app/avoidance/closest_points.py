@@ -240,9 +240,9 @@ def mean_nearest(
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
-    """Points of a shape's core.
+    """Points of a shape's core: along a capsule's axis, a sphere's centre, or corners.
 
-    The point of the core that is nearest to a flat object is one of them, or lies between them.
+    The corners are those that are farthest in 26 directions; each rim of a cylinder has eight.
 
     Returns:
         (K, 3) [m] these points, in the frame of the joint that moves the shape; and [m] the radius

@@ -108,7 +108,7 @@ class JointOrder:
         """Resolve the names of the arm's joints.
 
         Raises:
-            MeasurementError: `names` is not a list, or a joint of the arm is missing or repeated.
+            MeasurementError: `names` is a string or a set, or lacks or repeats a joint of the arm.
         """
         if isinstance(names, (str, set, frozenset)) or not isinstance(names, Iterable):
             raise MeasurementError(

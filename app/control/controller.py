@@ -397,7 +397,7 @@ class ControlLoop:
         """A function that selects the arm's joints from joint states in the order `names`.
 
         Raises:
-            MeasurementError: `names` is not a list, or a joint of the arm is missing or repeated.
+            MeasurementError: `names` is a string or a set, or lacks or repeats a joint of the arm.
         """
         return JointOrder(self.controller.state.model, names)
 

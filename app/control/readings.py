@@ -433,7 +433,7 @@ def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
 
 @compiled()
 def _fastest(w: Any, i: int, n: int, dt: float) -> float:
-    """[rad/s or m/s] largest mean speed of joint i between two successive ones of n groups."""
+    """[rad/s or m/s] largest mean speed of joint i from one of the newest n groups to the next."""
     found = 0.0
     for k in range(n - 1):
         time = dt * (w.group_age[k + 1] - w.group_age[k])

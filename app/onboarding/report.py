@@ -48,7 +48,7 @@ class Pictures(NamedTuple):
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """Draw a robot and its border, without the lines that other workers search meanwhile."""
+    """Draw a robot and its border, not its lines for guiding, which other workers still search."""
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)

@@ -69,7 +69,7 @@ class People:
     """One `PersonHand` for each person who holds the robot; forces on the same point add."""
 
     def __init__(self, model: RobotModel, config: PersonConfig, dt: float) -> None:
-        """Start without people; `dt` [s] is the time between two calls of `pull`."""
+        """Start with no person at the robot; `dt` [s] is the time between two calls of `pull`."""
         self._model, self._config, self._dt = model, config, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
 

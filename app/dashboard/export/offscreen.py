@@ -134,7 +134,7 @@ class OffscreenScene:
         self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-        """Set a camera to show the robots of all snapshots; return its eye and target (3,) [m]."""
+        """Aim a camera as `placed` does; return its eye and target (3,) [m]."""
         window = Window.of(self._look.width, self._look.height)
         eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)

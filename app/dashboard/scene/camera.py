@@ -196,11 +196,11 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        The cases are: (a) The robot was not in sight since the start of a run. (b) The camera
-        follows (`on`), and the base has moved by more than `_MOVED` out of sight. (c) The camera
-        follows, still has a preset of the whole robot or of the pair, and does not show the
-        end-effector of the robot or of a near ghost. A run with a door starts with the preset
-        "door", the next run without a door with "iso", also while a viewer is `busy` with a pull.
+        The cases, only without a pull (`busy`): (a) The robot was not in sight since the start of a
+        run. (b) The camera follows (`on`), and the base has moved by more than `_MOVED` out of
+        sight. (c) The camera follows, still has a preset of the whole robot or of the pair, and
+        does not show the end-effector of the robot or of a near ghost. Also during a pull: "door"
+        is used at the start of a run with a door; a run without a door changes "door" to "iso".
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
@@ -258,8 +258,8 @@ def placed(
 ) -> tuple[Array, Array]:
     """Return eye and target (3,) [m] of a preset in the world.
 
-    The picture shows the robots of all snapshots. The direction is relative to the heading of the
-    base in the middle snapshot, or relative to the closed door for the preset of a door.
+    The picture shows the preset's target (`Preset.of`) in all snapshots. The direction is relative
+    to the heading of the base in the middle snapshot, or to the closed door for the preset "door".
 
     Args:
         preset: The view.

@@ -212,11 +212,11 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to 
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """For each joint of a chain, in its frame: corners (N, 3) [m] and volume [m³] of a hull around
-    the paths of the points on all joints of the chain while these joints move.
+    """For each joint of a chain: corners (N, 3) [m], in its frame, and volume [m³] of a hull.
 
+    The hull encloses the points on all joints of the chain, at all positions of these joints.
     `points` (N, 3) [m] are in the frame of each joint, by its number; the numbers are consecutive.
-    The sweep over a joint is computed once for all points beyond it and once for all before it.
+    Each joint is swept once with all points beyond it, and once with all points before it.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}

@@ -125,7 +125,7 @@ def _shape(element: Element, where: str) -> LinkShape:
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
     """A shape, as nearly convex pieces if it is a mesh, so that hulls meet only where links do.
 
-    A primitive shape, and a piece, remain as they are.
+    A primitive shape or a piece is returned unchanged.
     """
     if shape.kind != "mesh":
         return [shape]

@@ -88,8 +88,8 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
     """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested, mobile = description.nested, description.mobile_body.name
-    near = [(mobile, body.name) for body in description.bodies[2:]]
-    near = [(a, b) for a, b in near if f"{a}-{b}" in description.unwatched]
+    beyond = [body.name for body in description.bodies[2:]]
+    near = [(mobile, name) for name in beyond if f"{mobile}-{name}" in description.unwatched]
     bodies = {**body_contact_pairs(description), **dict.fromkeys(near, "arm_base")}
     return {
         pair: group

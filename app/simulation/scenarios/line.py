@@ -48,8 +48,8 @@ class LineScenario(Scenario):
     """[s] time at which the person releases the end-effector. The option `duration` then changes
     only the end of the run, not the speed of the motion."""
     regrasp_at: float | None = field(default=None, kw_only=True)
-    """[s] time at which the person grasps the end-effector again and pulls it to the target, which
-    has moved on."""
+    """[s] time at which the person grasps the end-effector again, and pulls it to the target. The
+    target moves on along the line also between release and new grasp."""
 
     @property
     def options(self) -> tuple[str, ...]:

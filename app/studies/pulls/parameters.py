@@ -102,7 +102,7 @@ class StudyRange(Strict):
     """[-] time at which the faults begin, as a share of the pull's duration; a wrong stated_period
     acts from the start."""
     duration: float = 8.0
-    """[s] largest duration of a run; a pull that would take longer is shortened."""
+    """[s] largest duration of a run: pull and rest; it limits the distance of a slow pull."""
     released: float = 0.3
     """[-] probability that the person releases the end-effector before the end of the pull."""
     regrasped: float = 0.5
