@@ -112,6 +112,24 @@ def test_links_fixed_to_the_base_are_never_grouped_with_a_slide() -> None:
     assert not any({1, 3} <= set(group) for groups in cuts for group in groups)
 
 
+@pytest.mark.parametrize(("apart", "found"), [((2, 4), True), ((1, 2), False)])
+def test_units_that_a_pair_must_monitor_are_not_in_neighbouring_groups(
+    apart: tuple[int, int], found: bool
+) -> None:
+    """Units next to each other are in neighbouring groups at best, and keep all groupings."""
+    part = Part("link", np.zeros((0, 3)), np.zeros(0))
+    units = tuple(unit(k)._replace(parts=(part,)) for k in range(5))
+    postures = Postures(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
+    meetings = Meetings(units, (), frozenset(), frozenset(), postures, postures)
+    rows = [
+        _ranked((1, 2, 3, 4), (2, 3, 4), meetings, (0,), frozenset(), each)
+        for each in ((), [apart])
+    ]
+    cuts = [groups for _, groups in rows[1]]
+    assert all([3] in groups for groups in cuts) == found
+    assert (len(rows[1]) == len(rows[0])) != found
+
+
 @pytest.mark.parametrize(
     ("depths", "a", "expected"),
     [

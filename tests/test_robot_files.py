@@ -735,12 +735,14 @@ def test_check_fails_on_an_unmonitored_collision_and_warns_of_many_exclusions(
     from app.onboarding import check
     from app.onboarding.fit.grouping import Detection
 
+    unseen = {("head", "arm"): 0.002, ("hand", "lift"): 0.001}
     found = Detection(
-        4000, 638, undetected, 900, 0, 0.0, (), "head and arm", excluded, "link5 and hand (7.2%)"
+        4000, 638, undetected, 900, 0, 0.0, (), unseen, excluded, "link5 and hand (7.2%)"
     )
     monkeypatch.setattr(check, "detection_of", lambda *_: found)
     monkeypatch.setattr(check, "_geometry", lambda _: {})
     row = check.arm_row(husky_panda())
     assert row.outcome == outcome
+    assert ("are of head and arm (0.20% of the postures)" in row.text) == bool(undetected)
     assert f"{excluded} other postures do not count" in row.text
     assert "link5 and hand (7.2%)" in row.text

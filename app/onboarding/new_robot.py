@@ -242,7 +242,8 @@ def _embodied(
             continue
         work.tell("fitting bodies")
         count = _count(request, units, [len(each.grouping.bodies) for each in found])
-        grouping = find_grouping(bare, meetings, request.buffer, count, work.on_progress)
+        separate = [links for each in found for links in each.detection.unseen]
+        grouping = find_grouping(bare, meetings, request.buffer, count, work.on_progress, separate)
         limited = replace(parsed, limits=limits)
         unwatched = grouping.verdict.unwatched
         content = description(request, limited, grouping.bodies, unwatched=unwatched)
@@ -263,9 +264,8 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    The first two fits differ by their random postures. Without --bodies, the third has one body
-    more than the larger of the first two, if the arm has enough moving units with shapes. `found`
-    has the numbers of bodies, including l_m, of the earlier fits.
+    Without --bodies, the third fit has one body more than the larger of the first two, if the arm
+    has enough moving units with shapes. `found` has the earlier numbers of bodies, including l_m.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies

@@ -5,6 +5,7 @@ import shutil
 import zlib
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -239,13 +240,18 @@ def mesh_name(address: str, home: Path | None) -> str:
         return address
     home = home.resolve()
     if is_foreign(path):
-        stem = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
-        target = home / MESH_FOLDER / f"{stem}_{zlib.crc32(str(path).encode()):08x}.stl"
+        target = _mesh_file(home, path.stem, str(path), ".stl")
         if not target.exists():
-            target.parent.mkdir(exist_ok=True)
             load_mesh(path).export(target)
         path = target
     return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
+
+
+def _mesh_file(home: Path, name: str, key: str, end: str) -> Path:
+    """The path of a mesh file in a robot's folder `home`, by a readable name and a unique key."""
+    stem = re.sub(r"\W", "_", name, flags=re.ASCII)
+    (home / MESH_FOLDER).mkdir(exist_ok=True)
+    return home / MESH_FOLDER / f"{stem}_{zlib.crc32(key.encode()):08x}{end}"
 
 
 def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geometry]:
@@ -256,21 +262,17 @@ def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geom
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     tree, cut = ElementTree.fromstring(urdf, parser), dict(geometry)
-    for link in tree.iterfind("link"):
-        name, found = str(link.get("name")), []
-        shapes = geometry[name].shapes if name in geometry else ()
-        for element, shape in zip(link.findall("collision"), shapes, strict=True):
-            pieces = in_pieces(shape)
-            found += pieces
-            if len(pieces) < 2:
-                continue
-            stem = re.sub(r"\W", "_", name, flags=re.ASCII)
-            path = f"{MESH_FOLDER}/{stem}_{zlib.crc32(name.encode()):08x}_{len(found)}.obj"
-            (home / MESH_FOLDER).mkdir(exist_ok=True)
-            trimesh.Scene([each.mesh for each in pieces]).export(home / path, include_normals=False)
-            element[:] = [Element("geometry")]
-            SubElement(element[0], "mesh", filename=path)
-        cut |= {name: geometry[name]._replace(shapes=tuple(found))} if shapes else {}
+    for link in tree.iterfind("link[collision]"):
+        name = str(link.get("name"))
+        found = [in_pieces(shape) for shape in geometry[name].shapes]
+        cut[name] = geometry[name]._replace(shapes=tuple(chain(*found)))
+        for k, (element, pieces) in enumerate(zip(link.findall("collision"), found, strict=True)):
+            if len(pieces) > 1:
+                path = _mesh_file(home, name, f"{name} {k}", ".obj")
+                scene = trimesh.Scene([each.mesh for each in pieces])
+                scene.export(path, include_normals=False)
+                element[:] = [Element("geometry")]
+                SubElement(element[0], "mesh", filename=path.relative_to(home).as_posix())
     return _text(tree), cut
 
 

@@ -192,14 +192,21 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
-    own, other = (link_shapes([found.units[k]]) for k in (u, v))
-    pairs = [*product(range(len(own)), range(len(own), len(own) + len(other)))]
-    shapes = [*own.values(), *other.values()]
-    gaps = shape_distances(model, shapes, pairs, found.random.q_m[:ENOUGH])
+    links, gaps = link_gaps(model, found.units[u], found.units[v], found.random.q_m[:ENOUGH])
     met = (gaps <= 0.0).any(axis=1)
     if (u, v) not in found.nested and met.mean() < BUILT_IN:
         return []
-    return [*compress(product(own, other), _touch_mostly(gaps[met]))]
+    return [*compress(links, _touch_mostly(gaps[met]))]
+
+
+def link_gaps(
+    model: RobotModel, u: Unit, v: Unit, q_m: Array
+) -> tuple[list[tuple[str, str]], Array]:
+    """Pairs (link of u, link of v), and their distances (N, pairs) [m] in postures q_m (N, n_m)."""
+    own, other = link_shapes([u]), link_shapes([v])
+    pairs = [*product(range(len(own)), range(len(own), len(own) + len(other)))]
+    gaps = shape_distances(model, [*own.values(), *other.values()], pairs, q_m)
+    return [*product(own, other)], gaps
 
 
 def nested_touches(model: RobotModel, geometry: Geometry) -> dict[tuple[str, str], float]:

@@ -8,8 +8,9 @@ links are that close by design or if other pairs detect its collisions. A pair d
 if its bodies overlap in the same posture.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import combinations, compress, pairwise, product
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from app.onboarding.fit.collision_sampling import (
     BUILT_IN,
     ENOUGH,
     Meetings,
+    link_gaps,
     nested_links,
     sample_meetings,
 )
@@ -85,6 +87,7 @@ def find_grouping(
     d_b: float,
     count: int | None = None,
     on_progress: OnProgress = lambda _: None,
+    separate: Collection[tuple[str, str]] = (),
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
@@ -94,15 +97,18 @@ def find_grouping(
     `count` is the number of bodies of the arm. None means four, as in the paper. These four are not
     sufficient if `Verdict.always` or `Verdict.spurious` has a pair, or if `Verdict.missed` is over
     0.1 %. Then the result has the best number from two to six. `on_progress` is called with the
-    finished share of the groupings of each search.
+    finished share of the groupings of each search. The bodies of two links in `separate` are a
+    pair, if possible.
 
     Raises:
         RobotFileError: No grouping into `count` bodies is possible; the message has a valid range.
     """
     fixed = meetings.units[1]
-    found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
+    own = {link: unit.index for unit in meetings.units for link in unit.links}
+    how = d_b, count, on_progress, [(own[a], own[b]) for a, b in separate]
+    found = _arm_grouping(model, meetings, (0,), *how)
     if fixed.links and not _detects(model, found, meetings, fixed.index):
-        found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count, on_progress)
+        found = _arm_grouping(model, meetings, (0, fixed.index), *how)
     bodies = []
     for k, body in enumerate(found.bodies):
         inner = [unit for each in found.bodies[: max(0, k - 1)] for unit in each.units]
@@ -133,8 +139,9 @@ def _arm_grouping(
     d_b: float,
     count: int | None,
     on_progress: OnProgress,
+    apart: Collection[tuple[int, int]],
 ) -> Grouping:
-    """The best grouping if l_m encloses the units `mobile`."""
+    """The best grouping if l_m encloses the units `mobile`; for `apart` see `_ranked`."""
     base, fitter = fit_base(model, meetings, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
     arm = (unit for unit in meetings.units if unit.joint > 1)
@@ -143,7 +150,7 @@ def _arm_grouping(
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
         """The best of `found` and the most promising groupings into `counts` bodies, or None."""
-        ranked = _ranked(units, counts, meetings, mobile, slides)[:_MAX_JUDGED]
+        ranked = _ranked(units, counts, meetings, mobile, slides, apart)[:_MAX_JUDGED]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
@@ -235,9 +242,9 @@ class Detection(NamedTuple):
     blind: tuple[str, ...]
     """Pairs whose bodies miss more than half of the collisions of their links, in the random
     postures and the postures of a search together."""
-    worst: str
-    """The two units (groups of links) that meet most often in the undetected postures, with the
-    share of these contacts in all random postures; `none` without undetected postures."""
+    unseen: dict[tuple[str, str], float]
+    """[-] share of these contacts in all random postures, by the links that meet in the undetected
+    postures; of two units (groups of links), only the nearest links."""
     left_out: int
     """Number of postures that a rule excludes: no pair of bodies overlaps, but links meet that are
     neighbours or close by design. It is extrapolated if more than 300 postures qualify."""
@@ -250,6 +257,12 @@ class Detection(NamedTuple):
     def share(self) -> float:
         """[-] share of the colliding postures that no pair detects."""
         return self.undetected / max(1, self.postures)
+
+    @property
+    def worst(self) -> str:
+        """The links that meet in most of the undetected postures; there must be such a posture."""
+        (a, b), share = max(self.unseen.items(), key=itemgetter(1))
+        return f"{a} and {b} ({share:.2%} of the postures)"
 
     @property
     def fails(self) -> bool:
@@ -305,12 +318,13 @@ def detection_of(
         deepest = max(deepest, float(gap[:count][late[:count]].max(initial=0.0)))
         if late.sum() > 0.5 * there.sum():
             blind.append(pair.name)
-    worst, blame = "none", hits[undetected].sum(axis=0) / len(random)
-    if blame.any():
-        a, b = (units[k].name for k in met.pairs[int(blame.argmax())])
-        worst = f"{a} and {b} ({blame.max():.2%} of the postures)"
-    seen = len(random), count, int(undetected.sum()), watched, missed, deepest, tuple(blind), worst
-    return Detection(*seen, left_out, rule)
+    unseen: dict[tuple[str, str], float] = {}
+    for k in np.flatnonzero(hits[undetected].any(axis=0)):
+        late, (u, v) = undetected & hits[:, k], met.pairs[k]
+        links, near = link_gaps(model, units[u], units[v], q_m[:count][late])
+        unseen[links[int(near.min(axis=0).argmin())]] = float(late.sum() / len(random))
+    seen = len(random), count, int(undetected.sum()), watched, missed, deepest, tuple(blind)
+    return Detection(*seen, unseen, left_out, rule)
 
 
 def _left_out(
@@ -382,13 +396,15 @@ def _ranked(
     meetings: Meetings,
     mobile: Sequence[int],
     slides: frozenset[int],
+    apart: Collection[tuple[int, int]] = (),
 ) -> list[tuple[float, list[list[int]]]]:
     """All valid divisions of the chain into groups, each with a lower bound of its cost.
 
     Each group has at least one link with a shape. The bound is the cost of the number of bodies.
     The order is that of the bound plus the cost of collisions that ideal bodies would miss: two of
     these overlap exactly if links of both overlap. No group joins unit 1, if it has shapes, with a
-    unit of `slides`, the units on prismatic joints of the arm.
+    unit of `slides`, the units on prismatic joints of the arm. If possible, the groups of the units
+    of each pair in `apart` are neither equal nor neighbours.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
@@ -406,5 +422,7 @@ def _ranked(
             missed = _share(np.all(~hits[:, watched], axis=1))
             uneven = sum(len(group) ** 2 for group in groups)
             least = _BODY_COST * (count + 1)
-            ranked.append((least + _MISSED_COST * missed, uneven, groups, least))
-    return [(least, groups) for _, _, groups, least in sorted(ranked)]
+            close = any(abs(owner[u] - owner[v]) < 2 for u, v in apart)
+            ranked.append((close, least + _MISSED_COST * missed, uneven, groups, least))
+    ranked.sort()
+    return [(least, groups) for close, *_, groups, least in ranked if close == ranked[0][0]]
