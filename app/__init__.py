@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from app.robot.state import Measurement as Measurement
     from app.robot.state import RobotState as RobotState
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _MODULES = {
     "BorderData": "app.border.cache",

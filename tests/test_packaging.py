@@ -12,6 +12,7 @@ from zipfile import ZipFile
 
 import pytest
 
+import app
 from app.border.cache import border_key
 from app.border.sampling import SamplingConfig
 from tests.robots import husky_panda
@@ -52,6 +53,15 @@ def elsewhere(tmp_path: Path) -> Path:
     """A working directory outside the checkout; its `cache` is the user's cache folder."""
     assert PROJECT not in tmp_path.parents
     return tmp_path
+
+
+def test_one_version_is_built_cited_and_described(wheel: Path) -> None:
+    assert wheel.name.split("-")[1] == app.__version__
+    assert f"version: {app.__version__}\n" in (PROJECT / "CITATION.cff").read_text("utf-8")
+    changes = (PROJECT / "CHANGELOG.md").read_text("utf-8")
+    assert next(line for line in changes.splitlines() if line.startswith("## ")).startswith(
+        f"## {app.__version__},"
+    )
 
 
 def test_wheel_contains_descriptions_and_only_the_shipped_border(wheel: Path) -> None:
