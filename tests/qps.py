@@ -128,7 +128,7 @@ def posture_of(
     """The posture task in the state `at`, towards q_posture (n_m,) [rad or m]."""
     gains = task.posture_stiffness, task.posture_damping, task.joint_centering
     base = task.base_weight, task.base_damping
-    return Objective(*posture_objective(at.qd, at.q_m, q_posture, model.q_limits, *gains, *base))
+    return Objective(*posture_objective(at.qd, at.q_m, q_posture, model.q_limits, gains, base))
 
 
 def with_ee(
