@@ -98,12 +98,10 @@ from app.robot.state import (
 )
 from app.strict import Array
 
-BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one:
-# a jump would abruptly accelerate an arm inside the buffer
+BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one
 
 DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
-"""Source of the base's acceleration in the arm's problem: the model of its drive, the caller, or
-the command itself."""
+"""Source of the base's acceleration in the arm's QP: model of the drive, caller, or command."""
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
 """Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room` and `set_up_arm`, and the
@@ -184,7 +182,7 @@ def algorithm_2(
         slow: `GAINS` of the slower configuration `app.config.slowed`, for the base's QPs.
         border: `BORDER`.
         w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
-        base_source: Source of `w.a_base_meas`, such as `DRIVE_MODEL`.
+        base_source: `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) or `BASE_AS_COMMANDED`.
         tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
 
     Returns:
@@ -344,11 +342,8 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
 @compiled()
 def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
     """ẍ_r − J̇_r q̇ (k,) [m/s²] of the pairs within the arm (L_m^c)."""
-    b_r = np.empty(len(w.beta) - robot.n_mob)
-    for j in range(len(b_r)):  # line 8
-        i = robot.n_mob + j
-        b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  # line 10, (20)
-    return b_r
+    links = slice(robot.n_mob, len(w.beta))  # line 8
+    return generate_rep_acc(w.d_dot[links], gains.k_p, gains.k_v) - w.Jdqd[links]  # line 10, (20)
 
 
 @compiled()
@@ -639,11 +634,7 @@ def next_command(
 
 @compiled()
 def update_command(robot: Any, gains: Any, w: Any) -> None:
-    """Compute the admittance law's velocity command at the end of each command period (§4.1).
-
-    If the axes of a base depend on each other, `Controller` then replaces the command by an
-    admissible one.
-    """
+    """Compute the admittance law's velocity command at the end of each command period (§4.1)."""
     put(w.a_sum, w.a_sum + w.a_base_cmd * w.elapsed[()])
     w.t_sum[()] += w.elapsed[()]
     w.command_due[()] = w.t_sum[()] >= gains.command_period - gains.dt / 2
@@ -684,7 +675,7 @@ def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
 
     With valid readings, the first pass of a step only marks the hierarchy as open (`w.qp_open`),
-    `app.control.hqp` solves it, and the second pass writes the commands by that q̈.
+    `app.control.hqp` solves it, and the second pass writes the commands by this solution.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

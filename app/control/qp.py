@@ -6,7 +6,6 @@ data are not finite. Then ProxQP, which takes a millisecond, is the rare last re
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from proxsuite import proxqp
@@ -338,50 +337,42 @@ def solve_qp_step(
     return _nearest_within(x, cholesky(H), C, l, u, softness)
 
 
-class OpenQP(NamedTuple):
-    """min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, as in `solve_qp`."""
-
-    H: Array
-    c: Array
-    C: Array
-    l: Array
-    u: Array
-    softness: Array
-    fixed: Array
-
-
-def solved_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) of a QP; all entries are NaN if there is none or ProxQP finds none."""
-    k, x = len(qp.fixed), _without_limits(qp)
-    moved = qp.C[:, :k] @ qp.fixed
-    C, l, u = qp.C[:, k:], qp.l - moved, qp.u - moved
+def solved_by_proxqp(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
+) -> Array:
+    """The solution (n,) as by `solve_qp`; all entries are NaN if ProxQP finds none."""
+    k, x = len(fixed), _without_limits(H, c, fixed)
+    moved = C[:, :k] @ fixed
+    C, l, u = C[:, k:], l - moved, u - moved
     finite = np.isfinite(x).all() and np.isfinite(C).all()
     if not (finite and (l < np.inf).all() and (u > -np.inf).all()):
-        return np.full(len(qp.c), np.nan)
-    L = np.linalg.cholesky(qp.H[k:, k:])
+        return np.full(len(c), np.nan)
+    L = np.linalg.cholesky(H[k:, k:])
     a, reached = np.linalg.solve(L, C.T).T, C @ x
     length = np.sqrt((a**2).sum(axis=1)) + 1e-12
-    slack = np.diag(np.sqrt(compliances(qp.softness, length)))[:, qp.softness > 0.0]
+    slack = np.diag(np.sqrt(compliances(softness, length)))[:, softness > 0.0]
     A = np.hstack([a / length[:, None], slack])  # the unknowns are Lᵀ (x − x*) and the slacks
     l, u = (l - reached) / length, (u - reached) / length
     z = _nearest_to_zero(A, l, u)
-    found = np.concatenate([qp.fixed, x + np.linalg.solve(L.T, z[: len(x)])])
-    return found if np.isfinite(found).all() else np.full(len(qp.c), np.nan)
+    found = np.concatenate([fixed, x + np.linalg.solve(L.T, z[: len(x)])])
+    return found if np.isfinite(found).all() else np.full(len(c), np.nan)
 
 
-def changed_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) as by `solve_qp_step`; NaN in the cases of `solved_by_proxqp`."""
-    free = np.concatenate([qp.fixed, _without_limits(qp)])
-    return solved_by_proxqp(qp._replace(c=-qp.H @ free, fixed=qp.fixed[:0]))
+def changed_by_proxqp(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
+) -> Array:
+    """The solution (n,) as by `solve_qp_step`; all entries are NaN if ProxQP finds none."""
+    free = np.concatenate([fixed, _without_limits(H, c, fixed)])
+    return solved_by_proxqp(H, -H @ free, C, l, u, softness, fixed[:0])
 
 
-def _without_limits(qp: OpenQP) -> Array:
-    k = len(qp.fixed)
+def _without_limits(H: Array, c: Array, fixed: Array) -> Array:
+    k = len(fixed)
     try:
-        L = np.linalg.cholesky(qp.H[k:, k:])
+        L = np.linalg.cholesky(H[k:, k:])
     except np.linalg.LinAlgError:  # not positive definite
-        return np.full(len(qp.c) - k, np.nan)
-    return np.linalg.solve(L.T, np.linalg.solve(L, -(qp.c[k:] + qp.H[k:, :k] @ qp.fixed)))
+        return np.full(len(c) - k, np.nan)
+    return np.linalg.solve(L.T, np.linalg.solve(L, -(c[k:] + H[k:, :k] @ fixed)))
 
 
 def _nearest_to_zero(A: Array, l: Array, u: Array) -> Array:

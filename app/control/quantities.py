@@ -5,8 +5,8 @@ them; logs, the explanation, studies and tests read them under the same names. T
 overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these
 and q̇. In addition, a step reads M, h, L_aa, J_ee, v_ee, p_ee, p_o, base_velocity and a_base_meas
 of the last step. In a step without valid readings all kinematics are those of the last valid step.
-Two states are not in the table: the control period in use (`Controller.dt`) and the state of the
-drive (`RobotState.drive`); `reset` keeps both.
+Two states are not in the table, and `reset` does not change them: the control period in use
+(`Controller.dt`) and the state of the drive (`RobotState.drive`).
 
 Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
 and its x axis points ahead. Coordinates: `axes` are the base's velocity axes ν, fixed to the base:
@@ -26,7 +26,7 @@ import numpy as np
 from numba import types
 from typing_extensions import Self
 
-from app.robot.link_pairs import ClosestPoints, Pair, with_parts
+from app.robot.link_pairs import Pair
 from app.strict import Array
 from app.structs import struct_type
 
@@ -37,17 +37,17 @@ class Quantity(NamedTuple):
     name: str
     """Name in the code, and in everything generated from the table."""
     symbol: str
-    """Symbol in the paper or the field."""
+    """Symbol in the paper or in robotics; can be empty."""
     shape: str
-    """Dimensions, separated by blanks; empty for a number. See `DIMENSIONS`."""
+    """Dimensions of `DIMENSIONS` or numbers, separated by blanks; empty for a number."""
     unit: str
     """SI units; for a vector with several kinds of entries all of them."""
     frame: str
-    """Frame or axes of the components; empty if it has none."""
+    """Frame or axes of the components; empty for a quantity without components."""
     source: str
-    """Equation, algorithm or section of the paper, or the function that computes it."""
+    """Equation, algorithm or section of the paper, or the name of a function or module."""
     meaning: str
-    """Meaning in one line; quantities that the next step reads begin with "memory"."""
+    """Meaning in one line; for a quantity that the next step reads, this line begins "memory:"."""
 
 
 DIMENSIONS = {
@@ -335,11 +335,9 @@ class ControlStep:
     ) -> None:
         """Allocate the memory for a robot.
 
-        Args:
-            sizes: The value of each dimension in `DIMENSIONS`.
-            pinocchio: The views of `PINOCCHIO`.
-            pairs: The link pairs, those of L_m first.
-            rows: For each pair: the row of its distance, and the rows of its convex parts.
+        `sizes` has the value of each dimension in `DIMENSIONS`, and `pinocchio` the views of
+        `PINOCCHIO`. The `pairs` of L_m are first; `rows` has, for each pair, the row of its
+        distance, and the rows of its convex parts.
         """
         self.pairs, self.rows = tuple(pairs), rows
         self.pinocchio: object = None
@@ -364,14 +362,6 @@ class ControlStep:
 
     def __getattr__(self, name: str) -> Array:  # for type checkers, and for a clear error
         raise AttributeError(f"a control step has no quantity {name!r}")
-
-    def closest(self, i: int) -> ClosestPoints:
-        """The closest points of the i-th pair, in the world, as copies."""
-        return with_parts(*[self._closest(self.pairs[i], row) for row in self.rows[i]])
-
-    def _closest(self, pair: Pair, row: int) -> ClosestPoints:
-        points = (each[row].copy() for each in (self.p_a, self.p_b, self.normal, self.core))
-        return ClosestPoints(pair, float(self.d[row]), *points)
 
     @property
     def base_avoidance(self) -> Array:

@@ -8,7 +8,7 @@ strict levels jumps where levels become dependent. q̈ (n,) begins with the n_b 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -70,8 +70,8 @@ def mobile_activation(beta: Array) -> float:
 
 
 @compiled()
-def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
-    """ẍ_r = k_p − k_v ḋ [m/s²]: separates the links of a pair.
+def generate_rep_acc(d_dot: Any, k_p: float, k_v: float) -> Any:
+    """ẍ_r = k_p − k_v ḋ [m/s²]: separates the links of a pair, or of each pair of an array.
 
     Paper: Eq. (20), where ḋ [m/s] is nᵀ(ṗ_b − ṗ_a). k_p is in m/s², k_v in 1/s.
     """

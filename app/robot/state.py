@@ -301,10 +301,10 @@ def distance_motions(
     """The terms of ḋ and d̈: motions of points along normals that are fixed to other bodies.
 
     J_r = nᵀ(J_b − J_a) at the point `core` of l_b. n is fixed to l_a and points out of l_a, because
-    the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
-    round link near a face: the normal of the face is constant while the closest points slide along
-    the face, and the point of the core does not move on the link. With the term |v_⊥|²/d, which
-    belongs to the distance of two fixed points, the error of d̈ would be ten times as large.
+    the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a round link
+    near a face: the normal of the face is constant while the closest points slide along the face,
+    and the point of the core does not move on the link. The distance of two fixed points has the
+    additional term |v_⊥|²/d, with which the error of d̈ would be ten times as large.
 
     `joints` (k, 2) move the bodies with the normal and with the point. `at` (k, 3) [m] are the
     points, and `normals` (k, 3) unit vectors, or shorter as in `ClosestPoints`, all in the world.
@@ -401,10 +401,10 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
+    """(k,) [m] a view of the signed distances in coal's results, which it first overwrites.
 
     Reading the results one by one would take as long as computing them. Each result stores its
-    distance before its normal, and all results have the same size. Former distances are lost.
+    distance before its normal, and all results have the same size.
     """
     if len(results) == 0:
         return np.zeros(0)
