@@ -17,7 +17,7 @@ from app.strict import Array
 
 @compiled()
 def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: float) -> float:
-    """α = S_0 d / (|S(p_n)| + S_0/2) [m], within its bounds; S_0 is the gain.
+    """α = S_0 d / (|S(p_n)| + S_0/2) [m], within its bounds; S_0 [m⁴/rad⁴] is `gain`.
 
     For a large |S|, α is proportional to d/|S|. Near the wheel axis, where S vanishes, d/|S| would
     jump from one bound to the other within millimetres. There the formula above approaches 2 d,
@@ -109,8 +109,7 @@ def avoidance_force(
 def resultant_force(f: Array, p_act: Array) -> Array:
     """f_m (3,): Σ f_x, Σ f_y [N] and the torque [N m] about the base's centre.
 
-    `f` (k, 3) [N] are forces at the acting points `p_act` (k, 3) [m], which can be NaN at a force
-    of 0.
+    `f` (k, 3) [N] are forces at `p_act` (k, 3) [m]; an acting point without a force can be NaN.
 
     Paper: Eq. (15).
     """

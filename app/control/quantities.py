@@ -91,8 +91,7 @@ biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings |
     1 if a reading of the last 0.1 s is usable and no contradiction was found, else 0
-faults | | 13 | 1 | | readings |
-    1 for each fault of this step's readings, in the order of `readings.FAULTS`
+faults | | 13 | 1 | | readings | 1 for each fault of the readings, in the order of `readings.FAULTS`
 contradiction | | | 1 | | readings |
     memory: evidence that the readings contradict the commanded torques
 age | | | 1 | | readings | memory: control periods since the newest reading
@@ -217,8 +216,7 @@ b_sca | ẍ_sca − J̇_sca q̇ | n_s | m/s², rad/s² | | (24) | right-hand sid
 B | B | n_s | 1 | | (27) | diagonal of B: the activation of each row
 activation | | | 1 | | (27) | largest entry of B
 tracking | | | 1 | | | memory: 1 with a reference, 0 while a person guides the arm
-x_ref | x_d | 4 3 | 1, m | world | (26) |
-    reference pose: three columns of the rotation, then the position
+x_ref | x_d | 4 3 | 1, m | world | (26) | reference pose: columns of the rotation, then position
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
 a_ref | ẍ_d | 6 | m/s², rad/s² | world | (26) | reference acceleration
 x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest reference; NaN before
@@ -244,8 +242,7 @@ lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T
 q_posture |  | n_m | rad, m | joints | posture_objective |
     memory: arm posture of the first valid measurement, or of the last fault `jump`; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance
-H_low | H | n n | | reduced | (26) |
-    Hessian of the posture task, or of the task of a guided arm
+H_low | H | n n | | reduced | (26) | Hessian of the posture task, or of the task of a guided arm
 c_low | c | n | | reduced | (26) | linear term of the task of `H_low`
 H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
 c | c | n | | reduced | (26) | linear term of all tasks below T_sca
@@ -264,8 +261,7 @@ a_base_cmd | a | n_b | m/s², rad/s² | axes | §4.1 |
     `set_up_room`, not an equation of the paper (`command_base`, `put_commands`)
 a_base_meas | | n_b | m/s², rad/s² | axes | assume_base |
     base acceleration in the arm's QP: of the drive's model, of the caller, or the commanded one
-qdd | q̈ | n | rad/s², m/s² | reduced | (29) |
-    solution of the arm's QP; NaN with the fallback command
+qdd | q̈ | n | rad/s², m/s² | reduced | (29) | arm's QP solution; NaN with the fallback command
 u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque
 u_a | u | n_m | N m, N | joints | (26) |
     memory: commanded arm torque after the first measured posture; NaN before

@@ -43,8 +43,7 @@ def cubic(s: float) -> float:
 def activation(d: float, d_b: float, d_full: float) -> float:
     """β [-] of a link pair at the signed distance d [m], with a continuous derivative in d.
 
-    β is 0 for d ≥ d_b, 1 for d ≤ d_b − `rise_length` (d_full, unless d_b is nearly as small), and a
-    cubic between.
+    β is 0 for d ≥ d_b, 1 for d ≤ d_b − `rise_length`, and a cubic between.
 
     Paper: Figure 10; there d_b = 0.15 m and d_full = 0.05 m.
     """
@@ -368,8 +367,8 @@ def insert_rows(
     """Add rows of T_sca to the tasks below, ½ q̈ᵀ H q̈ + cᵀ q̈, as springs that follow β.
 
     Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇. With ε = `least`, its compliance is
-    (1 − β_i + ε)/β_i times J_i H⁻¹ J_iᵀ, the compliance of the tasks below along this row. For
-    ε = 0 and without other rows, row i yields
+    (1 − β_i + ε)/β_i times J_i H⁻¹ J_iᵀ, the compliance of the tasks below along row i. For ε = 0
+    and without other rows, row i yields
 
         J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
 
@@ -378,8 +377,8 @@ def insert_rows(
     blends all rows with the solution without any of them: this blend jumps when a row enters while
     a different row is active.
 
-    H (n, n) is positive definite, `J` (k, n), `b` (k,) and `beta` (k,) are the rows. The first
-    `fixed` entries of q̈ are fixed, and do not contribute to J_i H⁻¹ J_iᵀ.
+    H (n, n) is symmetric positive definite; `J` (k, n), `b` (k,) and `beta` (k,) are the rows. The
+    first `fixed` entries of q̈ are fixed, and do not contribute to J_i H⁻¹ J_iᵀ.
 
     Paper: Eq. (29).
 

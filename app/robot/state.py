@@ -54,8 +54,7 @@ class Measurement(NamedTuple):
 def numbers(name: str, values: Any, *sizes: int) -> Array:
     """An array of floats from a caller's values; masked values become NaN.
 
-    Raises:
-        MeasurementError: The values are not real numbers, or their number is not in `sizes`.
+    A MeasurementError is raised if they are not real numbers, or their number is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -68,11 +67,7 @@ def numbers(name: str, values: Any, *sizes: int) -> Array:
 
 
 def velocities(name: str, values: Any, size: int) -> Array:
-    """`numbers` of velocities (size,); None or an empty array becomes NaN.
-
-    Raises:
-        MeasurementError: The values are not real numbers, or their number is not `size`.
-    """
+    """`numbers` of velocities (size,), with its error; None or an empty array becomes NaN."""
     found = numbers(name, () if values is None else values, size, 0)
     return found if found.size == size else np.full(size, np.nan)
 
@@ -186,13 +181,12 @@ def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
         k, before, bias = joint + 1, biases[joint - 1], biases[joint]
         for i in range(6):
             twists[joint, i] = twists[joint - 1, i] + J[i, k] * v[k]
-        v_x, v_y, v_z, w_x, w_y, w_z = twists[joint - 1]
+        moved = twists[joint - 1]
         linear = J[0, k] * v[k], J[1, k] * v[k], J[2, k] * v[k]
         angular = J[3, k] * v[k], J[4, k] * v[k], J[5, k] * v[k]
-        turned = _swept((before[0], before[1], before[2]), (w_x, w_y, w_z), linear)
-        bias[0], bias[1], bias[2] = _swept(turned, (v_x, v_y, v_z), angular)
-        turned = _swept((before[3], before[4], before[5]), (w_x, w_y, w_z), angular)
-        bias[3], bias[4], bias[5] = turned
+        turned = _swept(before, moved[3:], linear)
+        bias[0], bias[1], bias[2] = _swept(turned, moved, angular)
+        bias[3], bias[4], bias[5] = _swept(before[3:], moved[3:], angular)
     return twists, biases
 
 
@@ -203,21 +197,16 @@ def seen_from(R: Array, p: Array, at: Array) -> Array:
     return R[0] * x + R[1] * y + R[2] * z
 
 
-@compiled()
-def _angular(twist: Array) -> tuple[float, float, float]:
-    return twist[3], twist[4], twist[5]
-
-
 @compiled("UniTuple(f8, 3)(f8[:], f8[:])")
 def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
     """Velocity [m/s] of a body's point at p (3,), from the body's twist (6,)."""
-    return _swept(twist, _angular(twist), p)
+    return _swept(twist, twist[3:], p)
 
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
 def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
     """Acceleration [m/s²] of a body's point at p (3,) and q̈ = 0; twist and bias are (6,)."""
-    return _swept(point_velocity(bias, p), _angular(twist), point_velocity(twist, p))
+    return _swept(point_velocity(bias, p), twist[3:], point_velocity(twist, p))
 
 
 @compiled()
@@ -229,7 +218,7 @@ def carrying(joint: int) -> int:
 @compiled()
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
     """Velocity of a point at p (3,) for one unit of the k-th velocity, which moves its body."""
-    return _swept((J[0, k], J[1, k], J[2, k]), (J[3, k], J[4, k], J[5, k]), p)
+    return _swept(J[:3, k], J[3:, k], p)
 
 
 @compiled()
@@ -401,7 +390,7 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results, which it first overwrites.
+    """(k,) [m] a view of the signed distances in coal's results, whose former values are lost.
 
     Reading the results one by one would take as long as computing them. Each result stores its
     distance before its normal, and all results have the same size.
@@ -469,7 +458,7 @@ class RobotState:
     """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (q̇_b, q̇_m).
 
     `drive` and the first four arrays are the measurement of the last update. `R_world_base` (3, 3)
-    and `p_o` (3,) [m] are rotation and place of the base's centre on the floor, in the world.
+    is the rotation of the base, and `p_o` (3,) [m] its centre on the floor, in the world.
     """
 
     base_pose: Array
