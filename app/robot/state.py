@@ -292,8 +292,8 @@ def distance_motions(
     J_r = nᵀ(J_b − J_a) at the point `core` of l_b. n is fixed to l_a and points out of l_a, because
     the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a round link
     near a face: the normal of the face is constant while the closest points slide along the face,
-    and the point of the core does not move on the link. The distance of two fixed points has the
-    additional term |v_⊥|²/d, with which the error of d̈ would be ten times as large.
+    and the point of the core does not move on the link. The additional term |v_⊥|²/d of the
+    distance of two fixed points would make the error of d̈ ten times as large.
 
     `joints` (k, 2) move the bodies with the normal and with the point. `at` (k, 3) [m] are the
     points, and `normals` (k, 3) unit vectors, or shorter as in `ClosestPoints`, all in the world.
