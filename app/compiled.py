@@ -1,8 +1,7 @@
 """Numerical kernels: numba compiles them to machine code, which `KernelStore` stores.
 
-An interpreter would spend most of a control step on overhead, because the vectors have only about
-nine entries. A kernel is a plain function of floats and arrays; with `NUMBA_DISABLE_JIT=1` Python
-interprets the kernel, slowly.
+A kernel is a plain function of floats and arrays. With `NUMBA_DISABLE_JIT=1` Python interprets the
+kernel, slowly: the vectors have only about nine entries, so the overhead exceeds the computation.
 """
 
 import gc
@@ -36,13 +35,12 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """A decorator: it compiles a function for the types in `signatures` at the module's import.
 
-    The first import stores the compiled kernel, and later imports load it. If no folder is
-    writable, each process compiles the kernels that it imports. A call never waits for the
-    compiler, and fails with an array of a different dtype.
-
-    Signatures are in numba's notation, such as ``f8[:](f8[:,:], i8)``, see `_any_array`; or numba's
-    own objects, which are used unchanged. A function without signatures is compiled as a part of
-    the kernels that call it; its first call from Python waits for the compiler.
+    The first import stores the compiled kernel, and later imports load it; without a writable
+    folder, each process compiles. A call never waits for the compiler, and fails with an array of a
+    different dtype. Signatures are in numba's notation, such as ``f8[:](f8[:,:], i8)``, see
+    `_any_array`; or numba's own objects, which are used unchanged. A function without signatures is
+    compiled as a part of the kernels that call it; its first call from Python waits for the
+    compiler.
     """
 
     def compile_(function: Function) -> Function:
@@ -181,11 +179,10 @@ class _PartCompiler(_Compiler):
 
 
 def direct(kernel: Function) -> Function:
-    """The compiled code of a kernel with one signature, for callers with known types.
+    """The compiled code of a kernel with one signature, or the kernel if numba is disabled.
 
     The code does not check the types of the arguments, because numba's check takes 2 to 3 µs per
-    call. A call with a wrong type has undefined behaviour. With ``NUMBA_DISABLE_JIT=1`` the result
-    is the kernel itself.
+    call. A call with a wrong type has undefined behaviour.
     """
     if config.DISABLE_JIT:
         return kernel
@@ -200,15 +197,14 @@ def _any_array(signature: str) -> Signature:
     without a result writes into its arguments: its signature does not change.
     """
     arguments, returned = sigutils.normalize_signature(signature)
-    if returned == types.void:
-        return Signature(returned, arguments, None)
-    relaxed = tuple(
-        types.Array(each.dtype, each.ndim, "A", readonly=True)
-        if isinstance(each, types.Array) and each.layout == "A"
-        else each
-        for each in arguments
-    )
-    return Signature(returned, relaxed, None)
+    if returned != types.void:
+        arguments = tuple(
+            types.Array(each.dtype, each.ndim, "A", readonly=True)
+            if isinstance(each, types.Array) and each.layout == "A"
+            else each
+            for each in arguments
+        )
+    return Signature(returned, arguments, None)
 
 
 @lru_cache(maxsize=1)

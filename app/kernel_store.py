@@ -20,15 +20,12 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of each file on which a compiled kernel depends.
+    """Name and digest of each file on which a compiled kernel depends; an OSError if unreadable.
 
     These are the kernel's file, the files of the compiled functions that it calls, and the files
     that compile kernels and lay out structs. Called functions are found by their names in the
     kernel. The kernel's constants must be in one of these files: a change of another file would not
     change the result. A digest, unlike a time, does not change if an installation is copied.
-
-    Raises:
-        OSError: A file cannot be read.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
@@ -50,8 +47,8 @@ def _digest(file: Path) -> str:
 def _folders(file: str, *, make: bool) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
-    They are in NUMBA_CACHE_DIR if it is set, then Python's `__pycache__` next to the source file,
-    then in the `cache_folders` of this user, where `make` has the same meaning.
+    NUMBA_CACHE_DIR precedes `__pycache__` next to the source file; the `cache_folders` of this user
+    are last, where `make` has the same meaning.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:
@@ -100,10 +97,7 @@ class _Index(caching.IndexDataCacheFile):
 
 
 class KernelStore(caching.FunctionCache):
-    """The stored kernels of a function, read from any folder, written to the first writable folder.
-
-    Thus a user without write access can use the kernels that another user has compiled.
-    """
+    """The kernels of a function; a user without write access can read those of another user."""
 
     _impl_class = _Described
 

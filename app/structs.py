@@ -3,8 +3,7 @@
 A struct as an argument of a compiled function takes 0.01 µs per call; a tuple of arrays takes
 0.1 µs for each array. Both sides share the memory of the arrays: Python reads, without a copy, the
 values that compiled code writes. The numbers of a struct, and the arrays to which its fields refer,
-are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the named tuple from which it is
-created.
+are fixed at its creation.
 """
 
 import struct
@@ -78,8 +77,8 @@ class StructType(NamedTuple):
     def made_of(self, values: Any) -> Any:
         """Make a struct from a named tuple; without compilation, return the tuple itself.
 
-        The struct keeps the tuple alive, and its arrays are views of the tuple's arrays. Therefore
-        compiled code counts no references to arrays; counting would take a fifth of a control step.
+        The struct owns a reference to the tuple, and its arrays are views of the tuple's arrays.
+        Therefore compiled code counts no references, which would take a fifth of a control step.
         """
         if config.DISABLE_JIT:
             return values
@@ -95,8 +94,8 @@ class StructType(NamedTuple):
     def _packed(self, values: Any) -> bytes:
         """The bytes of the struct: each number unchanged, each array in numba's form.
 
-        The form of an array is: owner and parent (both 0), number of entries, bytes of an entry,
-        address, shape, strides.
+        This form has owner and parent (both 0), number of entries, bytes of an entry, address,
+        shape, strides.
         """
         layout, content = "", list[Any]()
         for value, kind in zip(values, self.fields.values(), strict=True):

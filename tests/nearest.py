@@ -52,16 +52,16 @@ class SmoothMonitor(DistanceMonitor):
         points = smooth_points(smooth, self._state, blend)
         d = np.empty(len(points))
         self._distances.write_distances(d)
-        return Nearest(pairs, smooth.arrays()["pair_joints"], smooth.rows, d, points)
+        return Nearest(pairs, smooth.joints, smooth.rows, d, points)
 
 
 def smooth_points(smooth: SmoothPoints, state: RobotState, blend: float) -> Array:
     """The points of `mean_nearest` in the present state."""
-    fixed = smooth.arrays()
+    fixed = smooth.arrays
     placed = [state.data.oMi[joint] for joint in fixed["body_joints"].tolist()]
     poses = np.concatenate([part for T in placed for part in (T.rotation, T.translation[None])])
-    shapes, triangles, nodes = fixed["shapes"], fixed["triangles"], fixed["nodes"]
-    return mean_nearest(shapes, triangles, nodes, fixed["firsts"], fixed["sought"], poses, blend)
+    bodies = fixed["shapes"], fixed["triangles"], fixed["nodes"], fixed["firsts"]
+    return mean_nearest(bodies, fixed["sought"], poses, blend)
 
 
 class Placed:

@@ -9,7 +9,7 @@ from typing_extensions import Self
 
 from app.config import LimitConfig, TaskConfig
 from app.control.limits import joint_bounds, joint_rows, torque_rows
-from app.control.qp import OpenQP, changed_by_proxqp, solve_qp, solve_qp_step, solved_by_proxqp
+from app.control.qp import changed_by_proxqp, solve_qp, solve_qp_step, solved_by_proxqp
 from app.control.quantities import ControlStep
 from app.control.tasks import (
     Reference,
@@ -84,7 +84,7 @@ def solved(objective: Objective, limits: Limits, fixed: Array = NONE) -> Array:
         NoSolutionError: There is none.
     """
     x, found = solve_qp(*objective, *limits, fixed)
-    return x if found else _known(solved_by_proxqp(OpenQP(*objective, *limits, fixed)))
+    return x if found else _known(solved_by_proxqp(*objective, *limits, fixed))
 
 
 def stepped(objective: Objective, limits: Limits, fixed: Array) -> Array:
@@ -94,7 +94,7 @@ def stepped(objective: Objective, limits: Limits, fixed: Array) -> Array:
         NoSolutionError: There is none.
     """
     x, found = solve_qp_step(*objective, *limits, fixed)
-    return x if found else _known(changed_by_proxqp(OpenQP(*objective, *limits, fixed)))
+    return x if found else _known(changed_by_proxqp(*objective, *limits, fixed))
 
 
 def _known(x: Array) -> Array:
@@ -128,7 +128,7 @@ def posture_of(
     """The posture task in the state `at`, towards q_posture (n_m,) [rad or m]."""
     gains = task.posture_stiffness, task.posture_damping, task.joint_centering
     base = task.base_weight, task.base_damping
-    return Objective(*posture_objective(at.qd, at.q_m, q_posture, model.q_limits, *gains, *base))
+    return Objective(*posture_objective(at.qd, at.q_m, q_posture, model.q_limits, gains, base))
 
 
 def with_ee(

@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller
-from app.control.qp import OpenQP, changed_by_proxqp, solve_qp, solve_qp_step, solved_by_proxqp
+from app.control.qp import changed_by_proxqp, solve_qp, solve_qp_step, solved_by_proxqp
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from tests.qps import NONE, Limits, NoSolutionError, Objective, solved
@@ -106,9 +106,9 @@ def test_proxqp_finds_the_optimum_of_the_active_set_solver(seed: int, hard: int)
     ):
         x, found = by_active_sets(*problem, fixed)
         assert found
-        np.testing.assert_allclose(by_proxqp(OpenQP(*problem, fixed)), x, atol=3e-6)
+        np.testing.assert_allclose(by_proxqp(*problem, fixed), x, atol=3e-6)
     for spoiled in (limits._replace(l=limits.l * np.nan), limits._replace(C=limits.C * np.inf)):
-        assert np.isnan(solved_by_proxqp(OpenQP(*objective, *spoiled, NONE))).all()
+        assert np.isnan(solved_by_proxqp(*objective, *spoiled, NONE)).all()
 
 
 class Turning:
@@ -129,7 +129,7 @@ def test_proxqp_returns_only_nan_without_a_solution() -> None:
     """A finite first entry would pass as a solution: the fixed entries are known before."""
     C, far = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]), np.array([-np.inf, 1.0])
     limits = C, far, np.array([-1.0, np.inf]), np.zeros(2)
-    x = solved_by_proxqp(OpenQP(np.eye(3), np.zeros(3), *limits, np.array([2.0])))
+    x = solved_by_proxqp(np.eye(3), np.zeros(3), *limits, np.array([2.0]))
     assert np.isnan(x).all()
 
 

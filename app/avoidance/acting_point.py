@@ -17,21 +17,15 @@ from app.strict import Array
 
 @compiled()
 def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: float) -> float:
-    """α = S_0 d / (|S(p_n)| + S_0/2) [m], within its bounds; S_0 is the gain.
+    """α = S_0 d / (|S(p_n)| + S_0/2) [m], within its bounds; S_0 [m⁴/rad⁴] is `gain`.
 
     For a large |S|, α is proportional to d/|S|. Near the wheel axis, where S vanishes, d/|S| would
     jump from one bound to the other within millimetres. There the formula above approaches 2 d,
     which is enough for the force to turn the base, and changes smoothly. A d below 0 counts as 0.
 
-    Paper: Eq. (13). The bounds are those of Figure 8b: after a step that is too large, the force
-    has no component along the line between the end-effector and the border.
-
-    Args:
-        d: [m] distance of the pair.
-        score: [m⁴/rad⁴] S(p_n), divided by `BaseKind.score_unit`.
-        gain: [m⁴/rad⁴] S_0.
-        alpha_min: [m] lower bound.
-        alpha_max: [m] upper bound.
+    Paper: Eq. (13). The bounds [m] are those of Figure 8b: after a step that is too large, the
+    force has no component along the line between the end-effector and the border. `score` is
+    S(p_n) [m⁴/rad⁴] divided by `BaseKind.score_unit`, `d` [m] the distance of the pair.
     """
     proportional = gain * max(d, 0.0) / max(abs(score) + gain / 2.0, 1e-12)
     return min(max(proportional, alpha_min), alpha_max)
@@ -60,9 +54,7 @@ def find_acting_point(
     score: Array,
     p_b: Array,
     d: float,
-    gain: float,
-    alpha_min: float,
-    alpha_max: float,
+    step: tuple[float, float, float],
 ) -> tuple[Array, Array, Array, Array, float]:
     """The acting point of a pair of arm and base, for the closest point p_b on the arm.
 
@@ -74,9 +66,7 @@ def find_acting_point(
         score: (9,) `ScoreField.coefficients` of the pair's body.
         p_b: (3,) [m] closest point on the arm, in the base's frame.
         d: [m] distance of the pair.
-        gain: [m⁴/rad⁴] S_0 of `step_size`.
-        alpha_min: [m] lower bound of α.
-        alpha_max: [m] upper bound of α.
+        step: The last three arguments of `step_size`.
 
     Returns:
         p_n, p_t, p_act (3,) [m], the tangent (3,) and α [m]; if l_m has no border, α and the x and
@@ -86,8 +76,7 @@ def find_acting_point(
     if math.isnan(p_n[0]):
         return p_n, p_n, p_n, t, math.nan
     value, gradient = score_at(score, p_n)
-    unit = score[2]
-    alpha = step_size(d, value / unit, gain, alpha_min, alpha_max)
+    alpha = step_size(d, value / score[2], step[0], step[1], step[2])
     p_t = p_n + tangential_step(gradient, t, alpha)
     p_act, _ = nearest_border(border, pair, p_t)
     return p_n, p_t, p_act, t, alpha
@@ -97,25 +86,15 @@ def find_acting_point(
 def avoidance_force(
     p_b: Array, p_act: Array, d: float, n: Array, f_max: float, d_b: float
 ) -> Array:
-    """f_m,i: from the acting point towards the closest point, larger at a smaller distance.
+    """f_m,i (3,) [N]: horizontal, from the acting point p_act (3,) [m] to the closest point p_b.
 
     f = f_max (1 − d/d_b) ‖n_xy‖ (p_b − p_act) / ‖p_b − p_act‖, where 1 − d/d_b is limited to 0 … 1.
     The factor ‖n_xy‖ is our extension: above the base's flat top, where no horizontal force helps,
     it is 0; beside the base it is 1. At p_b = p_act the direction is that of the horizontal part of
-    −n. The force is 0 if this part is 0 too.
+    −n. The force is 0 if this part is 0 too. `d` [m] is the signed distance of the pair, n (3,) its
+    normal from the base to the arm, of length 1 or less, and `f_max` is in N.
 
     Paper: Eq. (14).
-
-    Args:
-        p_b: (3,) [m] closest point on the arm.
-        p_act: (3,) [m] acting point, at the same height.
-        d: [m] signed distance of the pair.
-        n: (3,) normal of the pair from the base to the arm, of length 1 or less.
-        f_max: [N] upper bound of the force.
-        d_b: [m] buffer distance.
-
-    Returns:
-        (3,) [N], horizontal.
     """
     magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * math.sqrt(n[0] ** 2 + n[1] ** 2)
     direction = p_b - p_act
@@ -130,11 +109,9 @@ def avoidance_force(
 def resultant_force(f: Array, p_act: Array) -> Array:
     """f_m (3,): Σ f_x, Σ f_y [N] and the torque [N m] about the base's centre.
 
-    Paper: Eq. (15).
+    `f` (k, 3) [N] are forces at `p_act` (k, 3) [m]; an acting point without a force can be NaN.
 
-    Args:
-        f: (k, 3) [N] forces.
-        p_act: (k, 3) [m] acting points; for a force of 0 they can be NaN.
+    Paper: Eq. (15).
     """
     total = np.zeros(3)
     for i in range(len(f)):
@@ -149,11 +126,9 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
     """ẍ_m = A_b f_m (n_b,) [m/s² or rad/s²]: acceleration along the base's axes by the force f_m.
 
-    Paper: Eq. (16).
+    `A_b` (n_b, 3) is `BaseKind.A_b`, and `f_m` (3,) [N, N, N m] comes from `resultant_force`.
 
-    Args:
-        A_b: (n_b, 3) of the base's kind; for a differential base (17) and (18).
-        f_m: (3,) [N, N, N m] of `resultant_force`.
+    Paper: Eq. (16).
     """
     xdd_m = np.zeros(len(A_b))
     for i in range(len(A_b)):
@@ -187,7 +162,7 @@ class ActingPointFinder:
 
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
         """The acting point for p_b (3,) [m] at the distance d [m]; None if l_m has no border."""
-        where = self._border.struct, 0, self._score, np.array(p_b, float), d
-        how = force.alpha_gain, force.alpha_min, force.alpha_max
-        found = ActingPoint(*find_acting_point(*where, *how))
+        step = force.alpha_gain, force.alpha_min, force.alpha_max
+        at, border = np.array(p_b, float), self._border.struct
+        found = ActingPoint(*find_acting_point(border, 0, self._score, at, d, step))
         return None if math.isnan(found.alpha) else found

@@ -7,12 +7,10 @@ continuously, also while a link turns parallel to a face.
 import math
 from collections.abc import Sequence
 from itertools import chain, pairwise, product
-from typing import NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
-from typing_extensions import Self
 
 from app.border.mobile import Shapes, act, is_round, nearest_of
 from app.compiled import compiled
@@ -30,7 +28,7 @@ class DistanceMonitor:
     """Distances of a fixed set of link pairs at the robot's present state."""
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
-        """Prepare pairs, whose order is that of the results; each method reads `state` anew."""
+        """Prepare pairs, whose order is that of the results; each method reads `state` again."""
         self._state, self._distances = state, PairDistances(state.model, pairs)
 
     def find_closest_points(self) -> list[ClosestPoints]:
@@ -62,65 +60,55 @@ class SmoothPoints:
     The nearest point of a flat face can be any of its points. Therefore, on each shape of `b` with
     flat faces, the points that are nearest to the nodes of `a` are nodes too.
 
-    `mean_nearest` computes the points; this class has its constant arguments.
+    `mean_nearest` computes the points.
 
     Attributes:
         rows: For each pair: its own row of the results, then the rows of the convex parts of `a` if
             there are several.
+        joints: (k, 2) the joints that move `a` and `b` of each row.
+        arrays: Fields of `app.control.inputs.ROBOT`: the constant arguments of `mean_nearest`, the
+            joint of each body, and `joints`.
     """
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
         names = list(dict.fromkeys(body for pair in pairs for body in pair))
-        bodies = [_Body.of(model, name) for name in names]
-        self._body_joints = np.array([model.body_joints[name] for name in names], dtype=int)
-        self._shapes = Shapes.together([body.shapes for body in bodies])
-        self._nodes = np.concatenate([np.empty((0, 4)), *(body.nodes for body in bodies)])
-        sizes = [(len(body.shapes.rows), len(body.nodes)) for body in bodies]
-        self._firsts = np.cumsum([(0, 0), *sizes], axis=0)
+        bodies = [_body(model, name) for name in names]
+        sizes = [(len(shapes.rows), len(nodes)) for shapes, nodes in bodies]
+        firsts = np.cumsum([(0, 0), *sizes], axis=0)
         at = [(names.index(pair.a), names.index(pair.b)) for pair in pairs]
-        whole = [(a, b, *self._firsts[a : a + 2, 0]) for a, b in at]
+        whole = [(a, b, *firsts[a : a + 2, 0]) for a, b in at]
         parts = [
             [(a, b, k, k + 1) for k in range(first, end) if end - first > 1]
             for a, b, first, end in whole
         ]
-        self._sought = np.array([*whole, *chain(*parts)], dtype=int).reshape(-1, 4)
+        sought = np.array([*whole, *chain(*parts)], dtype=int).reshape(-1, 4)
         ends = np.cumsum([len(pairs), *map(len, parts)]).tolist()
         self.rows = [[k, *range(*of_parts)] for k, of_parts in enumerate(pairwise(ends))]
-        joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
-        self.joints = np.array(joints, dtype=int).reshape(-1, 2)
-
-    def arrays(self) -> dict[str, Array]:
-        """Fields of `app.control.inputs.ROBOT`: constant arguments of `mean_nearest`, the joints of
-        the bodies, and (k, 2) the joints that move `a` and `b` of each row.
-        """
-        return {
-            "shapes": self._shapes.rows,
-            "triangles": self._shapes.triangles,
-            "nodes": self._nodes,
-            "firsts": self._firsts,
-            "sought": self._sought,
-            "body_joints": self._body_joints,
+        shapes = Shapes.together([shapes for shapes, _ in bodies])
+        joints = np.array([model.body_joints[name] for name in names], dtype=int)
+        self.joints = joints[sought[:, :2]]
+        self.arrays = {
+            "shapes": shapes.rows,
+            "triangles": shapes.triangles,
+            "nodes": np.concatenate([np.empty((0, 4)), *(nodes for _, nodes in bodies)]),
+            "firsts": firsts,
+            "sought": sought,
+            "body_joints": joints,
             "pair_joints": self.joints,
         }
 
 
-class _Body(NamedTuple):
-    shapes: Shapes
-    """The body's shapes in the frame of the joint that moves the body."""
-    nodes: Array
-    """(K, 4) [m] points of the body's core in that frame, each with the radius around the core."""
+def _body(model: RobotModel, name: str) -> tuple[Shapes, Array]:
+    """A body's shapes, and the points (K, 4) [m] of its core, each with the radius around the core.
 
-    @classmethod
-    def of(cls, model: RobotModel, name: str) -> Self:
-        objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
-        cores = [
-            _core(shape, placed)
-            for shape, placed in zip(model.description.body(name).shapes, objects, strict=True)
-        ]
-        return cls(
-            Shapes.together([Shapes.of(each.geometry, each.placement) for each in objects]),
-            np.vstack([np.column_stack([at, np.full(len(at), radius)]) for at, radius in cores]),
-        )
+    Both are in the frame of the joint that moves the body.
+    """
+    objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
+    cores = map(_core, model.description.body(name).shapes, objects)
+    return (
+        Shapes.together([Shapes.of(each.geometry, each.placement) for each in objects]),
+        np.vstack([np.column_stack([at, np.full(len(at), radius)]) for at, radius in cores]),
+    )
 
 
 @compiled()
@@ -199,27 +187,21 @@ def _mean_nearest(
 
 @compiled()
 def mean_nearest(
-    rows: Array,
-    triangles: Array,
-    nodes: Array,
-    firsts: Array,
-    sought: Array,
-    placed: Array,
-    blend: float,
+    bodies: tuple[Array, Array, Array, Array], sought: Array, placed: Array, blend: float
 ) -> Array:
     """(k, 4, 3) [m] p_a, p_b, n and core of `ClosestPoints` in the world, as in `SmoothPoints`.
 
     There is a row for each pair, then one for each convex part of the bodies `a` with several.
 
     Args:
-        rows: (P, 16) rows of `Shapes` of all bodies, one body after the other.
-        triangles: (T, 4, 3) triangles of these shapes.
-        nodes: (K, 4) [m] core points of all bodies, each with its radius.
-        firsts: (bodies + 1, 2) index of the first shape and of the first node of each body.
+        bodies: (P, 16) rows and (T, 4, 3) triangles of `Shapes` of all bodies, one body after the
+            other; (K, 4) [m] their core points, each with its radius; (bodies + 1, 2) index of the
+            first shape and of the first node of each body.
         sought: (k, 4) numbers of `a` and `b`; first and end index of the relevant shapes of `a`.
         placed: (4 bodies, 3) pose of each body in the world: three rows of R, then the origin [m].
         blend: [m] τ.
     """
+    rows, triangles, nodes, firsts = bodies
     found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))
     work = np.empty((most, 5))  # places, radii and distances of a pair's nodes
     for k in range(len(sought)):
@@ -240,13 +222,10 @@ def mean_nearest(
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
-    """Points of a shape's core: along a capsule's axis, a sphere's centre, or corners.
+    """Points (K, 3) [m] of a shape's core in its joint's frame, and the radius [m] around the core.
 
-    The corners are those that are farthest in 26 directions; each rim of a cylinder has eight.
-
-    Returns:
-        (K, 3) [m] these points, in the frame of the joint that moves the shape; and [m] the radius
-        of the shape around its core.
+    The points are along a capsule's axis, a sphere's centre, or the corners that are farthest in
+    any of the 26 directions of `_SIGNS`; each rim of a cylinder has eight corners.
     """
     radius = 0.0
     if isinstance(shape, Capsule):
@@ -256,7 +235,8 @@ def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
     elif isinstance(shape, Sphere):
         nodes, radius = np.zeros((1, 3)), shape.radius_m
     else:
-        nodes = _farthest_out(_corners(shape, placed.geometry))
+        corners = _corners(shape, placed.geometry)
+        nodes = corners[np.unique((corners @ _SIGNS.T).argmax(axis=0))]
     return np.array([placed.placement.act(node) for node in nodes]), radius
 
 
@@ -269,8 +249,3 @@ def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
         heights = np.repeat([-0.5, 0.5], len(rim)) * shape.length_m
         return np.column_stack([np.vstack([rim, rim]), heights])
     return np.array(geometry.points())
-
-
-def _farthest_out(corners: Array) -> Array:
-    """(K, 3) [m] the corners that are farthest in any of the 26 directions of `_SIGNS`."""
-    return corners[np.unique((corners @ _SIGNS.T).argmax(axis=0))]

@@ -2,8 +2,9 @@
 
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
 table of quantities (`app.control.quantities`). The formulas of other modules take arrays instead of
-`w`, and only this file connects them; `readings`, `references` and `estimate_load` work on `w`
-itself. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
+`w`, and only this file connects them; `readings`, `references`, `estimate_load` and
+`torque_reachable_bounds` work on `w` itself. docs/method.md has the formulas that are not in the
+paper. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
 Tasks have weights instead of strict levels, and each QP is strictly convex. Each row of T_sca for a
 pair within the arm, and each row of T_rep (method `repulsive`), is a spring whose stiffness grows
@@ -11,25 +12,17 @@ with its activation β (`insert_rows`). The base's rows are blended with the oth
 (`blend_base`); only in `set_up_room` they are springs too. A row with β = 0 has no effect, so the
 branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
-These quantities lead from the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des
-(29), a_base_cmd, and v_cmd by the admittance law (§4.1, `update_command`).
+**The base** (`command_base`) precedes the arm, because it follows its commands late. Its tasks have
+slow gains (`slow`), because its commands are rare:
 
-The base's command is computed before the arm's torques, because the base follows its commands late.
-
-**The base** (`command_base`). Its tasks have slow gains (`slow`), because its commands are rare:
-
-1. `set_up_free_base`: a_free is the base's part of the q̈ that minimises the costs of posture and
-   T_2, with the rows of pairs within the arm as springs, subject to the limits of joints, torques
-   and base accelerations, and for the method `barrier` of distances. While a person guides the arm,
-   the base comes to rest, a_free = −k ν, without a QP; only `barrier` then solves a QP too.
-2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
-   a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
-3. `undragged`, if β_m > 0: an acceleration near a_des, in the metric of the base's inertia, that
-   drags the end-effector along as little as possible where the arm cannot compensate.
-4. `set_up_room`, only while tracking: the smallest change of this acceleration with which the arm
-   fulfils T_2 within its limits: joints and torques, and for the method `dbb` the distances of all
-   pairs (`write_limits`).
+1. `set_up_free_base`: a_free is the base's acceleration by all tasks except its rows of T_sca.
+   While a person guides the arm, a_free brakes the base, and only the method `barrier` has a QP.
+2. `blend_base`: a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
+3. `undragged`: a limit of the drag of the end-effector, if β_m > 0.
+4. `set_up_room`: room for the arm's task T_2 within the limits of the arm, only while tracking.
 5. The result is clipped to ±a_max, because `set_up_room` has no limit of the base.
+
+The admittance law (§4.1, `update_command`) converts the result to the velocity command.
 
 **The arm** (`accelerate_arm`). Its q̈ minimises the errors of the tasks; the rows of T_sca are
 springs that compete with them, (29). The arm's limits apply, and the base has its present
@@ -57,8 +50,8 @@ from app.border.nearest import BORDER
 from app.compiled import compiled
 from app.control.inputs import GAINS, ROBOT
 from app.control.limits import (
+    barrier_bound,
     distance_rows,
-    early_barrier_bound,
     fastest_rate,
     joint_bounds,
     joint_rows,
@@ -105,12 +98,10 @@ from app.robot.state import (
 )
 from app.strict import Array
 
-BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one:
-# a jump would abruptly accelerate an arm inside the buffer
+BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one
 
 DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
-"""Source of the base's acceleration in the arm's problem: the model of its drive, the caller, or
-the command itself."""
+"""Source of the base's acceleration in the arm's QP: model of the drive, caller, or command."""
 
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
 """Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room` and `set_up_arm`, and the
@@ -148,12 +139,10 @@ def update_estimate(
     The present buffer distance `w.d_b` starts at the configured one, and approaches a new one at
     `BUFFER_RATE`. Without valid readings, or with the fault `jump` or `localisation`, all
     references are forgotten. With valid readings, `shift_reference` then shifts the reference that
-    `take_reference` has written.
+    `take_reference` has written. The result is whether the readings have a fault; invalid readings
+    have one.
 
     Paper: Algorithm 2, the part of line 2 that precedes pinocchio's computation.
-
-    Returns:
-        Whether the readings have a fault; invalid readings have one.
     """
     way = BUFFER_RATE * gains.dt
     if math.isnan(w.d_b[()]):
@@ -193,8 +182,7 @@ def algorithm_2(
         slow: `GAINS` of the slower configuration `app.config.slowed`, for the base's QPs.
         border: `BORDER`.
         w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
-        base_source: One of `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) and
-            `BASE_AS_COMMANDED`.
+        base_source: `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) or `BASE_AS_COMMANDED`.
         tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
 
     Returns:
@@ -225,11 +213,7 @@ def algorithm_2(
 
 @compiled()
 def activate_pairs(gains: Any, w: Any) -> None:
-    """Write the activation β of each pair, a function of its distance and of `w.d_b` (Figure 10).
-
-    If the configured d_b changes, `update_estimate` lets `w.d_b` approach it at `BUFFER_RATE`, but
-    the border is that of the new d_b at once.
-    """
+    """Write the activation β of each pair by its distance and `w.d_b` (Figure 10)."""
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
 
@@ -247,18 +231,10 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
         fill(w.f[i], 0.0)
         if w.beta[i] > 0.0:
             p_b = seen_from(w.R_base, w.p_o, w.p_b[i])
-            n = times(w.R_base.T, w.normal[i])
-            # The step uses the score (10) at p_n; `nearest_border` uses surface or sampled points.
-            p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(  # line 5, Algorithm 3
-                border,
-                i,
-                robot.score_coefficients[i],
-                p_b,
-                w.d[i],
-                gains.alpha_gain,
-                gains.alpha_min,
-                gains.alpha_max,
-            )
+            n, score = times(w.R_base.T, w.normal[i]), robot.score_coefficients[i]
+            step = gains.alpha_gain, gains.alpha_min, gains.alpha_max
+            found = find_acting_point(border, i, score, p_b, w.d[i], step)  # line 5, Algorithm 3
+            p_n, p_t, p_act, t, w.alpha[i] = found
             put(w.p_n[i], p_n)
             put(w.p_t[i], p_t)
             put(w.p_act[i], p_act)
@@ -321,9 +297,9 @@ def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
-    """The part of line 2 that follows pinocchio's computation, and FindClosestPoints of lines 4, 9.
+    """Write dynamics, end-effector motion, and distances with closest points and motions.
 
-    The results are dynamics, end-effector motion, and distances with closest points and motions.
+    This is the part of line 2 that follows pinocchio's computation, and lines 4 and 9.
     """
     M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.J_pin, w.Y_pin, robot.T_J_m)
     put_rows(w.M, M)
@@ -349,22 +325,15 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
         T = w.oMi[robot.body_joints[k]]
         put_rows(placed[4 * k : 4 * k + 3], T[:3].T)
         put(placed[4 * k + 3], T[3])
-    points = mean_nearest(  # lines 4 and 9
-        robot.shapes,
-        robot.triangles,
-        robot.nodes,
-        robot.firsts,
-        robot.sought,
-        placed,
-        gains.closest_point_smoothing,
-    )
+    bodies = robot.shapes, robot.triangles, robot.nodes, robot.firsts
+    points = mean_nearest(bodies, robot.sought, placed, gains.closest_point_smoothing)
     put_rows(w.p_a, points[:, 0])
     put_rows(w.p_b, points[:, 1])
     put_rows(w.normal, points[:, 2])
     put_rows(w.core, points[:, 3])
-    J, Jdqd, d_dot = distance_motions(
+    J, Jdqd, d_dot = distance_motions(  # (21)
         w.J_pin, robot.T_J_m, w.twists, w.biases, robot.pair_joints, w.core, w.normal
-    )  # (21)
+    )
     put_rows(w.J, J)
     put(w.Jdqd, Jdqd)
     put(w.d_dot, d_dot)
@@ -373,11 +342,8 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
 @compiled()
 def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
     """ẍ_r − J̇_r q̇ (k,) [m/s²] of the pairs within the arm (L_m^c)."""
-    b_r = np.empty(len(w.beta) - robot.n_mob)
-    for j in range(len(b_r)):  # line 8
-        i = robot.n_mob + j
-        b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  # line 10, (20)
-    return b_r
+    links = slice(robot.n_mob, len(w.beta))  # line 8
+    return generate_rep_acc(w.d_dot[links], gains.k_p, gains.k_v) - w.Jdqd[links]  # line 10, (20)
 
 
 @compiled()
@@ -408,23 +374,18 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
 
 
 @compiled()
-def put_qp(w: Any, H: Array, c: Array) -> None:
-    """Store the objective of the next QP."""
-    put_rows(w.qp_H, H)
-    put(w.qp_c, c)
+def track(gains: Any, w: Any, weight: float, damped: bool) -> tuple[Array, Array, Array, float]:
+    """H and c of the tasks `w.H_low`, `w.c_low` and T_2; right-hand side b (6,) and λ [m²] of T_2.
 
-
-@compiled()
-def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
-    """Right-hand side (6,) [m/s², rad/s²] and λ [m²] of T_2, by `end_effector_task`."""
-    return end_effector_task(
-        w.e_ee,
-        w.v_ref - w.v_ee,
-        w.a_ref - w.Jdqd_ee,
-        gains.ee_stiffness,
-        gains.ee_damping,
-        gains.ee_speed,
-    )
+    `weight` [-] is the weight of T_2; without `damped`, λ is 0.
+    """
+    velocity, acceleration = w.v_ref - w.v_ee, w.a_ref - w.Jdqd_ee
+    k_p, k_v, speed = gains.ee_stiffness, gains.ee_damping, gains.ee_speed
+    b, lm_damping = end_effector_task(w.e_ee, velocity, acceleration, k_p, k_v, speed)
+    if not damped:
+        lm_damping = 0.0
+    H, c = add_tracking(w.H_low, w.c_low, w.J_ee, b, lm_damping, k_v * w.qd, weight)
+    return H, c, b, lm_damping
 
 
 @compiled()
@@ -442,32 +403,29 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     put(w.u_min, u_min)
     put(w.u_max, u_max)
     if tracking:
-        H_low, c_low = posture_objective(
-            w.qd,
-            w.q_m,
-            w.q_posture,
-            robot.q_limits,
-            gains.posture_stiffness,
-            gains.posture_damping,
-            gains.joint_centering,
-            gains.base_weight,
-            gains.base_damping,
-        )
-        put(w.e_ee, pose_error(w.p_ee, w.R_ee, w.x_ref[3], w.x_ref[:3].T))
-        b_ee, w.lm_damping[()] = tracking_task(gains, w)
-        put(w.b_ee, b_ee)
-        velocity = gains.ee_damping * w.qd
-        weight = gains.ee_weight
-        H, c = add_tracking(H_low, c_low, w.J_ee, b_ee, w.lm_damping[()], velocity, weight)
+        arm = gains.posture_stiffness, gains.posture_damping, gains.joint_centering
+        base = gains.base_weight, gains.base_damping
+        H, c = posture_objective(w.qd, w.q_m, w.q_posture, robot.q_limits, arm, base)
     else:
         near = slice(0, robot.n_mob)
         reaction = reaction_torque(w.d[near], w.J[near], gains.f_arm, w.d_b[()], robot.n_b)
-        H_low, c_low = guided_objective(w.M, w.h, w.u_free + reaction)
-        H, c = H_low, c_low
-    put_rows(w.H_low, H_low)
-    put(w.c_low, c_low)
+        H, c = guided_objective(w.M, w.h, w.u_free + reaction)
+    put_rows(w.H_low, H)
+    put(w.c_low, c)
+    if tracking:
+        put(w.e_ee, pose_error(w.p_ee, w.R_ee, w.x_ref[3], w.x_ref[:3].T))
+        H, c, b_ee, w.lm_damping[()] = track(gains, w, gains.ee_weight, True)
+        put(w.b_ee, b_ee)
     put_rows(w.H, H)
     put(w.c, c)
+
+
+@compiled()
+def put_qp(w: Any, H: Array, c: Array, rows: slice, b: Array, least: float, fixed: int) -> None:
+    """Store the objective (H, c) of the next QP, with `rows` of T_sca and b as springs."""
+    H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], least, fixed)
+    put_rows(w.qp_H, H)
+    put(w.qp_c, c)
 
 
 @compiled()
@@ -480,8 +438,8 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     - ARM: the torques are within w.u_min and w.u_max. If the method has barriers, the distances of
       all pairs stay above d_min. The limits of joints and distances include external accelerations;
       those of speeds and distances have a margin for recent errors of velocities. While readings
-      are rare or late, the limits of joints and distances also apply with a slower rate. A joint
-      limit demands at most the acceleration that the joint's own torque can achieve.
+      are rare or late, the limits of joints and distances also apply with a slower rate.
+      `torque_reachable_bounds` then changes the limits of joints.
     - FREE_BASE: for the method `barrier`, the barriers of all pairs at d_min.
     - ROOM: for the method `dbb`, the barriers of L_m at d_min, and those of the pairs within the
       arm at w.d_b.
@@ -500,29 +458,19 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         w.q_m, w.qd_m, robot.q_limits, qd_limits, gains.position_rate, gains.velocity_rate, fastest
     )
     if for_arm:
-        bounds = torque_reachable_bounds(
-            w.M,
-            w.h,
-            w.L_aa,
-            w.u_min,
-            w.u_max,
-            gains.torque_rate,
-            bounds,
-            qd_limits - w.qd_m,
-            times(robot.J_m_inv, w.a_base_meas),
-            qdd_ext,
-        )
+        bounds = torque_reachable_bounds(robot, gains, w, bounds, qd_limits)
     torque_rows(w.M, w.h, u_min, u_max, w.C, w.l, w.u)
     joints = slice(n_m, 2 * n_m)
     joint_rows(bounds, qdd_ext, robot.qd_max, w.C[joints], w.l[joints], w.u[joints])
     count = len(robot.convex) if barrier or link_buffers else 0
     rows, least = robot.convex[:count], np.empty(count)
+    rate, most = gains.barrier_rate, gains.max_separation_speed
     for k in range(count):
         i = rows[k]
-        d_min = w.d_b[()] if link_buffers and k >= robot.n_convex_mob else gains.d_min
+        h = w.d[i] - (w.d_b[()] if link_buffers and k >= robot.n_convex_mob else gains.d_min)
         d_dot = w.d_dot[i] - speed_error(w.J[i, robot.n_b :], v_error)
-        at = w.Jdqd[i], d_dot, w.d[i] - d_min
-        least[k] = early_barrier_bound(at, gains.barrier_rate, fastest, gains.max_separation_speed)
+        slow = barrier_bound(w.Jdqd[i], d_dot, h, min(rate, fastest), most)
+        least[k] = max(barrier_bound(w.Jdqd[i], d_dot, h, rate, most), slow)
     distances = slice(2 * n_m, 2 * n_m + count)
     distance_rows(w.J, least, rows, qdd_ext, w.C[distances], w.l[distances], w.u[distances])
     fill(w.softness[:n_m], 0.0)
@@ -544,25 +492,21 @@ def assume_base(robot: Any, w: Any, base_source: int) -> None:
 
 @compiled()
 def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
-    """Set up the QP of a_free: base and arm together, without the base's rows.
+    """Set up the QP of a_free: base and arm together, without the base's rows of T_sca.
 
-    Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖² with the weight w of T_2, plus the
-    springs of the pairs within the arm. b_ee and the springs have slow gains. While a person guides
-    the arm, a task that brings the base to rest replaces T_2. The constraints are
-    −τ_max ≤ u(q̈) ≤ τ_max, the bounds of the joints at the rates of `gains`, |J_m q̈_b| ≤ a_max, and
-    for the method `barrier` the barriers of all pairs. Returns the number of limits.
+    The tasks are T_2 with slow gains, posture, and slow springs of the pairs within the arm. While
+    a person guides the arm, a task that brings the base to rest replaces T_2. The limits are those
+    of `write_limits`, and |J_m q̈_b| ≤ a_max. Returns the number of limits.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
     if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
-        velocity, b_ee = slow.ee_damping * w.qd, tracking_task(slow, w)[0]
-        H, c = add_tracking(w.H_low, w.c_low, w.J_ee, b_ee, 0.0, velocity, slow.ee_weight)
+        H, c, _, _ = track(slow, w, slow.ee_weight, False)
     else:
         H, c = add_base_rest_task(
             w.H_low, w.c_low, w.L_aa, w.qd, slow.base_weight, slow.base_damping, n_b
         )
-    rows, b_r = slice(n_b, n_b + links), link_accelerations(robot, slow, w)
-    H, c = insert_rows(H, c, w.J_sca[rows], b_r, w.B[rows], slow.slack_weight, 0)
-    put_qp(w, H, c)
+    b_r = link_accelerations(robot, slow, w)
+    put_qp(w, H, c, slice(n_b, n_b + links), b_r, slow.slack_weight, 0)
     m = write_limits(robot, gains, w, FREE_BASE)
     for i in range(n_b):
         put(w.C[m + i], robot.base_rows[i])
@@ -572,13 +516,11 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
 @compiled()
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
-    """A base acceleration near a_des that drags the end-effector along as little as possible.
+    """A base acceleration near a_des that hardly drags the end-effector along, by `limit_ee_drag`.
 
-    If β_m (here `w.B[0]`) is 0, the result is a_des. Otherwise a_des is clipped to ±a_max, and
-    `limit_ee_drag` minimises (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖². I and m are
-    the base's inertia and mass, w is `ee_hold.weight`, and D maps a command to the end-effector's
-    acceleration that the arm cannot compensate. The command a_hold leads to the mean acceleration
-    a_free of the base.
+    If β_m (here `w.B[0]`) is 0, the result is a_des. Otherwise a_des is clipped to ±a_max, the mass
+    in `limit_ee_drag` is β_m `ee_hold.weight` times the base's mass, and the command a_hold leads
+    to the mean acceleration a_free of the base.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -599,17 +541,13 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
     Minimise ‖q̈ − q̈_0‖ in the metric H: the smallest change with which the arm fulfils T_2 within
     its limits. q̈_0 has the base's response to `w.a_base_cmd`, and minimises ½ q̈ᵀ H q̈ + cᵀ q̈ over
-    the arm's entries. This cost is the sum of posture and T_2, with a far higher weight of T_2 than
-    in the other QPs, and of the base's rows as springs that follow their activation. The approach
-    rates of the limits match the base's slow response, so the base reacts early: it turns in time
-    if a wrist joint comes near its limit. Returns the number of limits.
+    the arm's entries. This cost contains posture, T_2 with a far higher weight than in the other
+    QPs, and the base's rows as springs. The limits have slow approach rates, so the base reacts
+    early: it turns in time if a wrist joint comes near its limit. Returns the number of limits.
     """
-    b_ee, lm_damping = tracking_task(slow, w)
-    velocity, weight = slow.ee_damping * w.qd, slow.base_weight * slow.ee_weight
-    H, c = add_tracking(w.H_low, w.c_low, w.J_ee, b_ee, lm_damping, velocity, weight)
+    H, c, _, _ = track(slow, w, slow.base_weight * slow.ee_weight, True)
     base = slice(0, robot.n_b)
-    H, c = insert_rows(H, c, w.J_sca[base], w.b_sca[base], w.B[base], slow.slack_weight, 0)
-    put_qp(w, H, c)
+    put_qp(w, H, c, base, w.b_sca[base], slow.slack_weight, 0)
     gain, drag = response(gains.virtual_mass, gains.virtual_damping, gains.command_period)
     put(w.qp_fixed, times(robot.J_m_inv, gain * (w.a_base_cmd - drag * w.base_velocity)))
     return write_limits(robot, slow, w, ROOM)
@@ -619,15 +557,12 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     """Set up the QP of the arm, for the base's assumed acceleration.
 
-    The QP minimises ½ q̈ᵀ H q̈ + cᵀ q̈. H and c contain all tasks below T_sca and, as springs, the
-    rows of T_sca that are not the base's. The torque limits of this step are hard; the bounds of
-    the joints and the barriers are soft. There is no slack variable: the slack of a task or a row
-    is its demand minus the result (`explanation.row_slacks`). Returns the number of limits.
+    The tasks are all tasks below T_sca and, as springs, the rows of T_sca that are not the base's.
+    There is no slack variable: the slack of a task or a row is its demand minus the result
+    (`explanation.row_slacks`). Returns the number of limits.
     """
-    n_b = robot.n_b
-    rows = slice(n_b, len(w.B))
-    H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], w.B[rows], gains.slack_weight, n_b)
-    put_qp(w, H, c)
+    rows = slice(robot.n_b, len(w.B))
+    put_qp(w, w.H, w.c, rows, w.b_sca[rows], gains.slack_weight, robot.n_b)
     put(w.qp_fixed, times(robot.J_m_inv, w.a_base_meas))
     return write_limits(robot, gains, w, ARM)
 
@@ -639,8 +574,8 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     FREE_BASE solves for all entries of q̈. ARM fixes the base's entries to `w.qp_fixed`; ROOM starts
     from these values, and can change them (`solve_qp_step`). If the active-set method finds no
     solution, `w.qp_open` marks the QP as open: `Controller` lets ProxQP solve it, and calls
-    `algorithm_2` again. In this second pass the result is ProxQP's solution. This happens at most
-    once for each QP of a step. Returns the solution (n,), and whether one is found by now.
+    `algorithm_2` again. In this second pass the result is ProxQP's solution. Returns the solution
+    (n,), and whether one is found by now.
     """
     C, l, u, softness = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
@@ -684,10 +619,9 @@ def next_command(
 
     The change of the command (n_b,) is limited to ±`a_max` [m/s² or rad/s²] times `period` [s], and
     the result to ±`v_max`; `command` and `v_max` are in m/s or rad/s. The input a, `acceleration`
-    (n_b,) [m/s² or rad/s²], is the mean of `a_base_cmd` in the command period, so that all steps of
-    the 1 kHz controller have an effect. The force M_a a is not the base's part of u, because that
-    part is not zero while the base is at rest: the base would drift. `mass` and `damping` are the
-    diagonals (n_b,) of M_a [kg or kg m²] and D_a [N s/m or N m s].
+    (n_b,) [m/s² or rad/s²], is the mean of `a_base_cmd` in the command period. The force M_a a is
+    not the base's part of u, which is not zero while the base is at rest: the base would drift.
+    `mass` and `damping` are the diagonals (n_b,) of M_a [kg or kg m²] and D_a [N s/m or N m s].
     """
     found, gain = np.empty(len(command)), response(mass, damping, period)[0]
     for i in range(len(command)):
@@ -700,26 +634,15 @@ def next_command(
 
 @compiled()
 def update_command(robot: Any, gains: Any, w: Any) -> None:
-    """Compute the admittance law's velocity command at the end of each command period (§4.1).
-
-    If the axes of a base depend on each other, `Controller` then replaces the command by an
-    admissible one.
-    """
+    """Compute the admittance law's velocity command at the end of each command period (§4.1)."""
     put(w.a_sum, w.a_sum + w.a_base_cmd * w.elapsed[()])
     w.t_sum[()] += w.elapsed[()]
     w.command_due[()] = w.t_sum[()] >= gains.command_period - gains.dt / 2
     if w.command_due[()] != 0.0:
         put(w.v_before, w.v_cmd)
-        v = next_command(
-            w.a_sum / w.t_sum[()],
-            w.v_cmd,
-            w.t_sum[()],
-            gains.virtual_mass,
-            gains.virtual_damping,
-            robot.a_max,
-            gains.largest_command,
-        )
-        put(w.v_cmd, v)
+        mean, M_a, D_a = w.a_sum / w.t_sum[()], gains.virtual_mass, gains.virtual_damping
+        a_max, v_max = robot.a_max, gains.largest_command
+        put(w.v_cmd, next_command(mean, w.v_cmd, w.t_sum[()], M_a, D_a, a_max, v_max))
         fill(w.a_sum, 0.0)
         w.t_sum[()] = 0.0
 
@@ -752,7 +675,7 @@ def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
 
     With valid readings, the first pass of a step only marks the hierarchy as open (`w.qp_open`),
-    `app.control.hqp` solves it, and the second pass writes the commands by that q̈.
+    `app.control.hqp` solves it, and the second pass writes the commands by this solution.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

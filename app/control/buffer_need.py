@@ -1,36 +1,11 @@
 """The d_b that the base requires to move away before an approaching end-effector arrives.
 
-An end-effector approaches the base along -n at a constant speed v, independent of the base. The
-lower bound of its distance from the base depends on three properties of controller and base:
-
-- Dead time t_0 = T_c + delay + τ. The controller's commands are averaged over a command period T_c
-  and reach the drive later by the delay; the first-order lag of the drive adds the delay τ. For a
-  motion along an arc, t_0 also includes the time of steering.
-- The law accelerates the base more when the end-effector is deeper in the buffer. At the distance d
-  the acceleration along -n, in each channel k of the base (v and ω of a differential one), is
-  a_k = β(d) f_max (1 - d/d_b) ‖n_xy‖ J_k(n) J_k(u) / m_k, with J(n) = (n_x, n_y x - n_x y) at the
-  end-effector's place (x, y) and m_k = m or I for a linear or an angular channel. The force points
-  from the acting point to the end-effector. The acting point is offset sideways by α_min while the
-  end-effector is d_b - d inside the border: u is the horizontal normal, turned by the angle
-  arctan(α_min / (d_b - d)) to the worse side.
-- The admittance law converts a_k to a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
-  a_k within the acceleration limit and w_k within the largest command; slip reduces both.
-
-While the end-effector is nearer than a d_* < d_b, the law commands at least a_k(d_*). Thus after
-t_0 each channel reaches its share v_k of v, in proportion to its final speed w_k, in the time
-t_k = -T_k ln(1 - v_k/(a_k T_k)). Until then the distance decreases by no more than
-
-    x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
-
-(without damping, the bracket is v_k²/(2 a_k); v includes the speed of a channel that moves towards
-the arm). Hence the distance is never below d_* - x(d_*), for every d_*. The largest of these values
-is its lower bound; it grows with d_b. The required d_b is the least one above `activation.d_full`
-for which this bound is at least 0.02 m, the reserve. If the sum of the final speeds w_k stays below
-v at every d_*, no d_b suffices.
-
-The bound has two simplifications. The end-effector does not move along the base, and a force from
-the side has a lever of at least 0.25 m for ω: near the wheel axis the tangential part of the force
-first drives the base along its own side, until the force has a lever.
+docs/method.md derives the bound ("How large must d_b be?"). The end-effector approaches the base
+along -n at a constant speed v, independent of the base. While its distance is less than d_*, the
+law accelerates the base in each of its channels k (v and ω of a differential base) by at least
+a_k(d_*). The dead time t_0 precedes this acceleration, and w_k is the final speed of the channel.
+Until the base is as fast as the end-effector, the distance decreases by at most x(d_*): it is never
+below d_* - x(d_*), for every d_*.
 """
 
 import math
@@ -56,10 +31,7 @@ _SIZES = np.geomspace(0.05, 2.0, 25)  # [m] sampled d_b
 
 @compiled()
 def _gain(v: float, a: float, T: float) -> float:
-    """[m] distance that a point of speed v gains on a second point, until their speeds are equal.
-
-    The second point starts at rest; its speed in the same direction is a T (1 - e^(-t/T)).
-    """
+    """[m] lead of a motion at speed v over one at a T (1 - e^(-t/T)), when the speeds are equal."""
     final = max(a * T, 1e-12)
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
@@ -75,22 +47,13 @@ def _bound(
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] largest d_* - x(d_*) of the module's docstring; −∞ if w_k are too low at every d_*.
+    """[m] largest d_* - x(d_*); −∞ if Σ w_k is below v at every d_*.
 
-    Args:
-        d_b: [m] buffer distance.
-        channels: (c, 6) J_k(n), J_k(t), m_k [kg or kg m²], upper bounds of a_k and w_k along n, and
-            T_k [s]. t is the horizontal part of n, turned by 90°.
-        v: [m/s] approach speed.
-        late: [s] dead time t_0.
-        traction: [-] share of a speed that is not lost to slip.
-        f_max: [N] upper bound of the avoidance force.
-        alpha_min: [m] smallest step size.
-        d_full: [m] distance of full activation.
+    The rows of `channels` (c, 6) are those of `_channels`, `late` [s] is t_0, and `traction` the
+    share of a speed that is not lost to slip. `alpha_min` and `d_full` are in m.
     """
     count = len(channels)
-    found = -np.inf
-    a, w, a_worse, w_worse = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
+    found, (a, w, a_worse, w_worse) = -np.inf, np.zeros((4, count))
     for depth in _DEPTHS:
         below = d_b * depth
         aside = math.hypot(below, alpha_min)
@@ -136,14 +99,11 @@ class Approach(NamedTuple):
 
 
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
-    """[m] the smallest d_b that ensures a distance between arm and base of at least the reserve.
+    """[m] the smallest d_b for which the bound of the distance is at least `RESERVE`.
 
-    The docstring of the module lists the assumptions. Delay and slip are those of the
-    configuration; the configured d_b has no influence.
-
-    Returns:
-        The d_b: at least the larger of reserve and d_full, so that β can rise; this value if v ≤ 0.
-        Infinite if no d_b up to 2 m suffices, for example because the arm is faster than the base.
+    Delay and slip are those of the configuration; its d_b has no influence. The result is at least
+    the larger of `RESERVE` and d_full, and is this value if v ≤ 0. It is infinite if no d_b up to
+    2 m suffices, for example because the arm is faster than the base.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:
@@ -153,10 +113,9 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 
 
 def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
-    """[m] smallest sufficient d_b for one motion of `_ways`; infinite if none suffices.
+    """[m] smallest sufficient d_b for one motion of `_ways`; infinite if no size suffices.
 
-    `sizes` (k,) [m] are ascending, and `_bound` grows with d_b: the result is the first sufficient
-    size, or a finer one between it and the size before it.
+    `sizes` (k,) [m] are ascending; the result can be between two of them. `_bound` grows with d_b.
     """
 
     def first(ascending: Array) -> int:
@@ -172,10 +131,9 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 
 
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(k,) [m] lower bound of the smallest distance between arm and base, for each d_b (k,) [m].
+    """(k,) [m] lower bound of the distance between arm and base, for each d_b (k,) [m] > d_full.
 
-    Each d_b must be larger than d_full. The bound is −∞ if the base cannot reach the speed of the
-    arm, `approach.v`, at any distance within d_b.
+    The bound is −∞ if the base cannot reach the speed `approach.v` at any distance within d_b.
     """
     ways = list(_ways(approach, base, config))
     return np.array([max(_bound(each, *way) for way in ways) for each in d_b])
@@ -183,7 +141,8 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
 
 def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[Any, ...]]:
     """The arguments of `_bound` after d_b, for each of the base's motions away from the arm."""
-    lead, force = dead_time(base, config), config.force
+    lead = config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
+    force = config.force
     for way in base.retreats():
         yield (
             _channels(way, approach, base, config),
@@ -196,13 +155,11 @@ def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[
         )
 
 
-def dead_time(base: BaseKind, config: Config) -> float:
-    """[s] time from a demand of the controller to the base's motion, without steering."""
-    return config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
-
-
 def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(c, 6) data for `_bound` of the channels of `way`, a motion of the base away from the arm."""
+    """(c, 6) J_k(n), J_k(t), m_k [kg or kg m²], bounds of a_k and w_k along n, and T_k [s].
+
+    `way` is a motion of the base away from the arm; t is the horizontal part of n, turned by 90°.
+    """
     admittance, n, p = config.admittance, approach.n, approach.p_b
     lever = n[1] * p[0] - n[0] * p[1]
     lever = math.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)

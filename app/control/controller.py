@@ -41,7 +41,7 @@ from app.control.contract import (
 )
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
-from app.control.qp import OpenQP, changed_by_proxqp, solved_by_proxqp
+from app.control.qp import changed_by_proxqp, solved_by_proxqp
 from app.control.quantities import QUANTITIES, ControlStep
 from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, later_base
 from app.control.references import take_reference
@@ -304,8 +304,8 @@ class Controller:
             return
         fixed = 0 if which == FREE_BASE else self._model.n_b
         limits = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
-        qp = OpenQP(w.qp_H, w.qp_c, *limits, w.qp_fixed[:fixed])
-        w.qp_x[which] = changed_by_proxqp(qp) if which == ROOM else solved_by_proxqp(qp)
+        solution = changed_by_proxqp if which == ROOM else solved_by_proxqp
+        w.qp_x[which] = solution(w.qp_H, w.qp_c, *limits, w.qp_fixed[:fixed])
 
 
 class Command(NamedTuple):

@@ -93,29 +93,25 @@ class NearPair(NamedTuple):
     n: tuple[float, float, float]
     """Normal from `a` to `b`, in the base's frame, of length 1 or less."""
     above: float
-    """[-] share of the force, 0 to 1, that vanishes because the arm approaches from above, where no
-    motion of the base helps."""
+    """[-] 1 − ‖n_xy‖: share of the force, 0 to 1, that vanishes if the arm is above the base."""
     arm_beta: float
     """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
     limited: bool
     """Whether the barrier of the pair's distance is active: it limits the approach."""
     force: ForceSplit | None
-    """The force of an active pair on the base. None for an inactive pair, for a pair within the
-    arm, and if the controller does not move the base."""
+    """The force of the pair on the base; None if the pair does not push the base."""
 
 
 class Level(NamedTuple):
     """The slack of one task: the task's demand minus the result."""
 
     name: LevelName
-    """"base": the base's rows of T_sca; "arm": the rows T_rep of the arm; "links": rows
-    between links; "ee": the end-effector's task; "posture": the lowest task, or "free" during
-    guiding: the motion without avoidance."""
+    """"base", "links", "arm": rows of T_sca of the base, between links, and T_rep; "ee": T_2;
+    "posture": the lowest task, or "free" during guiding: the motion without avoidance."""
     linear: float | None
     """[m/s²] norm of the linear part of the slack; None for "posture" and "free"."""
     angular: float | None
-    """[rad/s²] norm of the angular part of the slack, or of the joints' slack; None for "arm" and
-    "links"."""
+    """[rad/s²] norm of the angular or the joints' part of the slack; None for "arm" and "links"."""
 
 
 class Explanation(NamedTuple):
@@ -130,8 +126,8 @@ class Explanation(NamedTuple):
     chain: tuple[str, ...]
     """Names of all bodies: the base, then those of the arm from the base outwards."""
     near: tuple[NearPair, ...]
-    """Pairs nearer than d_b or at the bound of their barrier: first the pairs of L_m, then the
-    pairs within the arm. Each of these two groups is in the order of decreasing activation."""
+    """Pairs nearer than d_b or at the bound of their barrier: first those of L_m, then those within
+    the arm, each of these two groups in the order of decreasing activation."""
     nearest: tuple[str, str, float]
     """Body names and distance [m] of the nearest pair with the base, nearer than d_b or not."""
     axes: tuple[Axis, ...]
@@ -141,11 +137,9 @@ class Explanation(NamedTuple):
     commanded_acceleration: ByAxis
     """[m/s² or rad/s²] commanded base acceleration."""
     assumed_acceleration: ByAxis
-    """[m/s² or rad/s²] base acceleration that the arm's QP assumes: `a_base_meas`; with the
-    fallback command, the commanded acceleration."""
+    """[m/s² or rad/s²] `a_base_meas`; with the fallback command, the commanded acceleration."""
     levels: tuple[Level, ...]
-    """Slack of each active task: rows of T_sca, then T_2, then posture or guided arm; empty with
-    the fallback command."""
+    """Slack of each active task, as by `level_readings`; empty with the fallback command."""
     bounds: tuple[Bound, ...]
     """The active limits of the step."""
     base_kind: str = "differential"
@@ -166,10 +160,7 @@ class Explanation(NamedTuple):
 def explain(
     controller: Controller, w: ControlStep, config: Config, base_command: Array
 ) -> Explanation:
-    """Explain the controller's last step.
-
-    `base_command` (n_b,) [m/s or rad/s] is the present velocity command.
-    """
+    """Explain the last step, with the present velocity command (n_b,) [m/s or rad/s]."""
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
     limited = {bound.where for bound in bounds if bound.kind == "barrier"}
@@ -285,17 +276,13 @@ def _force_split(model: RobotModel, w: ControlStep, i: int) -> ForceSplit | None
         w.B[0] * (base.A_b @ resultant_force(f[None], w.p_act[i : i + 1])) for f in (away, turn)
     )
     return ForceSplit(
-        *(_pair_of(v) for v in (w.f[i], away, turn)),
+        *((float(v[0]), float(v[1])) for v in (w.f[i], away, turn)),
         *(_tuple_of(v) for v in (away_acc, turn_acc)),
         determinant=float(field.singularity(w.p_act[i])),
         reachability=float(field.reachability(w.p_act[i])),
         score=score,
         score_near=score_near,
     )
-
-
-def _pair_of(v: Array) -> Planar:
-    return float(v[0]), float(v[1])
 
 
 def _tuple_of(v: Array) -> ByAxis:

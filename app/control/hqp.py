@@ -4,12 +4,12 @@ This is the compared method `hqp`; the other parts of its step are those of `dbb
 (docs/comparison.md lists them). The cascade below corrects the paper only where necessary:
 
 - (29) has (I − B) (J_sca q̈_2* + J̇_sca q̇) on the right side: only then it is (26) at B = 0.
-- (26) leaves q̈ open if T_2 has fewer rows than q̈ has entries. A lowest level completes it:
+- (26) leaves q̈ open if T_2 has fewer rows than q̈ has entries. Therefore a lowest level follows:
   posture and damping, with a large weight on the wheels. A guided arm has no T_2 (§4.2.2): its
   lowest levels are a base at rest, then gravity compensation with joint damping.
-- The level T_sca has only the rows with β > 0, so that a pair has a row only within its buffer.
+- The level T_sca has only the rows with β > 0: those of pairs within their buffers.
 
-u is not an unknown here: (26) defines it as M q̈ + C q̇ + g, without a constraint on q̈.
+u is not an unknown here, because (26) defines u = M q̈ + C q̇ + g without a constraint on q̈.
 """
 
 from typing import NamedTuple
@@ -24,12 +24,10 @@ _DEPENDENT = 1e-9  # [-] singular value, relative to the level's norm, that coun
 
 
 class Task(NamedTuple):
-    """A level T: J q̈ + w = b with the slack w, where b = ẍ − J̇ q̇."""
+    """A level T: J q̈ + w = b with J (m, n), the slack w (m,), and b = ẍ − J̇ q̇ (m,)."""
 
     J: Array
-    """(m, n)"""
     b: Array
-    """(m,)"""
 
 
 def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
@@ -45,10 +43,19 @@ def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
 
 
 def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
-    """The levels below T_sca: T_2 and posture, or the two levels of a guided arm."""
+    """The levels below T_sca: T_2 and posture, or base at rest and gravity compensation.
+
+    The posture level is the diagonal objective `w.H_low`. The base at rest is q̈_b = −k q̇_b. The
+    gravity compensation minimises (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), with u_a = M_a q̈ + h_a and
+    u_0 = `w.u_free`.
+    """
+    n_b = w.n_b
     if w.tracking:
-        return [end_effector(w, gains), posture(w)]
-    return [base_at_rest(w, gains), gravity_compensation(w)]
+        root = np.sqrt(np.diag(w.H_low))
+        return [end_effector(w, gains), Task(np.diag(root), -w.c_low / root)]
+    at_rest = Task(np.eye(n_b, len(w.qd)), -gains.base_damping * w.qd[:n_b])
+    J, b = (np.linalg.solve(w.L_aa, each) for each in (w.M[n_b:], w.u_free - w.h[n_b:]))
+    return [at_rest, Task(J, b)]
 
 
 def end_effector(w: ControlStep, gains: TaskConfig) -> Task:
@@ -58,23 +65,6 @@ def end_effector(w: ControlStep, gains: TaskConfig) -> Task:
     """
     xdd = w.a_ref + gains.ee_damping * (w.v_ref - w.v_ee) + gains.ee_stiffness * w.e_ee
     return Task(w.J_ee, xdd - w.Jdqd_ee)
-
-
-def posture(w: ControlStep) -> Task:
-    """Posture and damping, with a large weight on the wheels: the diagonal objective `w.H_low`."""
-    root = np.sqrt(np.diag(w.H_low))
-    return Task(np.diag(root), -w.c_low / root)
-
-
-def base_at_rest(w: ControlStep, gains: TaskConfig) -> Task:
-    """q̈_b = −k q̇_b: the base comes to rest."""
-    return Task(np.eye(w.n_b, len(w.qd)), -gains.base_damping * w.qd[: w.n_b])
-
-
-def gravity_compensation(w: ControlStep) -> Task:
-    """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), with u_a = M_a q̈ + h_a and u_0 = `w.u_free`."""
-    M_a, h_a = w.M[w.n_b :], w.h[w.n_b :]
-    return Task(np.linalg.solve(w.L_aa, M_a), np.linalg.solve(w.L_aa, w.u_free - h_a))
 
 
 def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
@@ -92,10 +82,8 @@ def cascade(levels: list[Task]) -> Array:
     """q̈ (n,): min ‖w‖ level by level, without changing the slacks of higher levels.
 
     The first level has the highest priority. (26) and (29) have no inequality, so each level is a
-    least-squares problem in the null space of the higher levels.
-
-    Raises:
-        LinAlgError: A Jacobian is not finite.
+    least-squares problem in the null space of the higher levels. If a Jacobian is not finite,
+    numpy raises a LinAlgError.
 
     Paper: Eq. (26), (29).
     """

@@ -154,7 +154,7 @@ def robot_struct(
         "score_coefficients": np.array(scores).reshape(-1, 9),
         "shape_order": distances.order,
         "shape_firsts": distances.firsts,
-        **smooth.arrays(),
+        **smooth.arrays,
     }
     values = _Robot(**{name: own.get(name, getattr(model, name, None)) for name in _ROBOT})
     return ROBOT.made_of(_contiguous(values, _ROBOT))

@@ -1,18 +1,19 @@
 """The robot's limits as rows l ≤ C q̈ ≤ u: torques, joint positions and speeds, distances.
 
-Torques are hard. Joint limits and distances are soft: if they contradict each other or the torque
-limits, the QP still has a solution. External forces move the arm as well; joint limits and
-distances constrain the total acceleration of the arm, including the estimated external part.
+Torque limits are hard. Limits of joints and distances are soft: if they contradict each other or
+the torque limits, the QP still has a solution. They constrain the total acceleration of the arm:
+the sum of q̈_m and of the acceleration by external forces.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from app.compiled import compiled
-from app.control.qp import cholesky, fill, forward, inverse_diagonal, put, solved, times
+from app.control.qp import cholesky, dot, fill, forward, inverse_diagonal, put, solved, times
 from app.strict import Array
 
 _MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent errors of used velocities
@@ -22,10 +23,7 @@ _MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a l
 
 @compiled()
 def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
-    """The smallest and largest torques (n_m,) [N m or N] of a step.
-
-    They follow from the last torques (n_m,), the limits (n_m,), and the largest change in one step.
-    """
+    """Smallest and largest torques (n_m,) of a step, within `tau_max` and `change` of the last."""
     low, high = np.empty(len(u_last)), np.empty(len(u_last))
     for i in range(len(u_last)):
         at = min(max(u_last[i], -tau_max[i]), tau_max[i])
@@ -55,32 +53,18 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 
     ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
     that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
-    because an h below −2 max_speed/λ counts as this value. This is the second-order form of the
-    barrier ḣ + λ h ≥ 0, which libraries with velocity commands use. `Jdqd` [m/s²] is the
-    acceleration of the distance at q̈ = 0, `d_dot` [m/s] the speed of the distance, `h` [m] is
-    d − d_min, `rate` [1/s] λ, and `max_speed` [m/s] the largest speed of separation.
+    because an h below −2 max_speed/λ counts as this value. `Jdqd` [m/s²] is the acceleration of the
+    distance at q̈ = 0, `d_dot` [m/s] the speed of the distance, `h` is in m, and `rate` [1/s] is λ.
     """
     return -2.0 * rate * d_dot - rate**2 * max(h, -2.0 * max_speed / rate) - Jdqd
-
-
-@compiled()
-def early_barrier_bound(
-    at: tuple[float, float, float], rate: float, fastest: float, max_speed: float
-) -> float:
-    """The stricter of two bounds `barrier_bound`: with `rate`, and with min(`rate`, `fastest`).
-
-    `at` has the first three arguments of `barrier_bound`; `rate` and `fastest` are in 1/s.
-    """
-    slow = barrier_bound(at[0], at[1], at[2], min(rate, fastest), max_speed)
-    return max(barrier_bound(at[0], at[1], at[2], rate, max_speed), slow)
 
 
 @compiled()
 def fastest_rate(blind_time: float, dt: float) -> float:
     """[1/s] largest rate 1/(2 T) of the additional, slower bounds on q̈; infinite for T ≤ dt.
 
-    T is the blind time [s] (`w.blind_time`), dt [s] the control period. Between readings the law
-    reacts to its own prediction. A faster reaction to a wrong prediction lets the arm oscillate.
+    T [s] is `w.blind_time`. Between readings the law reacts to its own prediction: a faster
+    reaction to a wrong prediction would let the arm oscillate.
     """
     return 0.5 / blind_time if blind_time > dt else math.inf
 
@@ -121,57 +105,38 @@ def joint_bounds(
     for i in range(len(q)):
         lower, upper = -math.inf, math.inf
         for slowest in (math.inf, fastest):
-            rates = min(position_rate, slowest), min(speed_rate, slowest)
-            lower = max(
-                lower,
-                position_bound(q[i], qd[i], q_limits[0, i], rates[0]),
-                velocity_bound(qd[i], qd_limits[0, i], rates[1]),
-            )
-            upper = min(
-                upper,
-                position_bound(q[i], qd[i], q_limits[1, i], rates[0]),
-                velocity_bound(qd[i], qd_limits[1, i], rates[1]),
-            )
+            by_position, by_speed = min(position_rate, slowest), min(speed_rate, slowest)
+            lower = max(lower, position_bound(q[i], qd[i], q_limits[0, i], by_position))
+            lower = max(lower, velocity_bound(qd[i], qd_limits[0, i], by_speed))
+            upper = min(upper, position_bound(q[i], qd[i], q_limits[1, i], by_position))
+            upper = min(upper, velocity_bound(qd[i], qd_limits[1, i], by_speed))
         found[0, i], found[1, i] = min(lower, upper), max(lower, upper)
     return found
 
 
 @compiled()
 def torque_reachable_bounds(
-    M: Array,
-    h: Array,
-    L_aa: Array,
-    u_min: Array,
-    u_max: Array,
-    torque_rate: float,
-    bounds: Array,
-    room: Array,
-    qdd_b: Array,
-    qdd_ext: Array,
+    robot: Any, gains: Any, w: Any, bounds: Array, qd_limits: Array
 ) -> Array:
     """The `bounds` (2, n_m) on q̈_m, changed so that each joint can satisfy them by its own torque.
 
     First, the acceleration towards a speed limit is bounded: if a joint's torque changes at the
-    rate r, its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose speed is lower
-    than the speed limit by v can therefore brake in time from √(2 (M_aa⁻¹)_ii r v). Then no bound
-    demands more than the joint's torque achieves in this step, with the other torques in the middle
-    of their ranges. If one joint demanded more, the other torques would switch between their
-    limits, and an arm at its torque limits would become unstable.
-
-    M, h, L_aa, u_min and u_max are quantities of the step, `torque_rate` is r [N m/s or N/s],
-    `room` (2, n_m) is the lower and the upper speed limit, each minus q̇_m. `qdd_b` (n_b,) is q̈_b,
-    and `qdd_ext` (n_m,) the external acceleration of the joints.
+    rate r [N m/s or N/s], its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose
+    speed is lower than the speed limit by v can therefore brake in time from √(2 (M_aa⁻¹)_ii r v).
+    Then no bound demands more than the joint's torque achieves in this step, with the other torques
+    in the middle of their ranges. If one joint demanded more, the other torques would switch
+    between their limits, and an arm at its torque limits would become unstable. `qd_limits`
+    (2, n_m) are the speed limits, reduced by their margin.
     """
-    found = np.empty_like(bounds)
-    n_b, n_m = len(qdd_b), len(qdd_ext)
-    acting = 0.5 * (u_min + u_max) - h[n_b:] - times(M[n_b:, :n_b], qdd_b)
-    qdd = qdd_ext + solved(L_aa, acting)
-    inverse = inverse_diagonal(L_aa)
-    for i in range(n_m):
+    found, n_b, u_min, u_max = np.empty_like(bounds), robot.n_b, w.u_min, w.u_max
+    base = times(w.M[n_b:, :n_b], times(robot.J_m_inv, w.a_base_meas))
+    qdd = w.x_est[2] + solved(w.L_aa, 0.5 * (u_min + u_max) - w.h[n_b:] - base)
+    inverse, room = inverse_diagonal(w.L_aa), qd_limits - w.qd_m
+    for i in range(len(qdd)):
         moved = inverse[i]
         own = 0.5 * moved * (u_max[i] - u_min[i])
-        slower = math.sqrt(2.0 * moved * torque_rate * max(-room[0, i], 0.0))
-        faster = math.sqrt(2.0 * moved * torque_rate * max(room[1, i], 0.0))
+        slower = math.sqrt(2.0 * moved * gains.torque_rate * max(-room[0, i], 0.0))
+        faster = math.sqrt(2.0 * moved * gains.torque_rate * max(room[1, i], 0.0))
         lower = max(bounds[0, i], min(-slower, bounds[1, i]))
         upper = min(bounds[1, i], max(faster, bounds[0, i]))
         found[0, i], found[1, i] = min(lower, qdd[i] + own), max(upper, qdd[i] - own)
@@ -192,10 +157,10 @@ def torque_rows(
 
 @compiled()
 def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u: Array) -> None:
-    """Write the bounds (2, n_m) on q̈_m, divided by `unit` (n_m,), into C (n_m, n), l and u (n_m,).
+    """Write the bounds (2, n_m) on q̈_m + `qdd_ext` into C (n_m, n), l and u (n_m,).
 
-    The unit is the speed limit of the joint, so that a violation costs the same for every joint.
-    The bounds apply to the sum of q̈_m and the external acceleration `qdd_ext` (n_m,).
+    Each row is divided by its `unit` (n_m,), the speed limit of the joint, so that a violation
+    costs the same for every joint. `qdd_ext` (n_m,) is the external acceleration.
     """
     n_m = len(unit)
     n_b = C.shape[1] - n_m
@@ -209,18 +174,14 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
 def distance_rows(
     J: Array, least: Array, rows: Array, qdd_ext: Array, C: Array, l: Array, u: Array
 ) -> None:
-    """Write J q̈ ≥ `least` (k,), for the rows of J with the indices `rows` (k,), into C, l and u.
+    """Write `least` (k,) ≤ J (q̈ + q̈_ext) into C, l and u, for the rows of J in `rows` (k,).
 
-    This bound applies to the sum of q̈ and the external acceleration `qdd_ext` (n_m,) of the arm.
+    q̈_ext has the external acceleration `qdd_ext` (n_m,) of the arm, and 0 for the base.
     """
-    n_m = len(qdd_ext)
-    n_b = C.shape[1] - n_m
+    n_b = C.shape[1] - len(qdd_ext)
     for i in range(len(rows)):
-        moved = 0.0
         put(C[i], J[rows[i]])
-        for j in range(n_m):
-            moved += J[rows[i], n_b + j] * qdd_ext[j]
-        l[i], u[i] = least[i] - moved, np.inf
+        l[i], u[i] = least[i] - dot(J[rows[i], n_b:], qdd_ext), np.inf
 
 
 @compiled()
@@ -237,17 +198,11 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
     the arm resists for a moment by its inertia, and joints can exceed their speed limits. The
     result is at least 0; it is 0 at contact, and if no joint of the arm changes the distance.
 
-    Args:
-        d: [m] distance of the pair.
-        J: (n,) Jacobian of the distance.
-        d_dot: [m/s] speed of the distance, negative during an approach.
-        M: (n, n) inertia matrix.
-        load: (n,) torques t: the gravity terms at rest, or `steady_torques`.
-        tau_max: (n_m,) torque limits.
+    `d` [m] and `d_dot` [m/s] are the distance and its speed, J (n,) is its Jacobian, M (n, n) the
+    inertia matrix. `load` (n,) has the torques t: the gravity terms at rest, or `steady_torques`.
     """
-    n_m, static = len(tau_max), np.inf
-    n_b = len(J) - n_m
-    for i in range(n_m):
+    n_b, static = len(J) - len(tau_max), np.inf
+    for i in range(len(tau_max)):
         moved = J[n_b + i]
         if abs(moved) > 1e-9:  # [m/rad or -]
             static = min(static, (tau_max[i] - load[n_b + i] * np.sign(moved)) / abs(moved))

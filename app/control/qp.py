@@ -1,13 +1,11 @@
 """Linear algebra of small matrices, and a strictly convex QP with soft limits.
 
-For matrices of ten rows the overhead of LAPACK exceeds the computation. The QP uses the dual
-active-set method of Goldfarb and Idnani. The search ends without a solution after ten passes per
-row, if hard rows seem infeasible, or if the data are not finite. Then ProxQP, which takes a
-millisecond, is the rare last resort.
+For matrices of ten rows the overhead of LAPACK exceeds the computation. The active-set search of
+the QP ends without a solution after ten passes per row, if hard rows seem infeasible, or if the
+data are not finite. Then ProxQP, which takes a millisecond, is the rare last resort.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from proxsuite import proxqp
@@ -79,19 +77,14 @@ def forward(L: Array, b: Array) -> Array:
 
 
 @compiled()
-def _back_substitute(L: Array, x: Array) -> Array:
-    """L⁻ᵀ x, written into x."""
+def backward(L: Array, b: Array) -> Array:
+    """L⁻ᵀ b."""
+    x = b.copy()
     for i in range(len(x) - 1, -1, -1):
         for l in range(i + 1, len(x)):
             x[i] -= L[l, i] * x[l]
         x[i] /= L[i, i]
     return x
-
-
-@compiled()
-def backward(L: Array, b: Array) -> Array:
-    """L⁻ᵀ b."""
-    return _back_substitute(L, b.copy())
 
 
 @compiled()
@@ -112,7 +105,7 @@ def inverse_diagonal(L: Array) -> Array:
 @compiled()
 def solved(L: Array, b: Array) -> Array:
     """H⁻¹ b with H = L Lᵀ."""
-    return _back_substitute(L, forward(L, b))
+    return backward(L, forward(L, b))
 
 
 @compiled()
@@ -161,11 +154,8 @@ def _activate_row(
     """Change y and the active rows, the first `size` of `kept`, until row p is at its bound.
 
     `side` is 1 if row p is below its lower bound, −1 if above its upper one, `miss` the distance
-    from this bound. K and y are those of `_nearest_within`.
-
-    Returns:
-        Number of active rows, and whether row p is at its bound; if not, the hard rows are
-        infeasible.
+    from this bound. Returns the number of active rows, and whether row p is at its bound; if not,
+    the hard rows are infeasible.
     """
     m = len(y)
     while True:
@@ -199,13 +189,10 @@ def _activate_row(
 def compliances(softness: Array, length: Array) -> Array:
     """(m,) compliances of the rows after their scaling to unit length; 0 for hard rows.
 
-    Before this scaling, all rows of the same softness ε² > 0 have the compliance ε² κ, where κ is
-    the squared length of the shortest soft row: a slack s costs ½ s² / (ε² κ) in each of them. If
-    the cost depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
-
-    Args:
-        softness: (m,) [-] softness of each row; a row with 0 is hard.
-        length: (m,) √(C_i H⁻¹ C_iᵀ), length of each row before the scaling.
+    Before this scaling, a row with the length √(C_i H⁻¹ C_iᵀ) and the softness ε² > 0 has the
+    compliance ε² κ, where κ is the squared length of the shortest soft row: a slack s costs
+    ½ s² / (ε² κ). If κ depended on the row, a light wrist would accelerate strongly to brake a
+    heavy shoulder.
     """
     least = np.inf
     for i in range(len(softness)):
@@ -241,24 +228,14 @@ def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple
 def _nearest_within(
     x: Array, L: Array, C: Array, l: Array, u: Array, softness: Array
 ) -> tuple[Array, bool]:
-    """The constrained optimum, by the dual active-set method of Goldfarb and Idnani (1983).
+    """The constrained optimum (n,), by the dual active-set method of Goldfarb and Idnani (1983).
 
-    The optimum q̈ follows from z = Lᵀ (q̈ - x) = Σ y_i a_i, with the rows a_i = L⁻¹ C_iᵀ of a,
-    scaled to length one. The bounds b_l and b_u are l - C x and u - C x in the same scale. The
-    multipliers y solve b_l ≤ K y ≤ b_u, K = a aᵀ + diag(compliances); y_i ≥ 0 at a lower bound, ≤ 0
-    at an upper one, 0 between. A pass brings the most violated row to its bound; each active row
-    stays there or becomes inactive.
-
-    Args:
-        x: (n,) the free optimum.
-        L: (n, n) Cholesky factor of the objective's Hessian.
-        C: (m, n) rows of the limits.
-        l: (m,) lower bounds of C q̈.
-        u: (m,) upper bounds.
-        softness: (m,) [-] as in `compliances`.
-
-    Returns:
-        (n,) the optimum, and whether it was found.
+    x (n,) is the free optimum, and L (n, n) the Cholesky factor of H. The optimum q̈ follows from
+    z = Lᵀ (q̈ - x) = Σ y_i a_i, with the rows a_i = L⁻¹ C_iᵀ of a, scaled to length one. The bounds
+    b_l and b_u are l - C x and u - C x in the same scale. The multipliers y solve b_l ≤ K y ≤ b_u,
+    K = a aᵀ + diag(compliances); y_i ≥ 0 at a lower bound, ≤ 0 at an upper one, 0 between. A pass
+    brings the most violated row to its bound; each active row stays at its bound or becomes
+    inactive. The second result is whether the optimum was found.
     """
     if _holds(C, l, u, x, _MISSED):
         return x, True
@@ -323,11 +300,10 @@ def solve_qp(
 ) -> tuple[Array, bool]:
     """Solve min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
 
-    If no limit is active, the solution is a closed form. Otherwise, with H = L Lᵀ and
-    z = Lᵀ (x − x*) from the free optimum x*, the solution is the feasible z nearest to 0. A slack s
-    of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's softness and κ is the smallest
-    C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε² times the
-    violation at x*. Soft limits, even conflicting ones, never make the problem infeasible.
+    A slack s of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's softness and κ is the
+    smallest C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε²
+    times the violation at the optimum without limits. Soft limits, even conflicting ones, never
+    make the problem infeasible.
 
     Args:
         H: (n, n) symmetric positive definite.
@@ -335,7 +311,7 @@ def solve_qp(
         C: (m, n) rows of the limits.
         l: (m,) lower limits.
         u: (m,) upper limits.
-        softness: (m,) [-] softness of each row; a row with 0 is hard.
+        softness: (m,) [-] softness ε² of each row; a row with 0 is hard.
         fixed: (k,) the first entries of x.
 
     Returns:
@@ -355,59 +331,48 @@ def solve_qp_step(
     """The feasible x nearest to x_0, the optimum with the fixed entries and without limits.
 
     The distance is in the metric H, and all entries of x can differ from x_0, the fixed entries
-    too. The arguments are those of `solve_qp`.
-
-    Returns:
-        (n,) the solution, and whether the active sets found it.
+    too. Arguments and results are those of `solve_qp`.
     """
     x = _joined(fixed, _free_optimum(H, c, fixed)[1])
     return _nearest_within(x, cholesky(H), C, l, u, softness)
 
 
-class OpenQP(NamedTuple):
-    """min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, as in `solve_qp`."""
-
-    H: Array
-    c: Array
-    C: Array
-    l: Array
-    u: Array
-    softness: Array
-    fixed: Array
-
-
-def solved_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) of a QP; all entries are NaN if there is none or ProxQP finds none."""
-    k, x = len(qp.fixed), _without_limits(qp)
-    moved = qp.C[:, :k] @ qp.fixed
-    C, l, u = qp.C[:, k:], qp.l - moved, qp.u - moved
+def solved_by_proxqp(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
+) -> Array:
+    """The solution (n,) as by `solve_qp`; all entries are NaN if ProxQP finds none."""
+    k, x = len(fixed), _without_limits(H, c, fixed)
+    moved = C[:, :k] @ fixed
+    C, l, u = C[:, k:], l - moved, u - moved
     finite = np.isfinite(x).all() and np.isfinite(C).all()
     if not (finite and (l < np.inf).all() and (u > -np.inf).all()):
-        return np.full(len(qp.c), np.nan)
-    L = np.linalg.cholesky(qp.H[k:, k:])
+        return np.full(len(c), np.nan)
+    L = np.linalg.cholesky(H[k:, k:])
     a, reached = np.linalg.solve(L, C.T).T, C @ x
     length = np.sqrt((a**2).sum(axis=1)) + 1e-12
-    slack = np.diag(np.sqrt(compliances(qp.softness, length)))[:, qp.softness > 0.0]
+    slack = np.diag(np.sqrt(compliances(softness, length)))[:, softness > 0.0]
     A = np.hstack([a / length[:, None], slack])  # the unknowns are Lᵀ (x − x*) and the slacks
     l, u = (l - reached) / length, (u - reached) / length
     z = _nearest_to_zero(A, l, u)
-    found = np.concatenate([qp.fixed, x + np.linalg.solve(L.T, z[: len(x)])])
-    return found if np.isfinite(found).all() else np.full(len(qp.c), np.nan)
+    found = np.concatenate([fixed, x + np.linalg.solve(L.T, z[: len(x)])])
+    return found if np.isfinite(found).all() else np.full(len(c), np.nan)
 
 
-def changed_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) as by `solve_qp_step`; NaN in the cases of `solved_by_proxqp`."""
-    free = np.concatenate([qp.fixed, _without_limits(qp)])
-    return solved_by_proxqp(qp._replace(c=-qp.H @ free, fixed=qp.fixed[:0]))
+def changed_by_proxqp(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
+) -> Array:
+    """The solution (n,) as by `solve_qp_step`; all entries are NaN if ProxQP finds none."""
+    free = np.concatenate([fixed, _without_limits(H, c, fixed)])
+    return solved_by_proxqp(H, -H @ free, C, l, u, softness, fixed[:0])
 
 
-def _without_limits(qp: OpenQP) -> Array:
-    k = len(qp.fixed)
+def _without_limits(H: Array, c: Array, fixed: Array) -> Array:
+    k = len(fixed)
     try:
-        L = np.linalg.cholesky(qp.H[k:, k:])
+        L = np.linalg.cholesky(H[k:, k:])
     except np.linalg.LinAlgError:  # not positive definite
-        return np.full(len(qp.c) - k, np.nan)
-    return np.linalg.solve(L.T, np.linalg.solve(L, -(qp.c[k:] + qp.H[k:, :k] @ qp.fixed)))
+        return np.full(len(c) - k, np.nan)
+    return np.linalg.solve(L.T, np.linalg.solve(L, -(c[k:] + H[k:, :k] @ fixed)))
 
 
 def _nearest_to_zero(A: Array, l: Array, u: Array) -> Array:

@@ -5,8 +5,8 @@ them; logs, the explanation, studies and tests read them under the same names. T
 overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these
 and q̇. In addition, a step reads M, h, L_aa, J_ee, v_ee, p_ee, p_o, base_velocity and a_base_meas
 of the last step. In a step without valid readings all kinematics are those of the last valid step.
-Two states are not in the table: the control period in use (`Controller.dt`) and the state of the
-drive (`RobotState.drive`); `reset` keeps both.
+Two states are not in the table, and `reset` does not change them: the control period in use
+(`Controller.dt`) and the state of the drive (`RobotState.drive`).
 
 Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
 and its x axis points ahead. Coordinates: `axes` are the base's velocity axes ν, fixed to the base:
@@ -26,7 +26,7 @@ import numpy as np
 from numba import types
 from typing_extensions import Self
 
-from app.robot.link_pairs import ClosestPoints, Pair, with_parts
+from app.robot.link_pairs import Pair
 from app.strict import Array
 from app.structs import struct_type
 
@@ -37,17 +37,17 @@ class Quantity(NamedTuple):
     name: str
     """Name in the code, and in everything generated from the table."""
     symbol: str
-    """Symbol in the paper or the field."""
+    """Symbol in the paper or in robotics; can be empty."""
     shape: str
-    """Dimensions, separated by blanks; empty for a number. See `DIMENSIONS`."""
+    """Dimensions of `DIMENSIONS` or numbers, separated by blanks; empty for a number."""
     unit: str
     """SI units; for a vector with several kinds of entries all of them."""
     frame: str
-    """Frame or axes of the components; empty if it has none."""
+    """Frame or axes of the components; empty for a quantity without components."""
     source: str
-    """Equation, algorithm or section of the paper, or the function that computes it."""
+    """Equation, algorithm or section of the paper, or the name of a function or module."""
     meaning: str
-    """Meaning in one line; quantities that the next step reads begin with "memory"."""
+    """Meaning in one line; for a quantity that the next step reads, this line begins "memory:"."""
 
 
 DIMENSIONS = {
@@ -91,8 +91,7 @@ biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings |
     1 if a reading of the last 0.1 s is usable and no contradiction was found, else 0
-faults | | 13 | 1 | | readings |
-    1 for each fault of this step's readings, in the order of `readings.FAULTS`
+faults | | 13 | 1 | | readings | 1 for each fault of the readings, in the order of `readings.FAULTS`
 contradiction | | | 1 | | readings |
     memory: evidence that the readings contradict the commanded torques
 age | | | 1 | | readings | memory: control periods since the newest reading
@@ -217,8 +216,7 @@ b_sca | ẍ_sca − J̇_sca q̇ | n_s | m/s², rad/s² | | (24) | right-hand sid
 B | B | n_s | 1 | | (27) | diagonal of B: the activation of each row
 activation | | | 1 | | (27) | largest entry of B
 tracking | | | 1 | | | memory: 1 with a reference, 0 while a person guides the arm
-x_ref | x_d | 4 3 | 1, m | world | (26) |
-    reference pose: three columns of the rotation, then the position
+x_ref | x_d | 4 3 | 1, m | world | (26) | reference pose: columns of the rotation, then position
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
 a_ref | ẍ_d | 6 | m/s², rad/s² | world | (26) | reference acceleration
 x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest reference; NaN before
@@ -244,8 +242,7 @@ lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T
 q_posture |  | n_m | rad, m | joints | posture_objective |
     memory: arm posture of the first valid measurement, or of the last fault `jump`; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance
-H_low | H | n n | | reduced | (26) |
-    Hessian of the posture task, or of the task of a guided arm
+H_low | H | n n | | reduced | (26) | Hessian of the posture task, or of the task of a guided arm
 c_low | c | n | | reduced | (26) | linear term of the task of `H_low`
 H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
 c | c | n | | reduced | (26) | linear term of all tasks below T_sca
@@ -264,8 +261,7 @@ a_base_cmd | a | n_b | m/s², rad/s² | axes | §4.1 |
     `set_up_room`, not an equation of the paper (`command_base`, `put_commands`)
 a_base_meas | | n_b | m/s², rad/s² | axes | assume_base |
     base acceleration in the arm's QP: of the drive's model, of the caller, or the commanded one
-qdd | q̈ | n | rad/s², m/s² | reduced | (29) |
-    solution of the arm's QP; NaN with the fallback command
+qdd | q̈ | n | rad/s², m/s² | reduced | (29) | arm's QP solution; NaN with the fallback command
 u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque
 u_a | u | n_m | N m, N | joints | (26) |
     memory: commanded arm torque after the first measured posture; NaN before
@@ -335,11 +331,9 @@ class ControlStep:
     ) -> None:
         """Allocate the memory for a robot.
 
-        Args:
-            sizes: The value of each dimension in `DIMENSIONS`.
-            pinocchio: The views of `PINOCCHIO`.
-            pairs: The link pairs, those of L_m first.
-            rows: For each pair: the row of its distance, and the rows of its convex parts.
+        `sizes` has the value of each dimension in `DIMENSIONS`, and `pinocchio` the views of
+        `PINOCCHIO`. The `pairs` of L_m are first; `rows` has, for each pair, the row of its
+        distance, and the rows of its convex parts.
         """
         self.pairs, self.rows = tuple(pairs), rows
         self.pinocchio: object = None
@@ -364,14 +358,6 @@ class ControlStep:
 
     def __getattr__(self, name: str) -> Array:  # for type checkers, and for a clear error
         raise AttributeError(f"a control step has no quantity {name!r}")
-
-    def closest(self, i: int) -> ClosestPoints:
-        """The closest points of the i-th pair, in the world, as copies."""
-        return with_parts(*[self._closest(self.pairs[i], row) for row in self.rows[i]])
-
-    def _closest(self, pair: Pair, row: int) -> ClosestPoints:
-        points = (each[row].copy() for each in (self.p_a, self.p_b, self.normal, self.core))
-        return ClosestPoints(pair, float(self.d[row]), *points)
 
     @property
     def base_avoidance(self) -> Array:

@@ -8,7 +8,7 @@ strict levels jumps where levels become dependent. q̈ (n,) begins with the n_b 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -41,17 +41,11 @@ def cubic(s: float) -> float:
 
 @compiled()
 def activation(d: float, d_b: float, d_full: float) -> float:
-    """β of a link pair: 0 for d ≥ d_b, 1 for d ≤ d_b − `rise_length`, a cubic between.
+    """β [-] of a link pair at the signed distance d [m], with a continuous derivative in d.
+
+    β is 0 for d ≥ d_b, 1 for d ≤ d_b − `rise_length`, and a cubic between.
 
     Paper: Figure 10; there d_b = 0.15 m and d_full = 0.05 m.
-
-    Args:
-        d: [m] signed distance of the pair.
-        d_b: [m] buffer distance.
-        d_full: [m] distance of full activation, if it is at most d_b − `_SHORTEST_RISE`.
-
-    Returns:
-        β in [0, 1], with a continuous derivative in d.
     """
     return cubic((d_b - d) / rise_length(d_b, d_full))
 
@@ -75,8 +69,8 @@ def mobile_activation(beta: Array) -> float:
 
 
 @compiled()
-def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
-    """ẍ_r = k_p − k_v ḋ [m/s²]: separates the links of a pair.
+def generate_rep_acc(d_dot: Any, k_p: float, k_v: float) -> Any:
+    """ẍ_r = k_p − k_v ḋ [m/s²]: separates the links of a pair, or of each pair of an array.
 
     Paper: Eq. (20), where ḋ [m/s] is nᵀ(ṗ_b − ṗ_a). k_p is in m/s², k_v in 1/s.
     """
@@ -89,10 +83,9 @@ def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) ->
 
     n (3,) is the normal from the base to the arm, of length 1 or less, ṗ (3,) [m/s] the velocity of
     the closest point relative to the base; k_p is in m/s², k_v in 1/s. The compared method
-    `repulsive` realises ẍ_rep by the arm alone. It is a simplified form of the method by Dietrich
-    et al. (2011, 2012) that §4.2.1 names: k_p and k_v are constant, and the activation β fades the
-    task in and out. In Dietrich's method the force is the gradient of a potential of the distance,
-    and the damping depends on the configuration.
+    `repulsive` realises ẍ_rep by the arm alone. This is a simplified form of the method by Dietrich
+    et al. (2011, 2012) that §4.2.1 names: there the force is the gradient of a potential of the
+    distance, and the damping depends on the configuration.
     """
     return k_p * n - k_v * velocity
 
@@ -111,20 +104,13 @@ def generate_avoidance_task(
 ) -> None:
     """Write the rows of T_sca: those of the base, then those of the pairs within the arm.
 
-    The base's rows are [J_m O] q̈ = ẍ_m with J̇_m = 0; all have the activation β_m.
+    The base's rows are [J_m O] q̈ = ẍ_m with J̇_m = 0: `base_rows` (n_b, n) and `xdd_m` (n_b,)
+    [m/s² or rad/s²]. All have the activation `beta_m` [-], 0 if the method does not move the base.
+    The pairs within the arm (L_m^c) have the Jacobians `J_r` (k, n) of (21), the right-hand sides
+    `b_r` (k,) [m/s²] ẍ_r − J̇_r q̇, and the activations `beta_r` (k,). The outputs are the first
+    n_b + k rows of J_sca, of ẍ_sca − J̇_sca q̇ (`b_sca`), and of the diagonal `B`.
 
     Paper: Eq. (16), (19), (22), (23), (24), (25), (27).
-
-    Args:
-        base_rows: (n_b, n) [J_m O].
-        xdd_m: (n_b,) [m/s² or rad/s²] ẍ_m of (16).
-        beta_m: [-] β_m of (28), or 0 if the method does not move the base.
-        J_r: (k, n) Jacobians (21) of the distances of the pairs within the arm (L_m^c).
-        b_r: (k,) [m/s²] ẍ_r − J̇_r q̇ of these pairs.
-        beta_r: (k,) [-] activations of these pairs.
-        J_sca: (≥ n_b + k, n) output.
-        b_sca: (≥ n_b + k,) ẍ_sca − J̇_sca q̇, output.
-        B: (≥ n_b + k,) the diagonal of B, output.
     """
     n_b = len(xdd_m)
     for i in range(n_b):
@@ -137,7 +123,7 @@ def generate_avoidance_task(
 
 @compiled()
 def rotation_vector(R: Array) -> Array:
-    """(3,) [rad] rotation axis times angle of R (3, 3); the angle is within [0, π]."""
+    """(3,) [rad] axis of the rotation R (3, 3) times its angle, which is within [0, π]."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     q = np.empty(4)  # w, then the vector part, by the largest of the four
     if trace > 0.0:
@@ -196,18 +182,12 @@ def end_effector_task(
 ) -> tuple[Array, float]:
     """T_2 ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
 
-    The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times `max_speed`. Therefore
-    the end-effector approaches a distant target at `max_speed`.
+    The norms of the linear and of the angular part of k_p (x_d ⊖ x) are bounded by k_v times
+    `max_speed` [m/s and rad/s]. Therefore the end-effector approaches a distant target at this
+    speed. `pose` (6,) [m, rad] is x_d ⊖ x, `velocity` (6,) [m/s, rad/s] its derivative, and
+    `acceleration` (6,) [m/s², rad/s²] is ẍ_d − J̇_ee q̇. k_p is in 1/s², k_v in 1/s.
 
     Paper: Eq. (26), its task T_2.
-
-    Args:
-        pose: (6,) error of the pose: linear [m], then angular [rad].
-        velocity: (6,) error of the velocity [m/s, rad/s].
-        acceleration: (6,) ẍ_d − J̇_ee q̇ [m/s², rad/s²].
-        k_p: [1/s²] position gain.
-        k_v: [1/s] velocity gain.
-        max_speed: [m/s] and [rad/s] upper bound of the correction speed.
 
     Returns:
         The right-hand side b (6,) of J_ee q̈ = b; and λ [m²], the squared norm of the bounded pose
@@ -235,12 +215,10 @@ def add_tracking(
 
     If a limit or another task nearly contradicted T_2 as a strict level, this level would demand
     unbounded accelerations. The weighted task instead has an error of 1/w of the posture's demand.
-    A remaining pose error adds the cost ½ w λ ‖q̈ + k_v q̇‖² in the metric H, where λ is the square
-    of this error: the damping of Levenberg and Marquardt in the form by Sugihara (2011). Thus an
-    arm at full stretch comes to rest.
-
-    J (6, n) is J_ee, b (6,) the right-hand side of T_2, `lm_damping` λ [m²], `velocity` k_v q̇ (n,);
-    H is (n, n), c (n,).
+    A remaining pose error adds the cost ½ w λ ‖q̈ + k_v q̇‖² in the metric H, where λ [m²] is the
+    square of this error (`lm_damping`): the damping of Levenberg and Marquardt in the form by
+    Sugihara (2011). Thus an arm at full stretch comes to rest. J (6, n) is J_ee, b (6,) the
+    right-hand side of T_2, `velocity` (n,) k_v q̇; H is (n, n), c (n,).
 
     Paper: Eq. (26).
 
@@ -269,11 +247,8 @@ def posture_objective(
     q_m: Array,
     q_posture: Array,
     q_limits: Array,
-    stiffness: float,
-    damping: float,
-    joint_centering: float,
-    base_weight: float,
-    base_damping: float,
+    arm: tuple[float, float, float],
+    base: tuple[float, float],
 ) -> tuple[Array, Array]:
     """H (n, n) and c (n,) that damp the arm, move it towards a posture, and bring the base to rest.
 
@@ -287,14 +262,14 @@ def posture_objective(
         q_m: (n_m,) [rad or m] joint positions.
         q_posture: (n_m,) [rad or m] the posture.
         q_limits: (2, n_m) [rad or m] lower and upper joint limits.
-        stiffness: [1/s²] stiffness towards the posture.
-        damping: [1/s] damping of the joints.
-        joint_centering: [1/s²] restoring acceleration at a joint limit, relative to half the range.
-        base_weight: [-] cost of the base's acceleration relative to a joint's.
-        base_damping: [1/s] damping of the base.
+        arm: Stiffness towards the posture [1/s²], damping of the joints [1/s], and restoring
+            acceleration at a joint limit, relative to half the range [1/s²].
+        base: Cost of the base's acceleration, relative to a joint's [-], and its damping [1/s].
     """
     n, n_m = len(qd), len(q_m)
     n_b = n - n_m
+    stiffness, damping, joint_centering = arm
+    base_weight, base_damping = base
     H, c = np.zeros((n, n)), np.empty(n)
     for i in range(n_b):
         H[i, i] = base_weight
@@ -322,17 +297,9 @@ def stable_damping(damping: Array, inertia: Array, time: float) -> Array:
 
 @compiled()
 def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
-    """u_0 = g_a − D q̇_a (n_m,) [N m or N]: gravity compensation and joint damping.
-
-    Args:
-        g: (n,) gravity terms.
-        qd: (n,) q̇.
-        joint_damping: (n_m,) [N m s/rad or N s/m] D.
-    """
-    n_b, u = len(g) - len(joint_damping), np.empty(len(joint_damping))
-    for i in range(len(u)):
-        u[i] = g[n_b + i] - joint_damping[i] * qd[n_b + i]
-    return u
+    """u_0 = g_a − D q̇_a (n_m,) [N m or N]: gravity compensation and damping D of the joints."""
+    n_b = len(g) - len(joint_damping)
+    return g[n_b:] - joint_damping * qd[n_b:]
 
 
 @compiled()
@@ -344,8 +311,7 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     adds a torque along its J_rᵀ. There is no posture task, because the person would feel it.
     """
     n_b, c = len(h) - len(u_0), np.zeros(len(h))
-    for i in range(len(u_0)):
-        c[n_b + i] = h[n_b + i] - u_0[i]
+    put(c[n_b:], h[n_b:] - u_0)
     return M, c
 
 
@@ -356,7 +322,7 @@ def add_base_rest_task(
     """H and c of a guided arm for a free base, with the task that brings this base to rest.
 
     The arguments H and c are those of `guided_objective`, `L_aa` is the Cholesky factor of M_aa,
-    `qd` (n,) is q̇; `weight` [-] and `damping` [1/s] are `base_weight` and `base_damping`.
+    and `qd` (n,) is q̇. `weight` [-] and `damping` [1/s] are `base_weight` and `base_damping`.
     """
     n = len(c)
     H, c = H.copy(), c.copy()
@@ -382,8 +348,8 @@ def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array
 
     This is our extension. The force (14) acts on the base alone; without a reaction a released arm
     would stay in the buffer, and the base would continue to move. `d` (k,) [m] and `J` (k, n) are
-    distances and Jacobians of the pairs of arm and base; f [N] is the force at contact, d_b [m] the
-    buffer distance. 1 − d/d_b is limited to 0 … 1, and J_a is the arm's part of J.
+    distances and Jacobians of the pairs of arm and base, and f [N] is the force at contact.
+    1 − d/d_b is limited to 0 … 1, and J_a is the arm's part of J.
     """
     u = np.zeros(J.shape[1] - n_b)
     for i in range(len(d)):
@@ -401,30 +367,24 @@ def insert_rows(
     """Add rows of T_sca to the tasks below, ½ q̈ᵀ H q̈ + cᵀ q̈, as springs that follow β.
 
     Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇. With ε = `least`, its compliance is
-    (1 − β_i + ε)/β_i times J_i H⁻¹ J_iᵀ, the compliance of the tasks below along this row. For
-    ε = 0 and without other rows, row i yields
+    (1 − β_i + ε)/β_i times J_i H⁻¹ J_iᵀ, the compliance of the tasks below along row i. For ε = 0
+    and without other rows, row i yields
 
         J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
 
     the blend of (29), where q̈*_∖i is the solution without row i. With other rows, row i has no
     effect at β_i = 0, and at β_i = 1 it is satisfied up to an error in proportion to ε. The paper
     blends all rows with the solution without any of them: this blend jumps when a row enters while
-    a different row is active. The computing time is proportional to the number of rows.
+    a different row is active.
+
+    H (n, n) is symmetric positive definite; `J` (k, n), `b` (k,) and `beta` (k,) are the rows. The
+    first `fixed` entries of q̈ are fixed, and do not contribute to J_i H⁻¹ J_iᵀ.
 
     Paper: Eq. (29).
 
-    Args:
-        H: (n, n) symmetric positive definite.
-        c: (n,) linear term of the tasks below.
-        J: (k, n) rows J_i of T_sca.
-        b: (k,) right-hand sides b_i.
-        beta: (k,) [-] activations β_i.
-        least: [-] ε, compliance of a row at β = 1, relative to J_i H⁻¹ J_iᵀ.
-        fixed: Number of fixed first entries of q̈, which do not contribute to J_i H⁻¹ J_iᵀ.
-
     Returns:
         (n, n) H + Σ w_i J_iᵀ J_i and (n,) c − Σ w_i b_i J_iᵀ, with
-        w_i = β_i / ((1 − β_i + least) J_i H⁻¹ J_iᵀ).
+        w_i = β_i / ((1 − β_i + ε) J_i H⁻¹ J_iᵀ).
     """
     H, c, L = H.copy(), c.copy(), cholesky(H[fixed:, fixed:])
     for i in range(len(b)):
@@ -460,8 +420,7 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
     extension: R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b. J is the arm's part of the end-effector's linear
     Jacobian in `J_ee` (6, n), and J_b the base's part times `J_m_inv`. Q is the diagonal matrix
     of the joints' speed limits `qd_max` (n_m,) [rad/s or m/s], and v is `speed` [m/s]. Along a
-    direction in which the joints can move the end-effector at v, half of the base's motion remains;
-    at 2 v, one seventeenth.
+    direction in which the joints can move the end-effector at v, half of the base's motion remains.
     """
     n_b, n_m = len(J_m_inv), len(qd_max)
     follows = np.zeros((3, 3))
@@ -488,10 +447,10 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
     """The base acceleration near the desired one that hardly drags the end-effector along.
 
     The result a minimises (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖². The second term acts
-    like a mass m on the end-effector along directions in which the arm does not compensate the
+    like a mass m [kg] on the end-effector along directions in which the arm does not compensate the
     base's motion. Along all other directions D is close to 0, and a is close to a_des. With a_hold
     the end-effector fulfils its task. `desired` and `hold` (n_b,) are in m/s² or rad/s², `inertia`
-    (n_b,) [kg or kg m²] is the diagonal of I, `mass` m [kg], and `drag` D (3, n_b) is
+    (n_b,) [kg or kg m²] is the diagonal of I, and `drag` D (3, n_b) is
     `uncompensated_base_jacobian` times the gain of the admittance law.
     """
     n_b = len(inertia)

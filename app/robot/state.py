@@ -5,7 +5,7 @@ The kernels use pinocchio's Jacobian of a serial chain on a planar base. Column 
 moves. The first three rows are linear, at the origin of the world, and the last three are angular.
 Joint 1 is the planar base with the columns 0 to 2, and each joint moves all later joints. Thus a
 body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced velocities q̇_b of
-the base to its twist (v_x, v_y, ω_z).
+the base to its twist (v_x, v_y, ω_z). Points p (3,) [m] are in the world.
 """
 
 import math
@@ -54,8 +54,7 @@ class Measurement(NamedTuple):
 def numbers(name: str, values: Any, *sizes: int) -> Array:
     """An array of floats from a caller's values; masked values become NaN.
 
-    Raises:
-        MeasurementError: The values are not real numbers, or their number is not in `sizes`.
+    A MeasurementError is raised if they are not real numbers, or their number is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -68,11 +67,7 @@ def numbers(name: str, values: Any, *sizes: int) -> Array:
 
 
 def velocities(name: str, values: Any, size: int) -> Array:
-    """`numbers` of velocities (size,); None or an empty array becomes NaN.
-
-    Raises:
-        MeasurementError: The values are not real numbers, or their number is not `size`.
-    """
+    """`numbers` of velocities (size,), with its error; None or an empty array becomes NaN."""
     found = numbers(name, () if values is None else values, size, 0)
     return found if found.size == size else np.full(size, np.nan)
 
@@ -85,10 +80,8 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
             values, a time is not in seconds, or there is a time stamp without `now`.
     """
     if not isinstance(measurement, Measurement):
-        raise MeasurementError(
-            f"measured must be a Measurement({', '.join(Measurement._fields)}), was "
-            f"{type(measurement).__name__}"
-        )
+        fields, kind = ", ".join(Measurement._fields), type(measurement).__name__
+        raise MeasurementError(f"measured must be a Measurement({fields}), was {kind}")
     pose, v, q, qd, drive, now, time, base_time = measurement
     if type(pose) is type(v) is type(q) is type(qd) is type(drive) is Array:
         shapes = pose.shape, v.shape, q.shape, qd.shape, drive.shape
@@ -175,15 +168,9 @@ def _swept(v: _Vector, w: _Vector, p: _Vector) -> tuple[float, float, float]:
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twist of the body on each joint, at the origin of the world, and its derivative at q̈ = 0.
 
-    The axes of each joint turn with its parent. The base's axes are fixed to the base, so that its
-    twist is constant at q̈ = 0.
-
-    Args:
-        J: (6, 3 + n_m) as described for this module.
-        v: (3 + n_m,) pinocchio's velocity.
-
-    Returns:
-        Both (2 + n_m, 6), by joint; the first row is the world's.
+    Both are (2 + n_m, 6), by joint; the first row is the world's. v (3 + n_m,) is pinocchio's
+    velocity. The axes of each joint turn with its parent. The base's axes are fixed to the base, so
+    that its twist is constant at q̈ = 0.
     """
     joints = J.shape[1] - 1
     twists, biases = np.zeros((joints, 6)), np.zeros((joints, 6))
@@ -194,13 +181,12 @@ def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
         k, before, bias = joint + 1, biases[joint - 1], biases[joint]
         for i in range(6):
             twists[joint, i] = twists[joint - 1, i] + J[i, k] * v[k]
-        v_x, v_y, v_z, w_x, w_y, w_z = twists[joint - 1]
+        moved = twists[joint - 1]
         linear = J[0, k] * v[k], J[1, k] * v[k], J[2, k] * v[k]
         angular = J[3, k] * v[k], J[4, k] * v[k], J[5, k] * v[k]
-        turned = _swept((before[0], before[1], before[2]), (w_x, w_y, w_z), linear)
-        bias[0], bias[1], bias[2] = _swept(turned, (v_x, v_y, v_z), angular)
-        turned = _swept((before[3], before[4], before[5]), (w_x, w_y, w_z), angular)
-        bias[3], bias[4], bias[5] = turned
+        turned = _swept(before, moved[3:], linear)
+        bias[0], bias[1], bias[2] = _swept(turned, moved, angular)
+        bias[3], bias[4], bias[5] = _swept(before[3:], moved[3:], angular)
     return twists, biases
 
 
@@ -211,23 +197,16 @@ def seen_from(R: Array, p: Array, at: Array) -> Array:
     return R[0] * x + R[1] * y + R[2] * z
 
 
-@compiled()
-def _angular(twist: Array) -> tuple[float, float, float]:
-    return twist[3], twist[4], twist[5]
-
-
 @compiled("UniTuple(f8, 3)(f8[:], f8[:])")
 def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
-    """Velocity [m/s] of a body's point at p (3,) [m] in the world, from the body's twist (6,)."""
-    return _swept(twist, _angular(twist), p)
+    """Velocity [m/s] of a body's point at p (3,), from the body's twist (6,)."""
+    return _swept(twist, twist[3:], p)
 
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
 def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
-    """Acceleration [m/s²] at q̈ = 0 of a body's point at p (3,) [m] in the world, from the body's
-    twist (6,) and the twist's derivative `bias` (6,), both of `chain_motion`.
-    """
-    return _swept(point_velocity(bias, p), _angular(twist), point_velocity(twist, p))
+    """Acceleration [m/s²] of a body's point at p (3,) and q̈ = 0; twist and bias are (6,)."""
+    return _swept(point_velocity(bias, p), twist[3:], point_velocity(twist, p))
 
 
 @compiled()
@@ -238,8 +217,22 @@ def carrying(joint: int) -> int:
 
 @compiled()
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
-    """Velocity of a point at p (3,) [m] for one unit of the k-th velocity, which moves its body."""
-    return _swept((J[0, k], J[1, k], J[2, k]), (J[3, k], J[4, k], J[5, k]), p)
+    """Velocity of a point at p (3,) for one unit of the k-th velocity, which moves its body."""
+    return _swept(J[:3, k], J[3:, k], p)
+
+
+@compiled()
+def _in_reduced(rows: Array, B: Array) -> Array:
+    """Rows (k, n) for the reduced velocity q̇, from rows (k, 3 + n_m) for pinocchio's velocity."""
+    n_b = B.shape[1]
+    found = np.zeros((len(rows), n_b + rows.shape[1] - 3))
+    for i in range(len(rows)):
+        for j in range(n_b):
+            for k in range(3):
+                found[i, j] += rows[i, k] * B[k, j]
+        for j in range(n_b, found.shape[1]):
+            found[i, j] = rows[i, 3 + j - n_b]
+    return found
 
 
 @compiled()
@@ -280,18 +273,11 @@ def reduced_dynamics(
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
-    """(3, n) [m/rad or 1] Jacobian of a point on a joint's body; p (3,) [m] is in the world."""
-    n_b = B.shape[1]
-    reduced = np.zeros((3, n_b + J.shape[1] - 3))
+    """(3, n) [m/rad or 1] Jacobian of the point at p (3,) of a joint's body."""
+    rows = np.zeros((3, J.shape[1]))
     for k in range(carrying(joint)):
-        column = _column(J, k, p)
-        for i in range(3):
-            if k < 3:
-                for j in range(n_b):
-                    reduced[i, j] += column[i] * B[k, j]
-            else:
-                reduced[i, n_b + k - 3] = column[i]
-    return reduced
+        rows[0, k], rows[1, k], rows[2, k] = _column(J, k, p)
+    return _in_reduced(rows, B)
 
 
 @compiled(
@@ -304,40 +290,28 @@ def distance_motions(
     """The terms of ḋ and d̈: motions of points along normals that are fixed to other bodies.
 
     J_r = nᵀ(J_b − J_a) at the point `core` of l_b. n is fixed to l_a and points out of l_a, because
-    the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
-    round link near a face: the normal of the face is constant while the closest points slide along
-    the face, and the point of the core does not move on the link. With the term |v_⊥|²/d, which
-    belongs to the distance of two fixed points, the error of d̈ would be ten times as large.
+    the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a round link
+    near a face: the normal of the face is constant while the closest points slide along the face,
+    and the point of the core does not move on the link. The additional term |v_⊥|²/d of the
+    distance of two fixed points would make the error of d̈ ten times as large.
+
+    `joints` (k, 2) move the bodies with the normal and with the point. `at` (k, 3) [m] are the
+    points, and `normals` (k, 3) unit vectors, or shorter as in `ClosestPoints`, all in the world.
 
     Paper: Eq. (21).
-
-    Args:
-        J: (6, 3 + n_m) as described for this module.
-        B: (3, n_b) as described for this module.
-        twists: (2 + n_m, 6) of `chain_motion`.
-        biases: (2 + n_m, 6) of `chain_motion`.
-        joints: (k, 2) the joints that move the bodies with the normal and with the point.
-        at: (k, 3) [m] the points, in the world.
-        normals: (k, 3) normals in the world: unit vectors, or shorter as in `ClosestPoints`.
 
     Returns:
         (k, n) J_r; (k,) [m/s²] J̇_r q̇, including the rotation of the normals; (k,) [m/s] J_r q̇.
     """
     count = len(joints)
-    rows = np.zeros((count, B.shape[1] + J.shape[1] - 3))
-    accelerations, speeds = np.empty(count), np.empty(count)
+    rows, accelerations, speeds = np.zeros((count, J.shape[1])), np.empty(count), np.empty(count)
     for k in range(count):
         a, b, p, n = joints[k, 0], joints[k, 1], at[k], normals[k]
         # Joints that move both bodies do not move them relative to each other.
         sign = 1.0 if a < b else -1.0
         for l in range(carrying(min(a, b)), carrying(max(a, b))):
             u, v, w = _column(J, l, p)
-            along = sign * (n[0] * u + n[1] * v + n[2] * w)
-            if l < 3:
-                for j in range(B.shape[1]):
-                    rows[k, j] += along * B[l, j]
-            else:
-                rows[k, B.shape[1] + l - 3] = along
+            rows[k, l] = sign * (n[0] * u + n[1] * v + n[2] * w)
         v_b, v_a = point_velocity(twists[b], p), point_velocity(twists[a], p)
         a_b = point_bias(twists[b], biases[b], p)
         a_a = point_bias(twists[a], biases[a], p)
@@ -349,28 +323,24 @@ def distance_motions(
             + n[1] * (a_b[1] - a_a[1] - 2.0 * (w_z * x - w_x * z))
             + n[2] * (a_b[2] - a_a[2] - 2.0 * (w_x * y - w_y * x))
         )
-    return rows, accelerations, speeds
+    return _in_reduced(rows, B), accelerations, speeds
 
 
 @compiled()
 def tip_motion(
     J: Array, B: Array, twists: Array, biases: Array, p: Array
 ) -> tuple[Array, Array, Array]:
-    """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) [m] on the last body; all
-    have linear, then angular rows, in axes of the world.
+    """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) on the last body.
+
+    All have linear, then angular rows, in axes of the world.
     """
-    n_b = B.shape[1]
-    J_p = np.zeros((6, n_b + J.shape[1] - 3))
-    J_p[:3], J_p[3:, n_b:] = point_jacobian(J, B, len(twists) - 1, p), J[3:, 3:]
-    for i in range(3):
-        for k in range(3):
-            for j in range(n_b):
-                J_p[3 + i, j] += J[3 + i, k] * B[k, j]
-    twist, bias = twists[-1], biases[-1]
+    J_p, twist, bias = J.copy(), twists[-1], biases[-1]
+    for k in range(J.shape[1]):
+        J_p[0, k], J_p[1, k], J_p[2, k] = _column(J, k, p)
     v, Jdqd = twist.copy(), bias.copy()
     v[0], v[1], v[2] = point_velocity(twist, p)
     Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twist, bias, p)
-    return J_p, v, Jdqd
+    return _in_reduced(J_p, B), v, Jdqd
 
 
 @compiled(
@@ -398,7 +368,7 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     """
     joints, first = len(data.oMi), data.oMi[0].rotation
     oMi = np.lib.stride_tricks.as_strided(first, (joints, 4, 3), (96, 24, 8))
-    last = np.array(data.oMi[joints - 1].translation)
+    last = data.oMi[joints - 1].translation
     assert (oMi[-1, 3] == last).all(), "pinocchio does not store placements as assumed here"
     before = np.lib.stride_tricks.as_strided(data.oYcrb[0].lever, (joints, 2), (80, -8))[:, 1]
     Y = np.lib.stride_tricks.as_strided(before, (joints, 4), (80, 8))
@@ -420,10 +390,10 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
+    """(k,) [m] a view of the signed distances in coal's results, whose former values are lost.
 
     Reading the results one by one would take as long as computing them. Each result stores its
-    distance before its normal, and all results have the same size. Former distances are lost.
+    distance before its normal, and all results have the same size.
     """
     if len(results) == 0:
         return np.zeros(0)
@@ -487,38 +457,25 @@ class ShapeDistances:
 class RobotState:
     """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (q̇_b, q̇_m).
 
-    Attributes:
-        base_pose, base_velocity, q_m, qd_m, drive: The measurement of the last update.
-        qd: (n,) reduced velocity q̇: the base's coordinates, which are wheel speeds [rad/s] for a
-            differential base, then the arm's joints.
-        M: (n, n) inertia matrix M of (26).
-        h: (n,) C q̇ + g of (26).
-        g: (n,) g of (26).
-        R_ee: (3, 3) rotation of the end-effector in the world.
-        p_ee: (3,) [m] position of the end-effector in the world.
-        J_ee: (6, n) Jacobian of the end-effector in axes of the world: linear, then angular rows.
-        v_ee: (6,) J_ee q̇, velocity of the end-effector.
-        Jdqd_ee: (6,) J̇_ee q̇, acceleration of the end-effector at q̈ = 0.
-        twists, biases: (2 + n_m, 6) of `chain_motion`.
-        R_world_base: (3, 3) rotation of the base in the world.
-        p_o: (3,) [m] the base's centre on the floor, in the world.
+    `drive` and the first four arrays are the measurement of the last update. `R_world_base` (3, 3)
+    is the rotation of the base, and `p_o` (3,) [m] its centre on the floor, in the world.
     """
 
     base_pose: Array
     base_velocity: Array
     q_m: Array
     qd_m: Array
-    qd: Array
-    M: Array
-    h: Array
-    g: Array
-    R_ee: Array
-    p_ee: Array
-    J_ee: Array
-    v_ee: Array
-    Jdqd_ee: Array
-    twists: Array
-    biases: Array
+    qd: Array  #: (n,) q̇: wheel speeds [rad/s] or other coordinates of the base, then the joints'
+    M: Array  #: (n, n) inertia matrix of (26)
+    h: Array  #: (n,) C q̇ + g of (26)
+    g: Array  #: (n,) gravity terms of (26)
+    R_ee: Array  #: (3, 3) rotation of the end-effector in the world
+    p_ee: Array  #: (3,) [m] position of the end-effector in the world
+    J_ee: Array  #: (6, n) Jacobian of the end-effector in axes of the world, linear rows first
+    v_ee: Array  #: (6,) J_ee q̇, velocity of the end-effector
+    Jdqd_ee: Array  #: (6,) J̇_ee q̇, acceleration of the end-effector at q̈ = 0
+    twists: Array  #: (2 + n_m, 6) of `chain_motion`
+    biases: Array  #: (2 + n_m, 6) of `chain_motion`
 
     def __init__(self, model: RobotModel) -> None:
         self.model = model
@@ -559,8 +516,7 @@ class RobotState:
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
-        """Multiply the model's masses and inertias of the arm by a factor [-], from the next update
-        on.
+        """From the next update on, multiply the arm's masses and inertias by a factor [-].
 
         The centres of mass stay the same. Links that are fixed to the base, such as the arm's first
         link, and other states of the same model do not change.
@@ -569,8 +525,9 @@ class RobotState:
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """Include a point mass [kg] at `centre` (3,) [m] of the end-effector's frame. At the next
-        update, it replaces a former one.
+        """From the next update on, carry this point mass [kg] instead of a former one.
+
+        `centre` (3,) [m] is its place in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
