@@ -23,10 +23,9 @@ SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
 class Grip:
-    """Sends the pulls of one viewer, who holds at most one point of the robot.
+    """Sends the pulls of one viewer, who holds at most one point of the robot; thread-safe.
 
-    The forces of several viewers add up. All methods are thread-safe: after the release of a point,
-    no further pull of this point is sent.
+    After the release of a point, no further pull of this point is sent.
     """
 
     def __init__(
@@ -34,8 +33,7 @@ class Grip:
     ) -> None:
         """Start without a held point; commands to `sink` contain the number of `client`."""
         self._sink, self._notifier, self._client, self._timeline = sink, notifier, client, timeline
-        self._held: tuple[str | None, Point | None] | None = None
-        """Link and position of the held point, as in `take`; None without a held point."""
+        self._held: tuple[str | None, Point | None] | None = None  # arguments of the last `take`
         self._pulls = False  # whether the simulation has a pull of this viewer
         self._warned = False
         self._moved = 0.0  # [s] time of the last pull
@@ -54,11 +52,10 @@ class Grip:
         return self._held is not None
 
     def take(self, link: str | None = None, point: Point | None = None) -> None:
-        """Release the held point, and hold another one, by default the end-effector.
+        """Release the held point, and hold a point (3,) [m] of a link, or the end-effector.
 
-        `link` is the name of the joint that moves the held link; `point` (3,) [m] is in the frame
-        of this joint. If the page shows the past, no point is held: the page returns to the
-        present, with a message.
+        `link` is the name of the joint whose frame moves with the link and contains the point. If
+        the page shows the past, it returns to the present instead, with a message.
         """
         with self._lock:
             self.release()
@@ -72,9 +69,9 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
 
-        Nothing happens if no point is held, or if keys hold the point but `by_keys` is False, or
-        the reverse. If `reach` is set, no pull is sent: if the held point is the end-effector,
-        `reach` gets the unchanged target. The first negative z of a pull warns the viewer.
+        There is no effect without a held point, or if keys hold the point but `by_keys` is False,
+        or the reverse. If `reach` is set, `reach` gets the target of the end-effector, also with a
+        negative z, and no pull is sent. The first negative z of a pull warns the viewer.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -92,11 +89,10 @@ class Grip:
             self._pulls = True
 
     def nudge(self, ahead: Sequence[float], snapshot: Snapshot) -> None:
-        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead`.
+        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead` (3,).
 
-        The components of `ahead` (3,) are forward, left and up in the base's frame, and are clipped
-        to [−1, 1]. The target stays within `MOST_NUDGED` of the end-effector. The first call of a
-        pull by keys returns to the present. During a drag, the call has no effect.
+        `ahead` is forward, left and up in the base's frame, clipped to [−1, 1]. The target stays
+        within `MOST_NUDGED` of the end-effector. The first call of a pull returns to the present.
         """
         with self._lock:
             if self.holds_anything and not self._by_keys:
@@ -146,10 +142,7 @@ class DragHandles:
         notifier: Notifier,
         arm_joints: dict[int, str],
     ) -> None:
-        """Add the gizmo to the scene, and handle drags of the gizmo and of the arm's links.
-
-        `arm_joints` has the names of the arm's joints, by their indices in the drawn model.
-        """
+        """Add the gizmo; `arm_joints` has the arm's joints by their indices in the drawn model."""
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7

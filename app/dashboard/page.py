@@ -34,16 +34,15 @@ from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.snapshot import Snapshot
 
 PRODUCT = "dbb self-collision avoidance"
-PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
 PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
 UNTOUCHED = 20.0  # [s] without input before a demonstration starts
 REST = 3.0  # [s] pause between two demonstrations
+_MAIN_WIDTH = 350  # [px] of the right column
 
 
 class Page:
-    """Panels, layers, camera and point in time of one viewer.
+    """Panels, layers, camera and point in time of one viewer; the drawing thread uses it.
 
-    The drawing thread creates and draws a page. Callbacks only assign to the view or send commands.
     Create a page within the client's `atomic`, so that the viewer never sees an incomplete page.
     """
 
@@ -76,7 +75,7 @@ class Page:
         self.channel.tell("title", f"{PRODUCT} · {shared.parts.title}")
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
-        self._border = border = self._scene.border
+        border = self._border = self._scene.border
         self.channel.on("pointer", lambda *at: setattr(border, "pointer", at[:2] if at[1:] else ()))
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
@@ -101,10 +100,9 @@ class Page:
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
         if self._border.update(self.view, shown.border):
-            spoken = self._shared.spoken
-            self._why.legend.content = legend_html(
-                [each._replace(pair=spoken[each.pair]) for each in self._border.legends]
-            )
+            spoken, legends = self._shared.spoken, self._border.legends
+            named = [each._replace(pair=spoken[each.pair]) for each in legends]
+            self._why.legend.content = legend_html(named)
         with self._client.atomic():
             if self._look != (self.view.dark, self.view.light):
                 self._look = self.view.dark, self.view.light
@@ -174,13 +172,13 @@ class Page:
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
             self._key = gui.add_html("")
         panel.dock_left()
-        panel.set_width(PANEL_WIDTH)
+        panel.set_width(330)
 
     def _build_right(self) -> None:
         gui, viewer = self._client.gui, self.viewer
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(MAIN_WIDTH)
-        self.channel.on("wide", lambda _: gui.main_panel.set_width(MAIN_WIDTH))
+        gui.main_panel.set_width(_MAIN_WIDTH)
+        self.channel.on("wide", lambda _: gui.main_panel.set_width(_MAIN_WIDTH))
         self._banner = gui.add_html("", visible=False)
         self.change = JobStatus(viewer, self._shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
@@ -237,10 +235,7 @@ class Demonstration:
     _due: float | None = None
 
     def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
-        """Start or repeat the demonstration when it is due; end it if its conditions do not hold.
-
-        The drawing thread calls this method before each frame.
-        """
+        """Start or repeat the demonstration if it is due; end it if its conditions do not hold."""
         if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
             self._due = None
             for page in pages:
@@ -266,7 +261,3 @@ def hung_html(silence: float) -> str:
 
 def _show(handle: viser.GuiHtmlHandle, html: str) -> None:
     handle.content, handle.visible = html, bool(html)
-
-
-def show_failure(gui: viser.GuiApi, title: str, error: BaseException) -> None:
-    gui.add_html(banner("error", title, plain(error)))

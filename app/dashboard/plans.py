@@ -18,7 +18,6 @@ _MOVES = "β_m ẍ_m: base acceleration by the avoidance force along this axis, 
 _ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
 _ERROR = "distance [mm] of the end-effector from its target"
 _STEP = "real time [µs] of the controller in a control step; the period is 1000 µs"
-_THRESHOLD = "#98a0ab"
 _EFFORTS = {
     "rad": "torque u_a divided by its limit of {:g} N m",
     "m": "force u_a divided by its limit of {:g} N",
@@ -99,7 +98,7 @@ def _distances(
         for i, name in enumerate(names, first)
     )
     about = f"buffer distance d_b, (3), {tunable('border.d_b').allowed}"
-    d_b = Curve("buffer d_b", lambda s: s.d_b, _THRESHOLD, about, dashed=True)
+    d_b = Curve("buffer d_b", lambda s: s.d_b, "#98a0ab", about, dashed=True)
     return PlotPlan(title, (*curves, d_b), _soft(0.0, 0.4), height)
 
 

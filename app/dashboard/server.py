@@ -11,8 +11,9 @@ import viser
 
 from app.border.dbb import Cloud
 from app.dashboard.job import give_back
+from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
+from app.dashboard.page import PATIENCE, Demonstration, Page
 from app.dashboard.robots import RobotSwitch, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme
@@ -48,27 +49,23 @@ class DashboardServer:
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
         """Page of each viewer, by the number that viser assigns to the viewer."""
-        self.pictures = 0
-        """Number of frames so far."""
-        self.error: BaseException | None = None
-        """Exception that ended the drawing thread, or None."""
+        self.pictures = 0  # number of frames so far
+        self.error: BaseException | None = None  # exception that ended the drawing thread, or None
         self._texts_due = self._newcomer_due = 0.0  # [s] of `time.monotonic`
         self._notifier, self._demonstration = Notifier(viser_server), Demonstration()
         self._failure: tuple[str, BaseException] | None = None
         self._here: frozenset[int] = frozenset()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(
-            target=self._draw_until_stopped, name="dashboard", daemon=True
-        )
+        work = self._draw_until_stopped
+        self._thread = threading.Thread(target=work, name="dashboard", daemon=True)
         viser_server.on_client_disconnect(self._part)
         self.watchdog = Watchdog(viser_server, self._silent)
         self._thread.start()  # last, because only `stop` ends it
 
     def run_forever(self) -> None:
-        """Wait until another thread calls `stop`, or for Ctrl-C; call `stop` after Ctrl-C.
+        """Wait until another thread calls `stop`, or for Ctrl-C.
 
-        Raises:
-            LoopError: The simulation or the drawing has ended with an error; raised after the wait.
+        Then raise `LoopError` if the simulation or the drawing has ended with an error.
         """
         with contextlib.suppress(KeyboardInterrupt):
             give_back()
@@ -79,10 +76,7 @@ class DashboardServer:
                 raise LoopError(f"the {part} ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
-        """End the drawing thread, the pages, the background jobs, and the server.
-
-        A simulation that replaced the initial one ends too; the caller ends the initial one.
-        """
+        """End the drawing thread, the pages, the jobs, the server, and a simulation of a switch."""
         self._stopping.set()
         self._thread.join(timeout=5.0)
         for page in list(self.pages.values()):
@@ -92,8 +86,7 @@ class DashboardServer:
 
     async def _part(self, client: viser.ClientHandle) -> None:
         """End the page of a disconnected viewer at once, before the next frame."""
-        page = self.pages.get(client.client_id)
-        if page is not None:
+        if page := self.pages.get(client.client_id):
             page.end()
 
     def _newcomer(self) -> viser.ClientHandle | None:
@@ -105,8 +98,7 @@ class DashboardServer:
 
     def _silent(self, number: int) -> None:
         """Release the pull of a silent browser if it has not moved for more than `PATIENCE`."""
-        page = self.pages.get(number)
-        if page is not None:
+        if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
     def _draw_until_stopped(self) -> None:
@@ -124,7 +116,9 @@ class DashboardServer:
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has stopped", error)
-            self._show_to_late_viewers()
+            while not self._stopping.wait(0.2):
+                if client := self._newcomer():
+                    _show_failure(client, "Drawing has stopped", error)
 
     def _draw_picture(self) -> None:
         """Draw a frame of each page; no local name may refer to a robot that is replaced here."""
@@ -165,8 +159,7 @@ class DashboardServer:
 
     def _build_page(self, client: viser.ClientHandle) -> None:
         """Build a viewer's page; it replaces the viewer's page of another robot, if any."""
-        number = client.client_id
-        before = self.pages.get(number)
+        number, before = client.client_id, self.pages.get(client.client_id)
         try:
             if before is None:
                 with client.atomic():
@@ -178,7 +171,7 @@ class DashboardServer:
             client.scene.reset()
             client.gui.reset()
             self.shared.loop.send(Release(number))  # a part of the page can have pulled
-            show_failure(client.gui, _PAGE_ENDED, error)
+            _show_failure(client, _PAGE_ENDED, error)
             if before is not None:
                 self.pages.pop(number).end()
             return
@@ -205,11 +198,9 @@ class DashboardServer:
         for page in self.pages.values():
             page.fail(title, error)
 
-    def _show_to_late_viewers(self) -> None:
-        while not self._stopping.wait(0.2):
-            client = self._newcomer()
-            if client is not None and self._failure is not None:
-                show_failure(client.gui, *self._failure)
+
+def _show_failure(client: viser.ClientHandle, title: str, error: BaseException) -> None:
+    client.gui.add_html(banner("error", title, plain(error)))
 
 
 def serve_dashboard(
@@ -224,13 +215,13 @@ def serve_dashboard(
     parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
 ) -> DashboardServer:
-    """Open the dashboard and start drawing.
+    """Open the dashboard, and start to draw the simulation `loop`, which has published a snapshot.
 
     There is neither a password nor encryption: in a network that is not trusted, use an address
     that only this machine can reach.
 
     Args:
-        loop: The simulation, which has published a snapshot.
+        loop: The simulation.
         model: The simulated robot.
         clouds: Point cloud P_i of each pair of L_m, by the pair's name.
         host: Name or IP address of the server.
@@ -240,9 +231,7 @@ def serve_dashboard(
         parts: Meshes of the robot; by default they are loaded here.
         start_loop: Starts the simulation of another robot; by default the robot cannot be changed.
 
-    Raises:
-        ServerError: The address cannot be bound.
-        AssetError: The robot's URDF or the mesh of a convex body is missing.
+    Raises `ServerError` if the address cannot be bound, and the errors of `RobotParts`.
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
@@ -267,22 +256,22 @@ def _rested(begin: float) -> float:
 
 
 def check_address(host: str, port: int) -> None:
-    """Check that an address can be bound: viser hangs at a bad host, and replaces a busy port.
+    """Raise `ServerError` if an address cannot be bound, with the reason and a remedy.
 
-    Raises:
-        ServerError: The address cannot be bound; the message names the reason and a remedy.
+    viser itself hangs at a bad host, and replaces a busy port.
     """
+    failure = f"cannot listen at {host}:{port}"
     if not 0 <= port <= 65535:  # getaddrinfo would use the port modulo 65536
-        raise ServerError(f"cannot listen at {host}:{port}: a port is between 0 and 65535")
+        raise ServerError(f"{failure}: a port is between 0 and 65535")
     try:
         family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:  # UnicodeError: a label is empty or too long
         hint = "--host is a name or an address of this machine, without brackets and port"
-        raise ServerError(f"cannot listen at {host}:{port}: {error}; {hint}") from None
+        raise ServerError(f"{failure}: {error}; {hint}") from None
     with socket.socket(family, kind) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(address)
         except OSError as error:
             hint = "try another --port, or 0 for a free one"
-            raise ServerError(f"cannot listen at {host}:{port}: {error}; {hint}") from None
+            raise ServerError(f"{failure}: {error}; {hint}") from None

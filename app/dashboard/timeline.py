@@ -29,9 +29,8 @@ class Timeline:
         self._newest = loop.latest()
         self._marked: list[Stored] = []
         self._lock = threading.RLock()
-        self.begin: float | None = None
-        self.end: float | None = None
-        """[s] start and end of the marked interval; None if not marked."""
+        self.begin: float | None = None  # [s] start of the marked interval, if marked
+        self.end: float | None = None  # [s] its end, if marked
 
     @property
     def earlier(self) -> bool:
@@ -76,8 +75,7 @@ class Timeline:
     def play(self, speed: float) -> None:
         """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown.
 
-        Raises:
-            ConfigError: The speed is not within `REPLAY`.
+        Raises `ConfigError` for a speed outside of `REPLAY`.
         """
         check_range("replay speed", speed, *REPLAY, "× real time")
         with self._lock:
@@ -120,12 +118,9 @@ class Timeline:
                 self._cut(min(end, self.begin + MOST_MARKED))
 
     def mark_end(self) -> None:
-        """Mark the shown instant as the end of the interval.
+        """Mark the shown instant as the end of the interval; at the marked start, `LogError`.
 
         An earlier start in this run remains, but it is at most `MOST_MARKED` before the end.
-
-        Raises:
-            LogError: The shown instant is the marked start.
         """
         with self._lock:
             at = self.shown().t  # an interval without an end has all snapshots now

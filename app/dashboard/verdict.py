@@ -6,21 +6,19 @@ from typing import Literal, NamedTuple
 from app.control.explanation import NearPair
 from app.control.inputs import MOVES_BASE
 from app.dashboard.phrases import AT_REST, SLIGHT
-from app.dashboard.scene.colours import CLEAR, CONTACT, NEAR, RESISTS, YIELDS, Rgb
+from app.dashboard.scene.colours import Rgb
 from app.simulation.trace.snapshot import PairReading, Snapshot
 from app.simulation.trace.words import millimetres
 
 State = Literal["clear", "near", "giving way", "resisting", "contact"]
 
-COLOURS: dict[State, Rgb] = {
-    "clear": CLEAR,
-    "near": NEAR,
-    "giving way": YIELDS,
-    "resisting": RESISTS,
-    "contact": CONTACT,
+COLOURS: dict[State, Rgb] = {  # from the best state to the worst
+    "clear": (128, 138, 150),  # a pair outside its buffer
+    "near": (235, 205, 70),  # a pair inside its buffer, without a reaction
+    "giving way": (240, 150, 40),  # a pair for which the base gives way
+    "resisting": (224, 84, 36),  # a pair that only the arm keeps apart
+    "contact": (226, 16, 56),  # contact or overlap
 }
-"""Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
-is at rest or cannot help, the controller does not react, or two links hardly repel each other."""
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
 _PUSHED = 0.1  # [-] smallest β of two links of the arm at which the arm counts as resisting
 _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps

@@ -10,8 +10,7 @@ from app.dashboard.scene.legend import QUANTITIES
 HIDDEN = "hidden"  # choice for a border that is not drawn
 CHOICES = (*reversed(QUANTITIES), HIDDEN)  # choices for the colour of a border
 LABELS = "active", "all", "none"  # choices for the labels
-BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
-"""Folders of the tab "View"."""
+BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"  # folders of the tab
 
 
 def _shown(folder: str, label: str, first: bool | str, hint: str | None = None) -> Any:

@@ -35,10 +35,10 @@ from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
-
 _ENDING = 10.0  # [s] timeout for the end of viser's thread
 LOOK = 0.5  # [s] period of checks of the connections
 SILENT = 3  # [checks] without an answer, after which a viewer counts as silent
+STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
 _MINUTE = 60.0  # [s]
 _KNOCKS = (
     "opening handshake failed",
@@ -47,19 +47,15 @@ _KNOCKS = (
 )
 """Texts of the log records of failed connections. The cause is a peer, or a defect on this side."""
 _pictures = threading.BoundedSemaphore(2)  # [-] simultaneous screenshots
-STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
-
-
 _said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of each kind
 
 
 def _passes(record: logging.LogRecord) -> bool:
     """Whether a log record is written: one of each kind per minute, as any peer can cause records.
 
-    The websockets library would write a whole traceback for each wrong or excess connection, up to
-    a hundred times per second. If the peer or the connection can explain an error, the record is
-    one line. Other errors are defects of this program or of its libraries: their records keep the
-    traceback. The texts `_KNOCKS` are changed, because viser hides records with these texts.
+    A record of a failed connection is one line if the peer or the connection can explain the
+    error. Records of other errors keep their traceback, because they are defects of this program
+    or of its libraries. viser hides records with the texts `_KNOCKS`, so these texts are changed.
     """
     text = record.getMessage().partition("\n")[0]
     error = record.exc_info[1] if record.exc_info else None
@@ -87,14 +83,9 @@ def open_server(
 ) -> viser.ViserServer:
     """Start a server behind a `Gate`, at an address for which `check_address` has succeeded.
 
-    Args:
-        host: Name or IP address of the server.
-        port: Port of the server; 0 selects a free port.
-        largest_upload: [bytes] largest size of an uploaded file; 0 without uploads.
-        allowed: Further names under which browsers may reach the server.
-
-    Raises:
-        ServerError: viser starts its server in an unexpected way.
+    Port 0 selects a free port. `largest_upload` [bytes] is the largest size of an uploaded file,
+    or 0 without uploads. `allowed` has further names under which browsers may reach the server.
+    Raises `ServerError` if viser starts its server in an unexpected way.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # no records of each connection
     for name in ("websockets.server", "asyncio", logger.name):
@@ -154,9 +145,7 @@ def scene_picture(
 ) -> np.ndarray:
     """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
 
-    Raises:
-        RuntimeError: The viewer has disconnected.
-        TimeoutError: No picture has arrived within the timeout [s].
+    Raises `RuntimeError` if the viewer has disconnected, `TimeoutError` after the timeout [s].
     """
     connection = _connection(client)
     if connection is None:
@@ -266,14 +255,13 @@ class _Seen(NamedTuple):
 class Watchdog:
     """Detects viewers who do not answer, and closes connections without answers or deliveries.
 
-    A browser answers a ping even if its page is busy. The thread that receives the answers counts
-    time in checks, so that a delay of this program itself counts as one check.
+    A browser answers a ping even if its page is busy. Time is counted in checks, because the thread
+    that counts also receives the answers: a delay of this program counts as one check.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
         """Start the checks; at each one, `on_silent` gets the number of each silent viewer."""
-        self.closed = 0
-        """Number of connections that were closed; their pages connect again."""
+        self.closed = 0  # number of connections that were closed; their pages connect again
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
         loop = self._server._background_event_loop
@@ -366,10 +354,7 @@ def _icon(name: str) -> str:
 
 
 def _replace_parts_of_viser() -> None:
-    """Replace viser's queue of messages, and two parts that repeat work for each widget.
-
-    These parts open the archive of 4,000 icons, and evaluate the type hints of a class.
-    """
+    """Replace viser's queue of messages, and two parts that repeat slow work for each widget."""
     hints = cache(get_type_hints)
     of_class = property(lambda self: hints(type(self._impl.props)))
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private

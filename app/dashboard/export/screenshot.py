@@ -6,6 +6,7 @@ import io
 import itertools
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import viser
@@ -37,23 +38,17 @@ def take_pictures(
     clouds: Mapping[str, Cloud],
     look: Look,
 ) -> list[Image.Image]:
-    """Take pictures at some times of a run.
+    """Take a picture at each of the times [s] of a run: of the last snapshot at or before it.
 
-    Each picture shows the last snapshot at or before its time [s]; `clouds` has all P_i. Pictures
-    of the scene have one common viewpoint; if `look.page`, each picture has its own viewpoint.
-
-    Raises:
-        BrowserError: The browser's page does not connect.
-        AssetError: The robot's URDF or the mesh of a convex body is missing.
+    `clouds` has all P_i. Pictures of the scene have one common viewpoint; if `look.page`, each
+    picture has its own viewpoint. Raises `BrowserError` if the browser's page does not connect,
+    and the errors of `OffscreenScene`.
     """
     loop = RecordedLoop(snapshots)
     with offscreen.own_page(browser, look) as (server, page):
         if look.page:
-            shared = SharedState(loop, model, clouds)
-            try:
+            with closing(SharedState(loop, model, clouds)) as shared:
                 return _of_page(page, server, loop, shared, times, look)
-            finally:
-                shared.close()
         scene = OffscreenScene(server, loop, model, clouds, look)
         scene.look([loop.go_to(t) for t in times])
         scene.draw(times[0])
@@ -117,13 +112,10 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
     """Return a picture of the page after all messages are drawn and the page stays unchanged."""
-    n = next(_numbers)
+    n, ready = next(_numbers), "([name, n]) => dbbPage.arrived(name) === n"
     offscreen.send_barrier(server, n)
-    page.wait_for_function(
-        "([name, n]) => dbbPage.arrived(name) === n",
-        arg=[offscreen.BARRIER, n],
-        timeout=1000 * offscreen.TIMEOUT,
-    )
+    values, timeout = [offscreen.BARRIER, n], 1000 * offscreen.TIMEOUT
+    page.wait_for_function(ready, arg=values, timeout=timeout)
     page.evaluate("() => document.fonts.ready.then(() => 0)")
     page.evaluate("() => dbbPage.hold(false)")
     before = b""

@@ -57,8 +57,7 @@ class Viewer:
         self.camera = before.camera if before else Camera(client)
         self.camera.extent = shared.parts.extent
         self.channel.on("scene", self.camera.cover)
-        self.files = before.files if before else Job()
-        """Runs the jobs that create the viewer's files, at most one at a time."""
+        self.files = before.files if before else Job()  # creates the viewer's files
 
     def look(self, preset: str) -> None:
         """Set the camera to a preset of `PRESETS`; "door" without a door raises `ConfigError`."""
@@ -100,16 +99,14 @@ class Moment(NamedTuple):
 class Panel:
     """Widgets of one viewer; the constructor adds them to the GUI container that is open.
 
-    The page updates each panel, also one that is a part of another panel. The callback of a widget
-    gets viser's event; its exceptions are shown to the viewer who used the widget. An `update` may
-    assign all values each time, because viser sends only changes.
+    The callback of a widget gets viser's event; its exceptions are shown to the viewer who used
+    the widget. `update` may assign all values each time, because viser sends only changes.
     """
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer, self._shared = viewer, viewer.shared
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
-        self.followed: dict[int, Any] = {}
-        """Shared values that `follow` has assigned, by the identity of the widget."""
+        self.followed: dict[int, Any] = {}  # values that `follow` has assigned, by the widget's id
         viewer.panels.append(self)
 
     def update(self, moment: Moment) -> None:

@@ -143,17 +143,11 @@ class EditPanel(Panel):
         """Add the gizmos of a body: one moves and rotates it; one at its corner resizes it."""
         scene, shape = self._viewer.client.scene, self._shape(key)
         node, (position, wxyz) = f"{self._frame(key)}/{MOVE}", to_viser(shape.placement())
-        whole = scene.add_transform_controls(
-            node, scale=0.22, depth_test=False, position=position, wxyz=wxyz
-        )
-        corner = scene.add_transform_controls(
-            f"{node}/{SIZE}",
-            scale=0.09,
-            disable_rotations=True,
-            disable_sliders=True,
-            depth_test=False,
-            position=half_extents(shape),
-        )
+        free: Any = {"depth_test": False, "position": position, "wxyz": wxyz}
+        whole = scene.add_transform_controls(node, scale=0.22, **free)
+        fixed: Any = {"disable_rotations": True, "disable_sliders": True, "depth_test": False}
+        fixed["position"] = half_extents(shape)
+        corner = scene.add_transform_controls(f"{node}/{SIZE}", scale=0.09, **fixed)
 
         def move(event: Any) -> None:
             p = np.clip(event.target.position, -_MAX_OFFSET, _MAX_OFFSET)

@@ -56,9 +56,7 @@ SHOWN = "guiding-lateral"
 FARTHER = 1.5  # [-] factor on this scenario's path; the arm then almost reaches a resting base
 
 
-class Card(NamedTuple):
-    """Text and buttons of the card over the scene."""
-
+class Card(NamedTuple):  # text and buttons of the card over the scene
     title: str
     text: str
     buttons: tuple[str, ...]
@@ -84,9 +82,7 @@ CARDS = {
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(
-        "Demonstration",
-        f"{_BOTH} It repeats until you click or press a key.",
-        (WATCH, PULL, CLOSE),
+        "Demonstration", f"{_BOTH} It repeats until you click or press a key.", (WATCH, PULL, CLOSE)
     ),
     "pull": Card(
         "Pull the robot",
@@ -127,13 +123,10 @@ CARDS = {
 }
 """Cards by the guide's state. The first three have the same first buttons: a card can change while
 the viewer is about to click."""
-SEEN = "dbb-tour-seen"
-"""Key in the browser's storage after the first visit; later visits start without the guide."""
+SEEN = "dbb-tour-seen"  # key in the browser's storage after the first visit
 
 
-class Shortcut(NamedTuple):
-    """An entry of the list of commands, which `Ctrl K` opens."""
-
+class Shortcut(NamedTuple):  # an entry of the list of commands, which `Ctrl K` opens
     label: str
     key: Any  # the key that executes the command too, or None
     action: Callable[[], None]
@@ -173,8 +166,7 @@ class Guide(Panel):
     def watch(self, state: str) -> None:
         """Show a card; play the demonstration on the robot, and without avoidance on a ghost.
 
-        Raises:
-            UnreachableError: The robot's description has no path for the scenario `SHOWN`.
+        Raises `UnreachableError` if the robot's description has no path for the scenario `SHOWN`.
         """
         with self._lock:
             scenario = scenario_of(self._shared.model.description, SHOWN)

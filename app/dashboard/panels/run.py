@@ -28,7 +28,7 @@ from app.dashboard.panels.tuning import changing_html
 from app.dashboard.panels.why import distance_bar, state_chip
 from app.dashboard.record import Course, pulled
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
-from app.dashboard.verdict import COLOURS, LATE, State, Verdict, is_slow
+from app.dashboard.verdict import COLOURS, LATE, Verdict, is_slow
 from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart, Speed
@@ -39,11 +39,10 @@ from app.simulation.trace.snapshot import Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice without a scenario
-TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
-"""Entries of the list of scenarios, by the scenarios' names."""
 OFF = "off"  # choice without another robot
+TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
-"""Entries of the lists of controllers, by the controllers' names."""
+"""Choices of a scenario and of a controller, by name."""
 INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
@@ -177,10 +176,9 @@ def scores_html(scores: tuple[Score, ...]) -> str:
     """
     if not scores:
         return small("No comparison is running.", FAINT)
-    colours = ["currentColor", *(css(colour) for colour in GHOSTS)]
     heads = (
         cell(f"{mark('●', colour)} {score.controller}", RIGHT, "font-weight:600", head=True)
-        for score, colour in zip(scores, colours, strict=False)
+        for score, colour in zip(scores, ("currentColor", *map(css, GHOSTS)), strict=False)
     )
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
     valid = [end == "no contact" for end in ends]
@@ -216,13 +214,13 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
-    """Return preparation, progress or result of the last scenario; empty before the first one.
+    """Return preparation (`Snapshot.busy`), progress or result of the last scenario, if any.
 
-    `busy` is `Snapshot.busy`. The description `robot` has the scenario's usual options.
+    The description `robot` has the scenario's usual options.
     """
     if busy:
-        title = f"{words.sentence(busy)} …"
-        return banner("notice", title, "The simulation continues after this.")
+        text = "The simulation continues after this."
+        return banner("notice", f"{words.sentence(busy)} …", text)
     if not course.name:
         return ""
     about = f"{words.sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
@@ -258,37 +256,35 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
     pull += "" if math.isnan(bound) else f" (the arm can resist {bound:.0f} N)"
     *linear, w = snapshot.base_velocity
     speed = ", ".join(map(words.signed, linear))
-    contact: State = "contact" if verdict.touching else "clear"
-    rows: list[tuple[str, str, State]] = [
-        ("time", f"{snapshot.t:.1f} s", "clear"),
-        ("state", snapshot.busy or f"{state}, {snapshot.mode}", "clear"),
-        ("contact", verdict.touching or "none", contact),
-        ("pull", pull if snapshot.pulls else "none", "clear"),
-        ("end-effector error", millimetres(snapshot.ee_error), "clear"),
-        ("base velocity", f"{speed} m/s, {words.signed(w)} rad/s", "clear"),
+    rows = [
+        reading("time", f"{snapshot.t:.1f} s"),
+        reading("state", snapshot.busy or f"{state}, {snapshot.mode}"),
+        _warned("contact", verdict.touching or "none", bad=bool(verdict.touching)),
+        reading("pull", pull if snapshot.pulls else "none"),
+        reading("end-effector error", millimetres(snapshot.ee_error)),
+        reading("base velocity", f"{speed} m/s, {words.signed(w)} rad/s"),
     ]
     if snapshot.buffer.too_small:
-        lately = "lately: " if verdict.state == "clear" else ""
-        rows.insert(3, ("buffer", lately + needed_text(snapshot.buffer.needed), verdict.state))
-    return [_status_row(*each) for each in rows]
+        needed, state = needed_text(snapshot.buffer.needed), verdict.state
+        text = f"lately: {needed}" if state == "clear" else state_chip(state, needed)
+        rows.insert(3, reading("buffer", text))
+    return rows
 
 
 def machine_rows(snapshot: Snapshot) -> list[str]:
     late = min(snapshot.overruns / max(round(snapshot.t / DT), 1), 1.0)
-    rows = [
-        ("real-time factor", f"{snapshot.realtime_factor:.2f}", is_slow(snapshot)),
-        ("control step", f"{snapshot.step_time_us:.0f} µs", False),
-        ("late steps", f"{100.0 * late:.1f} %", late > LATE),
-        ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
-    ]
+    factor = f"{snapshot.realtime_factor:.2f}".replace("nan", "–")
+    step, failures = f"{snapshot.step_time_us:.0f} µs", snapshot.solver_failures
     return [
-        _status_row(name, text.replace("nan", "–"), "contact" if bad else "clear")
-        for name, text, bad in rows
+        _warned("real-time factor", factor, bad=is_slow(snapshot)),
+        reading("control step", step.replace("nan", "–")),
+        _warned("late steps", f"{100.0 * late:.1f} %", bad=late > LATE),
+        _warned("solver failures", f"{failures}", bad=failures > 0),
     ]
 
 
-def _status_row(label: str, value: str, state: State) -> str:
-    return reading(label, value if state == "clear" else state_chip(state, value))
+def _warned(name: str, value: str, *, bad: bool) -> str:
+    return reading(name, state_chip("contact", value) if bad else value)
 
 
 def pairs_html(

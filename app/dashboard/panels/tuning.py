@@ -124,8 +124,7 @@ class ParameterWidget(Panel):
     def __init__(self, viewer: Viewer, path: str) -> None:
         super().__init__(viewer)
         self.about = tunable(path)
-        self.is_marked = False
-        """Whether the value differs from its default; set before each update."""
+        self.is_marked = False  # whether the value differs from its default; set before each update
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
         self.handle, self.exponent = self._widgets(self._tuning.config.value(path))
         """The widget, and the slider of the value's decimal logarithm or None."""

@@ -15,8 +15,7 @@ class ViewPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._view = self._gui, viewer.view
-        self._widgets: dict[str, Any] = {}
-        """Widgets by the field of the view."""
+        self._widgets: dict[str, Any] = {}  # widgets by the field of the view
         with gui.add_folder(BORDER):
             for pair, quantity in self._view.borders.items():
                 hint = f"Reachable points at the buffer distance from the base: DBB of {pair}, (3)"

@@ -25,8 +25,7 @@ from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
-MAX_POINTS = 20_000
-"""[-] drawn points of a border; more points only hide the scene and slow down the browser."""
+MAX_POINTS = 20_000  # [-] of a drawn border; more points only hide the scene and cost time
 LIGHT_POINTS = 4000  # [-] the same on a page with low detail
 _KEPT = 32  # [-] cached borders
 POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
@@ -61,8 +60,7 @@ class Borders:
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
         self.body = MobileBody(model)
-        self.top = float(self.body.upper[2])
-        """[m] height of the base's top; the border above it is drawn on demand only."""
+        self.top = float(self.body.upper[2])  # [m] height of the base's top
         self._model, self._clouds = model, clouds
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
@@ -153,8 +151,7 @@ class DrawnBorders:
         self._probed: tuple[object, _Probe | None] = (), None
         self._slice: tuple[object, list[Array]] = (), []
         self.pointer: tuple[float, ...] = ()
-        """[px] position of the pointer, to the right and up from the scene's centre; empty if the
-        pointer is elsewhere."""
+        """[px] pointer, to the right and up from the scene's centre; empty if it is elsewhere."""
 
     @property
     def legends(self) -> list[Legend]:
@@ -169,21 +166,20 @@ class DrawnBorders:
         for pair, quantity in view.borders.items():
             request = (quantity, view.whole_border, view.light, border.d_b, border.eps)
             before = self._drawn.get(pair, _Drawn())
-            if before.request != request:
-                drawn = self._draw(pair, quantity, view, border)
-                if before.node is not None and drawn.node is None:
-                    before.node.remove()
-                self._drawn[pair] = drawn._replace(request=request)
-                changed = True
+            if before.request == request:
+                continue
+            changed, found, drawn = True, None, _Drawn()
+            if quantity != HIDDEN:
+                found = self._borders.coloured(pair, quantity, border, whole=view.whole_border)
+            if found is not None:
+                drawn = self._draw(pair, found, light=view.light)
+            elif before.node is not None:
+                before.node.remove()
+            self._drawn[pair] = drawn._replace(request=request)
         return changed
 
-    def _draw(self, pair: str, quantity: str, view: View, config: BorderConfig) -> _Drawn:
-        if quantity == HIDDEN:
-            return _Drawn()
-        found = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
-        if found is None:
-            return _Drawn()
-        most, size = (LIGHT_POINTS, LIGHT_SIZE) if view.light else (MAX_POINTS, POINT_SIZE)
+    def _draw(self, pair: str, found: ColouredCloud, *, light: bool) -> _Drawn:
+        most, size = (LIGHT_POINTS, LIGHT_SIZE) if light else (MAX_POINTS, POINT_SIZE)
         keep = subsample(len(found.points), most)
         legend = found.legend._replace(drawn=len(keep))
         cloud = ColouredCloud(found.points[keep], found.colours[keep], legend)
@@ -236,9 +232,8 @@ class DrawnBorders:
             if cloud is None:
                 continue
             points = in_world(snapshot.base_pose, cloud.points)
-            u, v, depth = lens.axes @ (points - lens.eye).T
-            scale = lens.focal / np.maximum(depth, 1e-3)
-            off = np.hypot(scale * u - pointer[0], scale * v - pointer[1])
+            u, v, depth = lens.pixel(points)
+            off = np.hypot(u - pointer[0], v - pointer[1])
             depth[(depth <= 0.0) | (off > _NEAR)] = np.inf
             if depth.min() < nearest:
                 nearest, found = depth.min(), (pair, cloud.points[depth.argmin()])

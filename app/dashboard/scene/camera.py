@@ -27,8 +27,7 @@ _ECHO = 0.3  # [s] after this time, a browser's reports include the set position
 _PATIENCE = 6.0  # [s] timeout of the browser's confirmation
 _LEAST_SHARE = 0.05  # [-] of the picture's height; a smaller robot counts as unseen
 _MOVED = 0.2  # [m] motion of an unseen base after which a following camera moves
-_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
-"""(8, 3) corners of a cube."""
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)  # of a cube
 _AROUND = 0.12 * _CORNERS  # [m] space to show around the end-effector
 _NEAR_EE = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
@@ -46,10 +45,7 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Create a window from the browser's sizes [px] and covered shares [-], clipped to limits.
-
-        Impossible values give `ANY_WINDOW`; a browser's sizes are 0 at first.
-        """
+        """Clip the browser's sizes [px] and covered shares [-]; `ANY_WINDOW` if impossible."""
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, *_ASPECTS))
@@ -66,16 +62,15 @@ ANY_WINDOW = Window()  # default of an unknown window
 
 
 class Preset(NamedTuple):
-    """A view: the direction of the camera, in the base's frame, and its target."""
+    """A view; `away` is in the base's frame, but for a door in the closed door's frame."""
 
     away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
-    """Target: the whole robot, the end-effector alone, the end-effector and the closest points of
-    the nearest pair, or robot and door, with `away` in the closed door's frame. Without a door,
-    "door" is the whole robot."""
+    """Target: the whole robot; the end-effector alone; the end-effector and the closest points of
+    the nearest pair; or robot and door. Without a door, "door" is the whole robot."""
 
 
-PRESETS = {
+PRESETS = {  # by name
     "iso": Preset(np.array([1.5, 1.8, 1.0])),
     # Not exactly from above, because the camera's up direction must not be parallel to the view.
     "top": Preset(np.array([-0.01, 0.0, 3.3])),
@@ -85,7 +80,6 @@ PRESETS = {
     "pair": Preset(np.array([0.9, 1.2, 0.7]), "pair"),
     "door": Preset(np.array([-1.3, -0.8, 1.5]), "door"),
 }
-"""Views by name."""
 
 
 class Camera:
@@ -161,9 +155,8 @@ class Camera:
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
         """Use the wanted preset, if any; fit the last preset again if the window has changed.
 
-        The window changes because the panels narrow the scene only after the first picture, and a
-        drawer opens later. The camera is not fitted while the viewer is `busy` with a pull, or if
-        the viewer has moved it.
+        The panels narrow the scene only after the first picture, and a drawer opens later. The
+        camera is not fitted during a pull (`busy`), or if the viewer has moved the camera.
         """
         wanted, self.wanted = self.wanted, ""
         if wanted:
@@ -258,14 +251,10 @@ def placed(
 ) -> tuple[Array, Array]:
     """Return eye and target (3,) [m] of a preset in the world.
 
-    The picture shows the preset's target (`Preset.of`) in all snapshots. The direction is relative
-    to the heading of the base in the middle snapshot, or to the closed door for the preset "door".
-
-    Args:
-        preset: The view.
-        shown: The snapshots, at least one.
-        extent: (N, 3) [m] points of the robot in its ready posture, in the base's frame.
-        window: The part of the page with the scene.
+    The picture shows the preset's target (`Preset.of`) in all snapshots, at least one. The
+    direction is relative to the heading of the base in the middle snapshot, or to the closed door
+    for the preset "door". `extent` has points (N, 3) [m] of the robot in its ready posture, in the
+    base's frame.
     """
     about = shown[len(shown) // 2]
     away = pin.utils.rotate("z", about.base_pose[2]) @ preset.away

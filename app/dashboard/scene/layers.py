@@ -73,8 +73,8 @@ def draw_distances(
             canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.labels == "all" and pair.d < d_b:
             node = f"/distances/{pair.name}"
-            canvas.point(f"{node}/p_a", pair.p_a, colours.NEAR, 0.009)
-            canvas.point(f"{node}/p_b", pair.p_b, colours.NEAR, 0.009)
+            canvas.point(f"{node}/p_a", pair.p_a, COLOURS["near"], 0.009)
+            canvas.point(f"{node}/p_b", pair.p_b, COLOURS["near"], 0.009)
             if pair is nearest:  # labels of all pairs would overlap
                 canvas.label(f"{node}/p_a_label", pair.p_a, "p_a")
                 canvas.label(f"{node}/p_b_label", pair.p_b, "p_b")
@@ -192,7 +192,8 @@ def draw_door(canvas: Canvas, view: DoorView) -> None:
     hinge, closed = door.pose(0.0).translation, door.pose(0.0)
     canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], colours.ACTING, 4.0)
     radius = np.array([0.0, -door.side * _DOOR_ARC, 0.0])
-    for name, angle, colour in (("goal", OPENED, _HANDLE), ("open", view.angle, colours.YIELDS)):
+    arcs = (("goal", OPENED, _HANDLE), ("open", view.angle, COLOURS["giving way"]))
+    for name, angle, colour in arcs:
         arc_points = [hinge + top, closed.act(top + radius)]
         arc_points += [door.pose(a).act(top + radius) for a in np.linspace(0, angle, _ARC_POINTS)]
         canvas.lines(f"/door/{name}", [np.array([*arc_points, hinge + top])], colour, 3.0)

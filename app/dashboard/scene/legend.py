@@ -9,8 +9,7 @@ from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTO
 from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
 from app.dashboard.verdict import COLOURS, State
 
-QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")
-"""Quantities for the colour of a border."""
+QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")  # that colour a border
 
 
 class BaseMeasure(NamedTuple):
@@ -78,13 +77,15 @@ def key_html(d_b: float) -> str:
     }
     acting = _signs("●", colours.ACTING) + _signs("→", colours.ACTING)
     accelerates = _signs("→", colours.ACCELERATION)
-    beta = f'<span style="color:{BETA}">▮</span>'
     rows = [
         *((_signs("―", COLOURS[state]), text) for state, text in states.items()),
         (acting, f"acting point and force on the base (0.1 m: {force:.0f} N)"),
         (_signs("→", colours.PERSON), f"force of the person (0.1 m: {force:.0f} N)"),
         (accelerates, f"commanded base acceleration (0.2 m: {push:.0f} m/s²), ω̇ as an arc"),
-        (beta, "timeline, from above: activation β; marks are events (hover for their names)"),
+        (
+            f'<span style="color:{BETA}">▮</span>',
+            "timeline, from above: activation β; marks are events (hover for their names)",
+        ),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
         (_signs("―", colours.TRAIL_BASE, colours.TRAIL_EE), "trails of base and end-effector"),
         ("<b>―</b>", "border at the height of the arm's point nearest to the base"),
@@ -117,9 +118,9 @@ def _signs(sign: str, *each: Rgb) -> str:
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
-    """Return the numbers of a bar from `low` to `high`: ends and middle, with up to three digits.
+    """Return the numbers at a bar's ends and middle, with up to three digits, and their factor.
 
-    The second result is their common factor, such as `10<sup>−3</sup> `; empty for 1.
+    The factor is a text such as `10<sup>−3</sup> `, or empty for 1.
     """
     largest = max(abs(low), abs(high))
     order = 0 if largest == 0 else math.floor(math.log10(largest))

@@ -25,11 +25,9 @@ logger = logging.getLogger(__name__)
 MAX_FACES = 2500  # [-] aim of the decimation; a link of the Panda has 12,000 to 22,000 faces
 MOST_FACES = 4 * MAX_FACES  # [-] accepted faces of a decimated mesh
 AGGRESSIONS = (3, 5, 7)
-"""Settings of the decimation, in the order of trial. The first setting with at most `MOST_FACES`
-faces is used; if there is none, the last one is used. Higher settings remove parts of meshes that
-consist of many parts, such as UR5's tubes. Lower settings leave such meshes too large."""
-LIGHT_FACES = 400
-"""[-] aim of the decimation for a page with low detail, for each joint and colour."""
+"""Settings of the decimation: the first one with at most `MOST_FACES` faces is used, or the last.
+Higher settings remove parts of meshes that consist of many parts, such as UR5's tubes."""
+LIGHT_FACES = 400  # [-] aim of the decimation for a page with low detail, for each joint and colour
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
 GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
 BODY: Rgb = (64, 156, 224)  # colour of convex bodies
@@ -77,22 +75,16 @@ class RobotParts:
     """Kinematics, visual meshes and convex bodies of a robot, loaded once for all viewers."""
 
     def __init__(self, robot: RobotModel, *, apart: bool = False) -> None:
-        """Load all parts.
+        """Load all parts; raises `AssetError` if the URDF or the mesh of a convex body is missing.
 
         With `apart`, or for a user's own robot, a separate process reads large meshes. Its start
         takes a second; its end frees memory that the library for simplification does not return.
-
-        Raises:
-            AssetError: The robot's URDF or the mesh of a convex body is missing.
         """
         self.kinematics = LinkPoses(robot)  # not thread-safe, for the drawing thread
-        self.bodies = _bodies(robot, self.kinematics.model)
-        """Convex bodies of the distance computation."""
+        self.bodies = _bodies(robot, self.kinematics.model)  # of the distance computation
         self.title = robot.description.title
-        """Title of the robot, with a note if it is drawn by its convex bodies."""
         try:
             self.visuals = _visuals(robot, apart)
-            """Visual meshes, or the convex bodies if a mesh is missing or cannot be read."""
         except (AssetError, RobotFileError) as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [

@@ -40,14 +40,11 @@ class SceneData:
         parts: RobotParts | None = None,
     ) -> None:
         first = loop.latest()
-        self.loop, self.model, self.clouds = loop, model, clouds
-        """Source of the snapshots; the robot; P_i of each pair of L_m, by the pair's name."""
-        self.of_door = f"{model.body_names[0]}-{DOOR}"
-        """Name of the pair of base and door, which exists in scenarios with a door."""
+        self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
+        self.of_door = f"{model.body_names[0]}-{DOOR}"  # pair that exists if there is a door
         pairs = [pair for pair in first.pairs if pair.name != self.of_door]
         self.pairs = [pair.name for pair in pairs]
-        self.mobile = [pair.name for pair in pairs if pair.mobile]
-        """Names of all link pairs without a door, as in the snapshots; and of those of L_m."""
+        self.mobile = [pair.name for pair in pairs if pair.mobile]  # pairs of L_m
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
         self.parts = parts or RobotParts(model)
@@ -56,10 +53,8 @@ class SceneData:
             "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], _TRACK_LIFT)),
             "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
-        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]
-        """All objects that collect the snapshots, in order of time."""
-        self.last = -1.0
-        """[s] time of the newest collected snapshot; −1 if there is none."""
+        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get the snapshots
+        self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._newest = first
 
     def update(self) -> None:
@@ -89,10 +84,9 @@ class RobotScene:
         ghost: Rgb | None = None,
         light: bool = False,
     ) -> None:
-        """Send all meshes, below the node `root`, which moves with the base.
+        """Send all meshes below the node `root`; a `ghost` is translucent, without convex bodies.
 
-        A robot with a `ghost` colour is translucent and has no convex bodies. With `light`, the
-        visual meshes have few faces.
+        With `light`, the visual meshes have few faces.
         """
         self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
         self.root = scene.add_frame(root, show_axes=False)
@@ -101,14 +95,13 @@ class RobotScene:
         self._frames = {
             joint: scene.add_frame(self._node(joint), show_axes=False) for joint in moving
         }
-        self.links: list[tuple[int, viser.MeshHandle]] = []
-        """Joint and handle of each visual mesh; a new list after `dress`."""
+        self.links: list[tuple[int, viser.MeshHandle]] = []  # joint and handle of each visual mesh
         self.dress(light=light)
         self._bodies = [self._add(body, body.colour, BODY_OPACITY) for body in bodies]
         self.show(meshes=True, bodies=False)
 
     def dress(self, *, light: bool) -> None:
-        """Replace the visual meshes by those with few faces (`light`) or by the full ones."""
+        """Replace `links` by meshes with few faces (`light`) or by the full meshes."""
         for _, handle in self.links:
             handle.remove()
         opacity = None if self._ghost is None else GHOST_OPACITY
@@ -124,10 +117,7 @@ class RobotScene:
             handle.visible = bodies
 
     def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
-        """Move the frames; viser sends only frames that have moved.
-
-        `base_pose` (3,) is x, y [m] and heading [rad] in the world.
-        """
+        """Move the frames; `base_pose` (3,) is x, y [m] and heading [rad] in the world."""
         x, y, phi = base_pose
         root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
         poses = self._parts.kinematics.update(q_m, wheel_angles)
@@ -180,11 +170,10 @@ class Scene:
         self._light_up()
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
-        """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
+        """Draw a snapshot; update texts of labels, and trails, only if `texts`.
 
         Returns the verdict, which determines the colours of the lines. The lens determines the
-        positions of labels and the point under the pointer. The border's points are drawn by
-        `border.update`, outside of `atomic`, because this takes milliseconds.
+        positions of labels and the point under the pointer. The borders' points are not drawn here.
         """
         view = self._view
         dark, light = view.dark, view.light  # the viewer can change them meanwhile
@@ -212,9 +201,8 @@ class Scene:
         scene, light = self._scene, self._light
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
         scene.configure_environment_map(None)
-        scene.add_light_hemisphere(
-            "/lights/sky", sky_color=(255, 255, 255), ground_color=(120, 125, 135), intensity=1.2
-        )
+        sky = {"sky_color": (255, 255, 255), "ground_color": (120, 125, 135)}
+        scene.add_light_hemisphere("/lights/sky", intensity=1.2, **sky)
         dark = self._dark
         scene.add_grid(
             "/floor",
