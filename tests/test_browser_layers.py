@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from app.dashboard.scene.camera import PRESETS, placed
-from app.dashboard.scene.canvas import METRES_PER_NEWTON, ROOT
+from app.dashboard.scene.canvas import ROOT
+from app.dashboard.scene.legend import METRES_PER_NEWTON
 from app.simulation.loop.commands import Compare
 from app.simulation.trace.snapshot import Snapshot
 from tests.browser import DashboardTab, around, wait_for

@@ -50,18 +50,16 @@ from app.dashboard.panels.why import header_html, sentence, why_html
 from app.dashboard.plans import plot_plans
 from app.dashboard.record import Course
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
-from app.dashboard.scene.canvas import (
-    ANCHORS,
-    CHARACTER,
-    LINE,
-    METRES_PER_NEWTON,
-    ROOT,
-    Canvas,
-    set_apart,
-)
+from app.dashboard.scene.canvas import ANCHORS, CHARACTER, LINE, ROOT, Canvas, set_apart
 from app.dashboard.scene.colours import css, viridis
 from app.dashboard.scene.layers import draw_distances, draw_motion, segments
-from app.dashboard.scene.legend import Legend, legend_html, tick_texts, title_of
+from app.dashboard.scene.legend import (
+    METRES_PER_NEWTON,
+    Legend,
+    legend_html,
+    tick_texts,
+    title_of,
+)
 from app.dashboard.scene.robot import (
     GREY,
     MAX_FACES,

@@ -23,10 +23,7 @@ SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
 class Grip:
-    """Sends the pulls of one viewer, who holds at most one point of the robot; thread-safe.
-
-    After the release of a point, no further pull of this point is sent.
-    """
+    """Sends the pulls of one viewer, who holds at most one point of the robot; thread-safe."""
 
     def __init__(
         self, sink: LoopHandle, notifier: Notifier, client: viser.ClientHandle, timeline: Timeline
@@ -69,9 +66,9 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
 
-        There is no effect without a held point, or if keys hold the point but `by_keys` is False,
-        or the reverse. If `reach` is set, `reach` gets the target of the end-effector, also with a
-        negative z, and no pull is sent. The first negative z of a pull warns the viewer.
+        There is no effect if no point is held, or if keys hold the point and `by_keys` is False,
+        or the reverse. If `reach` is set, no pull is sent, and `reach` gets the unchanged target if
+        the held point is the end-effector.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:

@@ -125,8 +125,7 @@ class Gate:
     def closed(self) -> Iterator[None]:
         """Check all connections of the server that viser starts in this context.
 
-        Raises:
-            ServerError: No server was started in the expected way; if one runs, it has no checks.
+        Raises `ServerError` if viser starts no server in the expected way.
         """
         with _lock:
             original, seen = websockets_server.serve, []
@@ -316,10 +315,7 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """Register of one viewer's unfinished uploads; the parts of a file must arrive in order.
-
-    viser stores the parts of a file until the file is complete, and parts of no file forever.
-    """
+    """Register of a viewer's unfinished uploads: viser would store parts of no file forever."""
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
         """Accept files of up to `largest` [bytes]; all `everyone` share the limit of uploads."""
@@ -328,10 +324,7 @@ class Uploads:
         """Number of missing bytes and indices of the missing parts, by the transfer's name."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Register an announced file of `size` [bytes] in a number of `parts`, 0 if it is empty.
-
-        Raises `RefusedError` for a too large file, a wrong number of parts, or too many uploads.
-        """
+        """Register a file of `size` [bytes] and a number of `parts`; may raise `RefusedError`."""
         if size > self._largest:
             limit = f"the limit is {self._largest / 1e6:.0f} MB"
             raise RefusedError(f"a file of {size / 1e6:.0f} MB; {limit}")
@@ -355,12 +348,8 @@ class Uploads:
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
     """Return the unchanged bytes of an allowed message; register files and parts in `uploads`.
 
-    `widget` returns a widget of the page by its name, or None.
-
-    Raises:
-        GarbageError: The data are not a message of the types `_TAKEN`, or a field has a wrong type.
-        RefusedError: A value is too large, not finite or does not match its widget, or a picture
-            or an upload is not allowed.
+    `widget` returns a widget of the page by its name, or None. Raises `GarbageError` if the data
+    are not a message of the types `_TAKEN`, and `RefusedError` if a value is not allowed.
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is not a message")

@@ -38,12 +38,9 @@ class Notifier:
                 del self._shown[key]
 
     def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """Wrap a callback for viser: its exceptions are shown to the event's `client`.
+        """Wrap a short callback for viser; its exceptions are shown to the event's `client`."""
 
-        viser runs it in its event loop, because the result is `async`: it must be short.
-        """
-
-        async def guarded(event: Any) -> None:
+        async def guarded(event: Any) -> None:  # viser runs it in its event loop
             self.attempt(event.client, lambda: callback(event))
 
         return guarded

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from time import monotonic
+from typing import Any
 
 import viser
 
@@ -14,7 +15,7 @@ from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Viewer
 from app.dashboard.panels.explorer import ExplorerPanel
-from app.dashboard.panels.help import Guide, Shortcut, add_help, add_shortcuts
+from app.dashboard.panels.help import TEXT, Guide
 from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import ComparePanel, LabPanel, RunPanel
@@ -41,10 +42,7 @@ _MAIN_WIDTH = 350  # [px] of the right column
 
 
 class Page:
-    """Panels, layers, camera and point in time of one viewer; the drawing thread uses it.
-
-    Create a page within the client's `atomic`, so that the viewer never sees an incomplete page.
-    """
+    """Panels, layers, camera and point in time of a viewer; create it in the client's `atomic`."""
 
     def __init__(
         self,
@@ -80,7 +78,9 @@ class Page:
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
         self.handles = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
-        add_shortcuts(client.gui, self._shortcuts(), notifier)
+        for label, key, act in self._shortcuts():
+            command = client.gui.add_command(label, hotkey=key)
+            command.on_trigger(notifier.guard(lambda _, act=act: act()))
         self._camera.begin(self.timeline.shown())
         self.draw(texts=True)
 
@@ -199,25 +199,25 @@ class Page:
         with tabs.add_tab("Save"):
             SavePanel(viewer)
         with tabs.add_tab("Help"):
-            add_help(gui, self._shortcuts())
+            keyed = ((label, key) for label, key, _ in self._shortcuts() if key is not None)
+            keys = ", ".join(f"`{key}` {label.lower()}" for label, key in keyed)
+            gui.add_markdown(TEXT.format(keys=keys))
 
-    def _shortcuts(self) -> list[Shortcut]:
+    def _shortcuts(self) -> list[tuple[str, Any, Callable[[], None]]]:
+        """Return label, key or None, and action of each entry in the list of `Ctrl K`."""
         viewer = self.viewer
-        looks = (
-            Shortcut(f"Camera: {name}", str(i), partial(viewer.look, name))
-            for i, name in enumerate(PRESETS, 1)
-        )
+        views = ((f"Camera: {name}", str(i), name) for i, name in enumerate(PRESETS, 1))
         return [
-            Shortcut(f"{PAUSE} or {CONTINUE.lower()}", "space", viewer.toggle_pause),
-            Shortcut(RESTART, "R", lambda: self._shared.loop.send(Restart())),
-            Shortcut("Back 1 s", "B", lambda: viewer.step(-1.0)),
-            Shortcut("Forward 1 s", "F", lambda: viewer.step(1.0)),
-            Shortcut("Back to now", "N", self.timeline.go_live),
-            Shortcut("Dark or light theme", "L", self.view.toggle_dark),
-            *looks,
-            Shortcut(BACK, None, partial(viewer.play, "")),
-            *(Shortcut(f"Play {name}", None, partial(viewer.play, name)) for name in SCENARIOS),
-            Shortcut("Tour", "H", lambda: self.guide.go("tour 1")),
+            (f"{PAUSE} or {CONTINUE.lower()}", "space", viewer.toggle_pause),
+            (RESTART, "R", lambda: self._shared.loop.send(Restart())),
+            ("Back 1 s", "B", lambda: viewer.step(-1.0)),
+            ("Forward 1 s", "F", lambda: viewer.step(1.0)),
+            ("Back to now", "N", self.timeline.go_live),
+            ("Dark or light theme", "L", self.view.toggle_dark),
+            *((label, key, partial(viewer.look, name)) for label, key, name in views),
+            (BACK, None, partial(viewer.play, "")),
+            *((f"Play {name}", None, partial(viewer.play, name)) for name in SCENARIOS),
+            ("Tour", "H", lambda: self.guide.go("tour 1")),
         ]
 
     def _escape(self) -> None:

@@ -42,10 +42,7 @@ class PlotPlan(NamedTuple):
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
-    """Return all plots of a robot; `names` are its link pairs, in the order of the snapshots.
-
-    `door` is the name of the pair of base and door, which has a plot of its own.
-    """
+    """Return all plots of a robot for its link pairs `names`, and for the pair `door`."""
     axes, joints = model.description.base.axes, model.description.arm.joints
     colours = (*map(_series, range(len(axes) - 2)), css(PERSON), css(ACTING))[-len(axes) :]
     torques = tuple(map(_torque, range(len(joints)), joints, model.tau_max, model.joint_units))

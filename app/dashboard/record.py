@@ -169,10 +169,7 @@ def pulled(snapshot: Snapshot) -> float:
 def happenings(
     before: Snapshot | None, now: Snapshot, chain: Sequence[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, subject and text of each event between two snapshots.
-
-    Without a snapshot `before`, only the start of a scenario is an event.
-    """
+    """Yield kind, subject and text of each event between two snapshots."""
     earlier = before.scenario if before else ""
     if now.scenario != earlier:
         yield "scenario", "", f"{now.scenario} starts" if now.scenario else f"{earlier} ends"

@@ -16,21 +16,14 @@ from app.dashboard.scene.robot import RobotParts
 from app.errors import ConfigError, DbbError
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
 from app.onboarding.request import NAME, Request
-from app.robot.assets import (
-    bare_urdf,
-    is_own,
-    resolved_urdf,
-    robot_folder,
-    robot_names,
-    user_robots,
-)
+from app.robot import assets
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants import default_plant
 from app.system import remove_abandoned, temporary_folder
 
-_NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
+_NEEDED = assets.resolved_urdf if default_plant() == "planar" else assets.bare_urdf
 """Checks a robot's files: pybullet needs every mesh; without one, MuJoCo and the page use the
 convex bodies."""
 
@@ -51,10 +44,10 @@ class RobotEntry(NamedTuple):
 def robot_entries() -> list[RobotEntry]:
     """Return all robots, sorted by name."""
     entries = []
-    for name in robot_names():
+    for name in assets.robot_names():
         title, about, problem = name, "", None
-        page = robot_folder(name) / "report.html"
-        own, report = is_own(name), page.is_file() and not page.is_symlink()
+        page = assets.robot_folder(name) / "report.html"
+        own, report = assets.is_own(name), page.is_file() and not page.is_symlink()
         try:
             description = load_robot(name)
             title = description.title
@@ -198,10 +191,7 @@ class RobotBuild(Job):
         self._folder = ExitStack()
 
     def receive(self, name: str, content: bytes) -> None:
-        """Store an uploaded zip, and read its content in a job.
-
-        Raises `ConfigError` if the zip is too large, or if another job is running.
-        """
+        """Read an uploaded zip in a job; `ConfigError` if it is too large, or if a job runs."""
         if len(content) > LARGEST_ARCHIVE:
             raise ConfigError(f"a zip may have at most {LARGEST_ARCHIVE / 1e6:.0f} MB")
 
@@ -217,10 +207,7 @@ class RobotBuild(Job):
         self.start(_file_name(name), "reading", work)
 
     def build(self, request: Request) -> None:
-        """Build the requested robot from the upload, in a job with a separate process.
-
-        Raises the errors of `new_folder`, and `ConfigError` if another job is running.
-        """
+        """Build the requested robot in a job; raises the errors of `new_folder` and `start`."""
         new_folder(request.name)
 
         def work() -> None:
@@ -249,9 +236,9 @@ def new_folder(name: str) -> Path:
     """Return the folder for a new robot; `ConfigError` if the name is not allowed or exists."""
     if not NAME.fullmatch(name):  # checked before it becomes a part of a path
         raise ConfigError("a name starts with a letter and has only letters, digits and _")
-    if name in robot_names():
+    if name in assets.robot_names():
         raise ConfigError(f"a robot {name!r} exists; choose another name")
-    return user_robots()[0] / name
+    return assets.user_robots()[0] / name
 
 
 def _file_name(name: str) -> str:

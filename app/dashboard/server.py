@@ -63,10 +63,7 @@ class DashboardServer:
         self._thread.start()  # last, because only `stop` ends it
 
     def run_forever(self) -> None:
-        """Wait until another thread calls `stop`, or for Ctrl-C.
-
-        Then raise `LoopError` if the simulation or the drawing has ended with an error.
-        """
+        """Wait for `stop` or Ctrl-C; then raise `LoopError` if simulation or drawing has failed."""
         with contextlib.suppress(KeyboardInterrupt):
             give_back()
             with gc_frozen():
@@ -256,10 +253,7 @@ def _rested(begin: float) -> float:
 
 
 def check_address(host: str, port: int) -> None:
-    """Raise `ServerError` if an address cannot be bound, with the reason and a remedy.
-
-    viser itself hangs at a bad host, and replaces a busy port.
-    """
+    """Raise `ServerError` for a host at which viser would hang, or a port that is in use."""
     failure = f"cannot listen at {host}:{port}"
     if not 0 <= port <= 65535:  # getaddrinfo would use the port modulo 65536
         raise ServerError(f"{failure}: a port is between 0 and 65535")

@@ -139,10 +139,7 @@ class SharedState(SceneData):
         robot_switch: RobotSwitch | None = None,
         before: SharedState | None = None,
     ) -> None:
-        """Continue the history of parameters and the jobs of `before`, the state of another robot.
-
-        The other arguments are those of `serve_dashboard`.
-        """
+        """Continue history and jobs of `before`; other arguments are those of `serve_dashboard`."""
         super().__init__(loop, model, clouds, parts)
         self.case = case  # A scenario that a button plays, or None
         usual = model.description.config

@@ -73,10 +73,7 @@ class Timeline:
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown.
-
-        Raises `ConfigError` for a speed outside of `REPLAY`.
-        """
+        """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown."""
         check_range("replay speed", speed, *REPLAY, "× real time")
         with self._lock:
             if self.plays:
@@ -142,7 +139,7 @@ class Timeline:
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """Return the snapshots of the interval, oldest first; without marks, of the last 60 s.
+        """Return the snapshots of the interval, without marks of the last 60 s; oldest first.
 
         Raises `LogError` for fewer than two snapshots.
         """

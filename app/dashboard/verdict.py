@@ -38,7 +38,10 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     """Return the verdict on a snapshot; `spoken` has words for pairs, by default their names."""
     why = snapshot.explanation
     known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
-    moves = base_gives_way(snapshot)
+    rates = (snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT)
+    moves = any(  # the base gives way
+        max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
+    )
     pairs: tuple[State, ...] = tuple(
         _state(pair, known.get(pair.name), snapshot.controller, moves=moves)
         for pair in snapshot.pairs
@@ -50,25 +53,17 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     return Verdict("contact" if touches else max(states, key=list(COLOURS).index), pairs, touches)
 
 
-def base_gives_way(snapshot: Snapshot) -> bool:
-    """Whether velocity or commanded acceleration of the base reaches one of its thresholds."""
-    rates = ((snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT))
-    return any(
-        max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
-    )
-
-
 def is_slow(snapshot: Snapshot) -> bool:
     """Whether the running simulation noticeably misses its desired speed."""
     return not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
 
 
-def base_cannot_help(pair: NearPair) -> bool:
+def is_steep(pair: NearPair) -> bool:
     """Whether the pair's normal is so close to the vertical that base motion hardly helps."""
     return pair.above >= _NO_BASE_HELPS
 
 
-def pushes_links_apart(pair: NearPair | PairReading) -> bool:
+def links_repel(pair: NearPair | PairReading) -> bool:
     """Whether two links of the arm are so close that a person feels their repulsion."""
     return not pair.mobile and pair.beta >= _PUSHED
 
@@ -81,10 +76,10 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
         return "resisting"
     if pair.beta == 0.0:
         return "clear"
-    if controller in ("none", "barrier") or (near is not None and base_cannot_help(near)):
+    if controller in ("none", "barrier") or (near is not None and is_steep(near)):
         return "near"
     if not pair.mobile:
-        return "resisting" if pushes_links_apart(pair) else "near"
+        return "resisting" if links_repel(pair) else "near"
     if controller not in MOVES_BASE:
         return "resisting"
     return "giving way" if moves else "near"

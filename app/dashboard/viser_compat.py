@@ -94,7 +94,7 @@ def open_server(
     _replace_parts_of_viser()
     gate = Gate(host, allowed, largest_upload)
     with contextlib.ExitStack() as started:
-        with _silence(), gate.closed():
+        with contextlib.redirect_stdout(io.StringIO()), gate.closed():
             server = viser.ViserServer(host=host, port=port, verbose=False)
             started.callback(close_server, server)
         started.pop_all()
@@ -127,7 +127,7 @@ def open_server(
 
 def close_server(server: viser.ViserServer) -> None:
     """Stop a server, and wait for the end of its network thread, at most `_ENDING`."""
-    with _silence():
+    with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
         thread = server._websock_server._server_thread
         if thread is not None:
@@ -178,11 +178,7 @@ def finite(value: Any) -> float:
 
 
 class Channel:
-    """Calls of functions, by their names, between the page's own scripts and this program.
-
-    The scripts add functions that viser does not have: widgets that span the page, number boxes
-    that send complete numbers instead of single digits, and reports of visible widgets.
-    """
+    """Calls of functions, by their names, between the page's own scripts and this program."""
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
         self._client = client
@@ -238,11 +234,6 @@ class Channel:
 
 def _connection(client: viser.ClientHandle) -> Any:
     return client._viser_server._websock_server._live_connections.get(client.client_id)
-
-
-def _silence() -> contextlib.redirect_stdout[io.StringIO]:
-    """Suppress the output of viser, because the caller prints the address."""
-    return contextlib.redirect_stdout(io.StringIO())
 
 
 class _Seen(NamedTuple):

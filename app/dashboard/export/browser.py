@@ -81,10 +81,7 @@ def browser_path(bundled: str) -> str | None:
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Run a headless browser with WebGL; at the end, close it and delete its temporary files.
-
-    Raises `BrowserError` if there is no browser, or if it does not start, has no WebGL 2, or fails.
-    """
+    """Run a headless browser with WebGL; raises `BrowserError` if none is found, or if it fails."""
     # Imported here, because most users of a scene need no browser.
     from playwright.sync_api import Error, sync_playwright
 
@@ -113,10 +110,9 @@ def chromium() -> Iterator[Browser]:
 def new_context(
     browser: Browser, size: tuple[int, int], *scripts: str, **more: Any
 ) -> BrowserContext:
-    """Create a browser context for pages of `size` (width, height) [px].
+    """Create a context for pages of `size` (width, height) [px], with arguments of playwright.
 
-    Each page first runs `scripts`, then `browser.js`, which adds the functions `dbbPage`. `more`
-    has further arguments of playwright's `new_context`.
+    Each page first runs `scripts`, then `browser.js`, which adds the functions `dbbPage`.
     """
     viewport: ViewportSize = {"width": size[0], "height": size[1]}
     context = browser.new_context(viewport=viewport, reduced_motion="reduce", **more)

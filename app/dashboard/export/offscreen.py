@@ -119,10 +119,7 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send all constant objects to a server without other scenes; `labels`: draw labels too.
-
-        Raises `AssetError` if the robot's URDF or the mesh of a convex body is missing.
-        """
+        """Send all constant objects, and draw `labels` too; raises the errors of `RobotParts`."""
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
         self._view = View.first(self._data.mobile, [])

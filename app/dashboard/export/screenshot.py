@@ -6,7 +6,7 @@ import io
 import itertools
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 import viser
@@ -45,18 +45,37 @@ def take_pictures(
     and the errors of `OffscreenScene`.
     """
     loop = RecordedLoop(snapshots)
-    with offscreen.own_page(browser, look) as (server, page):
+    with ExitStack() as stack:
+        server, page = stack.enter_context(offscreen.own_page(browser, look))
         if look.page:
-            with closing(SharedState(loop, model, clouds)) as shared:
-                return _of_page(page, server, loop, shared, times, look)
-        scene = OffscreenScene(server, loop, model, clouds, look)
-        scene.look([loop.go_to(t) for t in times])
-        scene.draw(times[0])
-        offscreen.open_page(page, server)
-        page.add_style_tag(content=offscreen.ONLY_SCENE)
+            shared = stack.enter_context(closing(SharedState(loop, model, clouds)))
+            offscreen.open_page(page, server)
+            client = _client_of(server)
+            page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour in a picture
+            shown = Page(client, shared, Notifier(server))
+            offscreen.apply_look(shown.view, look)
+
+            def draw(t: float) -> None:
+                loop.go_to(t)
+                shared.update()
+                shown.viewer.camera.wanted = look.view
+                for _ in range(
+                    2
+                ):  # the first call creates a panel's widgets, the second fills them
+                    shown.draw(texts=True)
+
+            draw(times[0])
+            _settled(page, server)  # then the page has reported the free part of the scene
+        else:
+            scene = OffscreenScene(server, loop, model, clouds, look)
+            scene.look([loop.go_to(t) for t in times])
+            draw = scene.draw
+            draw(times[0])
+            offscreen.open_page(page, server)
+            page.add_style_tag(content=offscreen.ONLY_SCENE)
         pictures = []
         for t in times:
-            scene.draw(t)
+            draw(t)
             pictures.append(_settled(page, server))
         return pictures
 
@@ -71,34 +90,6 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
     for x in range(width, whole.width, width):
         ImageDraw.Draw(whole).line([(x, 0), (x, height)], fill=offscreen.INK[dark])
     return whole
-
-
-def _of_page(
-    page: web.Page,
-    server: viser.ViserServer,
-    loop: RecordedLoop,
-    shared: SharedState,
-    times: Sequence[float],
-    look: Look,
-) -> list[Image.Image]:
-    offscreen.open_page(page, server)
-    client = _client_of(server)
-    page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour in a picture
-    shown = Page(client, shared, Notifier(server))
-    offscreen.apply_look(shown.view, look)
-    pictures = []
-    loop.go_to(times[0])
-    shared.update()
-    shown.draw(texts=True)
-    _settled(page, server)  # then the page has reported the free part of the scene
-    for t in times:
-        loop.go_to(t)
-        shared.update()
-        shown.viewer.camera.wanted = look.view
-        for _ in range(2):  # the first call creates a panel's widgets, the second fills them
-            shown.draw(texts=True)
-        pictures.append(_settled(page, server))
-    return pictures
 
 
 def _client_of(server: viser.ViserServer) -> viser.ClientHandle:

@@ -181,8 +181,7 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape, resized to `half_extents` of `half` (3,) [m].
 
-    The radius of a sphere becomes the entry of `half` that changes most. The radius of a cylinder
-    or a capsule becomes the entry for x or y that changes most.
+    A new radius is the entry of `half` that changes most; for a cylinder or capsule, only x and y.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]

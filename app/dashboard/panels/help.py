@@ -1,12 +1,8 @@
 """Help: the tab with method and keys, and the card with introduction, demonstration and tour."""
 
-from collections.abc import Callable
 from threading import RLock
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import viser
-
-from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.scenarios import scenario_of
@@ -126,24 +122,6 @@ the viewer is about to click."""
 SEEN = "dbb-tour-seen"  # key in the browser's storage after the first visit
 
 
-class Shortcut(NamedTuple):  # an entry of the list of commands, which `Ctrl K` opens
-    label: str
-    key: Any  # the key that executes the command too, or None
-    action: Callable[[], None]
-
-
-def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
-    for shortcut in shortcuts:
-        command = gui.add_command(shortcut.label, hotkey=shortcut.key)
-        command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))
-
-
-def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
-    """Add the help text, with the keys of the shortcuts, to the GUI container that is open."""
-    keys = ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
-    gui.add_markdown(TEXT.format(keys=keys))
-
-
 class Guide(Panel):
     """The card over the scene; the state is a key of `CARDS`, or empty without a card."""
 
@@ -223,10 +201,7 @@ class Guide(Panel):
             self._viewer.play(SHOWN)
 
     def _end(self, *, anew: bool) -> None:
-        """End the guide's comparison; do nothing if a viewer has chosen another comparison.
-
-        With `anew`, also start a run without a scenario, unless a person holds the robot.
-        """
+        """End the guide's comparison; if `anew`, also restart, unless a person holds the robot."""
         loop, self._compares = self._shared.loop, False
         if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
             return  # a viewer has chosen another comparison

@@ -131,10 +131,7 @@ class Plots(Panel):
 
 
 def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHandle:
-    """Create a plot without data; its options are constant, because a change would rebuild it.
-
-    A curve with its own scale, 0 to 1, marks the shown instant: it is 1 there, and `OFF` elsewhere.
-    """
+    """Create a plot without data; its options are constant, because a change would rebuild it."""
     lines, hidden = [], uplot.Series_Points(show=False)
     for curve in (*plan.curves, _INSTANT):
         scale = "instant" if curve is _INSTANT else "right" if curve.right else "y"

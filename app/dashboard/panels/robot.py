@@ -157,10 +157,7 @@ class NewRobotPanel(Panel):
         self.uploads.disabled = progress is not None
 
     def request(self) -> Request:
-        """Return the request for a robot, from the fields that apply to the chosen base and zip.
-
-        Raises `ConfigError` without an upload, or if fields are invalid or contradictory.
-        """
+        """Return the request from the fields that apply; raises `ConfigError` if one is wrong."""
         package = self._package
         if package is None:
             raise ConfigError("upload a zip file first")

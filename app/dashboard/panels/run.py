@@ -81,14 +81,12 @@ class RunPanel(Panel):
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the readings from the shown one.
-
-        The list still shows a scenario that has ended: a choice of `FREE` must change the list.
-        """
+        """Update the choices from the newest snapshot, and the readings from the shown one."""
         newest, shown, verdict = moment
         course = self._shared.course
         self._pause.label = CONTINUE if newest.paused else PAUSE
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
+        # Also after the end of a scenario, because a choice of `FREE` must change the list.
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
         ended = course.name and not (course.running or newest.busy)
@@ -140,14 +138,11 @@ class ComparePanel(Panel):
         self._names: list[str] = []
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the scores from the shown one.
-
-        If the viewer removes one of two controllers, the other one stays in its own list.
-        """
+        """Update the choices from the newest snapshot, and the scores from the shown one."""
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
-            if names != self._chosen():
+            if names != self._chosen():  # otherwise the lists stay as the viewer has set them
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
         shown, last, outcomes = moment.shown, self._shared.course.name, ""
@@ -170,10 +165,7 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return the table of scores, the main robot first, with marks at the best values.
-
-    A robot with a contact or an overlap cannot have a best value.
-    """
+    """Return a table of scores; robots without contact or overlap have marks at best values."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (

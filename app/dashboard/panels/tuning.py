@@ -116,10 +116,7 @@ def file_name(name: str) -> str:
 
 
 class ParameterWidget(Panel):
-    """Widget of one parameter; for a range of several powers of ten, also a logarithmic slider.
-
-    A refused value changes nothing: its sender gets a message, and the widget is reset.
-    """
+    """Widget of one parameter; for a range of several powers of ten, also a logarithmic slider."""
 
     def __init__(self, viewer: Viewer, path: str) -> None:
         super().__init__(viewer)

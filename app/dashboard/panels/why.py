@@ -9,15 +9,7 @@ from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, row, small, 
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
-from app.dashboard.verdict import (
-    COLOURS,
-    State,
-    Verdict,
-    base_cannot_help,
-    contacts,
-    is_slow,
-    pushes_links_apart,
-)
+from app.dashboard.verdict import COLOURS, State, Verdict, contacts, is_slow, is_steep, links_repel
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
@@ -150,7 +142,7 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if why.controller == "none":
         return f"{cause}, but avoidance is off: nothing gives way."
     if not pair.mobile:
-        apart = ", so the arm pushes the two links apart" if pushes_links_apart(pair) else ""
+        apart = ", so the arm pushes the two links apart" if links_repel(pair) else ""
         tracks = why.mode == "tracking"
         effect = f"; {_task_effect(why)}" if tracks else _off_target(snapshot)
         return f"{cause}{apart}; the base is not involved{effect}."
@@ -178,10 +170,10 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str) -> str:
     """Describe dbb and hqp: the base gives way; with dbb, the arm can keep a minimum distance."""
     also = ""
-    if apart := next(filter(pushes_links_apart, why.near), None):  # the most active one
+    if apart := next(filter(links_repel, why.near), None):  # the most active one
         a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
         also = f" {b.capitalize()} and {a} are also pushed apart."
-    if base_cannot_help(pair):
+    if is_steep(pair):
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.limited:
@@ -235,7 +227,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
     """Describe the effect on person or task; `limited`: the controller limits the approach."""
     if why.mode == "guiding":
-        if limited or any(pair.limited or pushes_links_apart(pair) for pair in why.near):
+        if limited or any(pair.limited or links_repel(pair) for pair in why.near):
             return "the arm resists further guiding"
         if any(bound.kind == "position" for bound in why.bounds):
             return "the arm can be guided within its joint limits"

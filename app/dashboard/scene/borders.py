@@ -104,10 +104,7 @@ class Borders:
         return ColouredCloud(points[keep], viridis(u), legend)
 
     def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:
-        """Return the `_Probe` of the point p (3,) [m] of a pair's border, in the base's frame.
-
-        The arm is assumed between p and l_m, at the distance `_INSIDE` d_b from l_m.
-        """
+        """Return the `_Probe` of the point p (3,) [m] of a pair's border, in the base's frame."""
         field, base, config = self.fields[pair], self._model.description.base, snapshot.config
         ends = self.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
         n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
@@ -158,10 +155,7 @@ class DrawnBorders:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each changed border; return whether there is any, and thus a new `legends`.
-
-        This takes milliseconds: call it outside of `atomic`, which delays all messages.
-        """
+        """Draw each changed border, outside of `atomic`: it is slow; return whether any changed."""
         changed = False
         for pair, quantity in view.borders.items():
             request = (quantity, view.whole_border, view.light, border.d_b, border.eps)

@@ -85,8 +85,8 @@ PRESETS = {  # by name
 class Camera:
     """Moves the camera of one client.
 
-    The browser reports each new position after a delay, together with the viewer's own changes. So
-    a new step waits until the last position is confirmed: otherwise one of the changes is lost.
+    A new step waits until the browser confirms the last position: its reports are late and include
+    the viewer's own changes, which would be lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -319,15 +319,10 @@ def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None
 
 
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
-    """Return the nearest camera that shows all points, centred in the picture's free part.
+    """Return the nearest camera that shows all points (N, 3) [m] in the picture's free part.
 
-    Args:
-        points: (N, 3) [m] points.
-        away: (3,) direction from the points to the camera, not vertical.
-        window: The part of the page with the scene.
-
-    Returns:
-        Eye (3,) [m], and target (3,) [m] on the optical axis, at the middle of the points' depths.
+    `away` (3,) is the direction from the points to the camera, not vertical. Returns the eye (3,)
+    [m], and a target (3,) [m] on the optical axis at the middle of the points' depths.
     """
     axes = _axes(-away)
     across, depth = np.vsplit(axes @ points.T, [2])

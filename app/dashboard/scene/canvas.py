@@ -15,8 +15,6 @@ from app.strict import Array
 Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right", "bottom-center"]
 
 ROOT = "/robot"  # scene node at the base's position on the floor; its x axis points forward
-METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force's arrow: 0.1 m is 40 N
-METRES_PER_ACCELERATION = 0.2  # [s²] length of an acceleration's arrow: 0.2 m is 1 m/s²
 HEAD_LENGTH = 0.035  # [m] of an arrow's head
 ANCHORS: tuple[Anchor, ...] = get_args(Anchor)  # of a label, the preferred one first
 FONT_SCALE = 0.85  # [-] size of labels, whose characters are then 12 px high
@@ -100,8 +98,7 @@ def set_apart(
 class Canvas:
     """Shows the objects that were drawn in the last picture, and hides all others.
 
-    A scene node is sent when it is drawn for the first time; later, viser sends only changes. An
-    object such as `parent/object` is in the frame of its parent node, but labels are in the world.
+    An object `parent/object` is in the frame of its parent node, but labels are in the world.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
@@ -118,8 +115,7 @@ class Canvas:
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
         """Show only objects drawn in this context; change texts of old labels only if `texts`.
 
-        With a lens, labels overlap only if there is no free spot. They prefer their last spots
-        while the simulated time `t` [s] advances in short steps.
+        Labels prefer their last spots while the simulated time `t` [s] advances in short steps.
         """
         if not 0.0 < t - self._t < _SOON:
             self._spots = {}

@@ -5,15 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from app.dashboard.scene import colours
-from app.dashboard.scene.canvas import (
-    HEAD_LENGTH,
-    METRES_PER_ACCELERATION,
-    METRES_PER_NEWTON,
-    ROOT,
-    Canvas,
-    in_world,
-)
+from app.dashboard.scene.canvas import HEAD_LENGTH, ROOT, Canvas, in_world
 from app.dashboard.scene.colours import Rgb, linear
+from app.dashboard.scene.legend import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.dashboard.verdict import COLOURS, Verdict
 from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
@@ -52,10 +46,7 @@ _DOOR_ARC = 0.30  # [m] radius of these arcs
 def draw_distances(
     canvas: Canvas, snapshot: Snapshot, verdict: Verdict, view: View, spoken: Mapping[str, str]
 ) -> None:
-    """Draw a line between the closest points of each pair, thick inside the buffer, and labels.
-
-    `view.labels` selects the labels, and `spoken` has the pairs' names in words.
-    """
+    """Draw lines between closest points, thick inside the buffer, and the labels of `view`."""
     d_b, pairs = snapshot.d_b, snapshot.pairs
     shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
     for kind, inside, pixels in (("outside", False, 1.5), ("inside", True, 4.0)):
@@ -128,10 +119,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) above the base's `top` [m], in the frame of the scene node.
-
-    The linear part is a straight arrow, the angular part ω̇ an arc with a head.
-    """
+    """Draw an acceleration (n_b,) above the base's `top` [m], in the frame of the scene node."""
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + _MOTION_LIFT])
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
@@ -160,10 +148,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """If a ghost is apart from the robot, label all robots with their method and clearance.
-
-    A label is at the position `at` (3,) [m] in the frame of the robot's base.
-    """
+    """Label all robots if a ghost is apart; `at` (3,) [m] is a label's place in a base's frame."""
     base, q_m = snapshot.base_pose, snapshot.q_m
     apart = [np.append(ghost.base_pose - base, ghost.q_m - q_m) for ghost in snapshot.ghosts]
     if all(np.abs(each).max() < SAME for each in apart):

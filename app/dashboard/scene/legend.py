@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, table
 from app.dashboard.scene import colours
-from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
 from app.dashboard.verdict import COLOURS, State
 
+METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force's arrow: 0.1 m is 40 N
+METRES_PER_ACCELERATION = 0.2  # [s²] length of an acceleration's arrow: 0.2 m is 1 m/s²
 QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")  # that colour a border
 
 
@@ -118,10 +119,7 @@ def _signs(sign: str, *each: Rgb) -> str:
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
-    """Return the numbers at a bar's ends and middle, with up to three digits, and their factor.
-
-    The factor is a text such as `10<sup>−3</sup> `, or empty for 1.
-    """
+    """Return the numbers at a bar's ends and middle, and their common factor as HTML, or ""."""
     largest = max(abs(low), abs(high))
     order = 0 if largest == 0 else math.floor(math.log10(largest))
     power = 0 if -1 <= order <= 3 else 3 * (order // 3)

@@ -54,11 +54,7 @@ class Visual(NamedTuple):
 
 
 class LinkPoses:
-    """Kinematics of the whole URDF, including the wheels, relative to its root.
-
-    In the controller's model, wheels are locked and the root is a planar joint. Here wheels turn,
-    and the root is fixed: the scene moves its node.
-    """
+    """Kinematics of the whole URDF, relative to its root; unlike in `RobotModel`, wheels turn."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.model = pin.buildModelFromXML(bare_urdf(robot.description))
@@ -146,11 +142,8 @@ def _visuals(robot: RobotModel, apart: bool) -> list[Visual]:
 def load_visuals(description: RobotDescription) -> list[Visual]:
     """Load the visual meshes of the URDF, decimated, in the URDF's colours, brightened if too dark.
 
-    `joint` of each result is the index of a joint in `LinkPoses.model`.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
-        RobotFileError: A shape of the URDF is invalid, or a mesh cannot be read.
+    `joint` of each result is the index of a joint in `LinkPoses.model`. Raises `AssetError` if the
+    URDF or a mesh is missing, `RobotFileError` if a shape is invalid or a mesh cannot be read.
     """
     urdf = resolved_urdf(description)
     tree, model = ElementTree.fromstring(urdf), pin.buildModelFromXML(urdf)
@@ -178,10 +171,7 @@ def load_visuals(description: RobotDescription) -> list[Visual]:
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a mesh with duplicate vertices at sharp edges, decimated if over `MAX_FACES` faces.
-
-    Without duplicates, the edges of a box would look round: the browser averages normals there.
-    """
+    """Return a mesh to draw: with at most about `MAX_FACES` faces, and with sharp edges."""
     if len(mesh.faces) > MAX_FACES:
         whole = mesh.copy()
         whole.merge_vertices(merge_tex=True, merge_norm=True)  # else no triangles are connected
@@ -189,6 +179,7 @@ def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
             mesh = whole.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
             if len(mesh.faces) <= MOST_FACES:
                 break
+    # With common vertices, the edges of a box look round, because the browser averages normals.
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)
 
 

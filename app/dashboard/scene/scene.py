@@ -84,10 +84,7 @@ class RobotScene:
         ghost: Rgb | None = None,
         light: bool = False,
     ) -> None:
-        """Send all meshes below the node `root`; a `ghost` is translucent, without convex bodies.
-
-        With `light`, the visual meshes have few faces.
-        """
+        """Send all meshes below the node `root`; a `ghost` is translucent and has no bodies."""
         self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
         self.root = scene.add_frame(root, show_axes=False)
         bodies = parts.bodies if ghost is None else []
@@ -194,13 +191,10 @@ class Scene:
         return verdict
 
     def _light_up(self) -> None:
-        """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black.
-
-        There are no reflections: with software rendering, they double the time per pixel.
-        """
+        """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black."""
         scene, light = self._scene, self._light
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
-        scene.configure_environment_map(None)
+        scene.configure_environment_map(None)  # reflections double the time of software rendering
         sky = {"sky_color": (255, 255, 255), "ground_color": (120, 125, 135)}
         scene.add_light_hemisphere("/lights/sky", intensity=1.2, **sky)
         dark = self._dark
