@@ -223,7 +223,7 @@ def test_the_checkbox_switches_the_theme_between_dark_and_light(tab):
 
 def preset_view(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Eye and target of a preset in the viewer's window."""
-    window = served.page()._camera.window
+    window = served.page().camera.window
     return placed(PRESETS[name], [served.loop.latest()], served.server.shared.parts.extent, window)
 
 

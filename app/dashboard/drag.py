@@ -29,7 +29,7 @@ class Grip:
         self, sink: LoopHandle, notifier: Notifier, client: viser.ClientHandle, timeline: Timeline
     ) -> None:
         """Start without a held point; commands to `sink` contain the number of `client`."""
-        self._sink, self._notifier, self._client, self._timeline = sink, notifier, client, timeline
+        self._sink, self.notifier, self._client, self._timeline = sink, notifier, client, timeline
         self._held: tuple[str | None, Point | None] | None = None  # arguments of the last `take`
         self._pulls = False  # whether the simulation has a pull of this viewer
         self._warned = False
@@ -58,7 +58,7 @@ class Grip:
             self.release()
             if not self._timeline.live:
                 self._timeline.go_live()
-                self._notifier.tell(self._client, "Now", "The page showed the past. Pull again.")
+                self.notifier.tell(self._client, "Now", "The page showed the past. Pull again.")
                 return
             self._held, self._warned, self._moved = (link, point), False, monotonic()
             self._by_keys = False
@@ -81,7 +81,7 @@ class Grip:
                 return
             if z < 0.0 and not self._warned:
                 self._warned = True  # warn once per drag
-                self._notifier.warn(self._client, "The floor is at z = 0; the target stays on it.")
+                self.notifier.warn(self._client, "The floor is at z = 0; the target stays on it.")
             self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._client.client_id))
             self._pulls = True
 
@@ -125,27 +125,22 @@ class Grip:
                 return
             self.release()
         text = "Your pull has ended, because your browser did not respond. Pull again."
-        self._notifier.warn(self._client, text)
+        self.notifier.warn(self._client, text)
 
 
 class DragHandles:
     """Handles for the mouse: the gizmo on the end-effector, and the meshes of the arm's links."""
 
     def __init__(
-        self,
-        scene: viser.SceneApi,
-        robot: RobotScene,
-        grip: Grip,
-        notifier: Notifier,
-        arm_joints: dict[int, str],
+        self, scene: viser.SceneApi, robot: RobotScene, grip: Grip, arm_joints: dict[int, str]
     ) -> None:
         """Add the gizmo; `arm_joints` has the arm's joints by their indices in the drawn model."""
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
         )
-        self._gizmo.on_update(notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
-        self._robot, self._arm_joints, self._notifier = robot, arm_joints, notifier
+        self._gizmo.on_update(grip.notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
+        self._robot, self._arm_joints = robot, arm_joints
         self._links: object = None
         self._dragged = False  # whether the viewer drags the gizmo
 
@@ -183,4 +178,4 @@ class DragHandles:
                 self.grip.take(name, (x, y, z))
             self.grip.pull(np.array(event.end_position))
 
-        mesh.on_drag(self._notifier.guard(dragged))  # type: ignore[arg-type]
+        mesh.on_drag(self.grip.notifier.guard(dragged))  # type: ignore[arg-type]

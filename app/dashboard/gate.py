@@ -74,8 +74,13 @@ _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
 _REQUEST = re.compile(rb"([A-Z]+) (\S+) HTTP/1\.[01]\r\n")
 _METHODS = "GET", "HEAD"
 _PORTS = {"http": 80, "https": 443}
-_SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
-"""Headers that may occur once only, because this module or viser reads a single value."""
+_SINGLE = (
+    "Host",
+    "Origin",
+    "Upgrade",
+    "Cookie",
+    "Accept-Encoding",
+)  # headers that may occur once
 _lock = threading.Lock()
 
 _TAKEN = (
@@ -320,8 +325,7 @@ class Uploads:
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
         """Accept files of up to `largest` [bytes]; all `everyone` share the limit of uploads."""
         self._largest, self._everyone = largest, everyone
-        self.unfinished: dict[str, tuple[int, range]] = {}
-        """Number of missing bytes and indices of the missing parts, by the transfer's name."""
+        self.unfinished: dict[str, tuple[int, range]] = {}  # missing bytes and parts, by transfer
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
         """Register a file of `size` [bytes] and a number of `parts`; may raise `RefusedError`."""

@@ -99,7 +99,6 @@ class Job:
             self.progress = self.progress._replace(text=text, share=share)
 
     def check(self) -> None:
-        """Raise `Cancelled` if the running job was cancelled."""
         if self.cancelled:
             raise Cancelled("cancelled")
 

@@ -53,16 +53,10 @@ class Notifier:
             self.warn(client, str(error))
         except Exception as error:  # the viewer must see it
             logger.exception("the dashboard failed")
-            self._show(client, "Internal error", plain(error), "red", 30.0)
+            self._show(client, "Internal error", plain(error), "red")
 
-    def _show(
-        self,
-        client: viser.ClientHandle | None,
-        title: str,
-        text: str,
-        colour: Any,
-        seconds: float = 6.0,
-    ) -> None:
+    def _show(self, client: viser.ClientHandle | None, title: str, text: str, colour: Any) -> None:
+        seconds = 30.0 if colour == "red" else 6.0
         text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may come from a file
         clients = [client] if client is not None else list(self._server.get_clients().values())
         here = {each.client_id for each in clients} | set(self._server.get_clients())

@@ -118,8 +118,7 @@ class Strip:
         self.closed = self._numbered = 0  # rows and events since the restart, also deleted ones
         self.events: dict[int, Event] = {}  # by their numbers, in order
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
-        self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))
-        """Of every two bins, the snapshot with the smallest distance."""
+        self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))  # one of every two bins
         self.nearest: Snapshot | None = None  # with the smallest distance since the restart
         self.hardest: Snapshot | None = None  # with the largest external force above 0
         self._bin: list[Snapshot] = []

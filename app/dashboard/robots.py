@@ -184,8 +184,7 @@ class RobotBuild(Job):
     def __init__(self, switch: RobotSwitch) -> None:
         """Start without an upload; `switch` searches for robots again after each build."""
         super().__init__()
-        self.package: Package | None = None
-        """The last uploaded zip; None without a usable upload, and after a successful build."""
+        self.package: Package | None = None  # last uploaded zip, until a robot is built from it
         self.built = ""  # name of the built robot; empty after the start of a new upload or build
         self._switch = switch
         self._folder = ExitStack()

@@ -13,24 +13,27 @@ from app.border.dbb import Cloud
 from app.dashboard.job import give_back
 from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import PATIENCE, Demonstration, Page
+from app.dashboard.page import PATIENCE, Page
 from app.dashboard.robots import RobotSwitch, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.shared import SharedState
 from app.dashboard.viser_compat import Watchdog, close_server, open_server
-from app.errors import LoopError, ServerError
+from app.errors import DbbError, LoopError, ServerError
 from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Release
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario
+from app.simulation.trace.snapshot import Snapshot
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
 _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
+UNTOUCHED = 20.0  # [s] without input before a demonstration starts
+REST = 3.0  # [s] pause between two demonstrations
 FRAME = 1 / 30  # [s] period of drawing
 TEXTS_EVERY = 0.2  # [s] period of updates of panels, plots and labels, also at a low frame rate
 LIGHT_EVERY = 2  # [frames] a page with low detail is drawn in every second frame
@@ -47,12 +50,12 @@ class DashboardServer:
         host = {"0.0.0.0": "localhost", "::": "::1"}.get(host, host)
         host = f"[{host}]" if ":" in host else host  # IPv6
         self.address = f"http://{host}:{viser_server.get_port()}"
-        self.pages: dict[int, Page] = {}
-        """Page of each viewer, by the number that viser assigns to the viewer."""
+        self.pages: dict[int, Page] = {}  # by the numbers that viser assigns to the viewers
         self.pictures = 0  # number of frames so far
         self.error: BaseException | None = None  # exception that ended the drawing thread, or None
         self._texts_due = self._newcomer_due = 0.0  # [s] of `time.monotonic`
-        self._notifier, self._demonstration = Notifier(viser_server), Demonstration()
+        self._demonstration_due: float | None = None  # [s] of `time.monotonic`
+        self._notifier = Notifier(viser_server)
         self._failure: tuple[str, BaseException] | None = None
         self._here: frozenset[int] = frozenset()
         self._stopping = threading.Event()
@@ -128,7 +131,7 @@ class DashboardServer:
         shared = self.shared
         shared.update()
         pages = [page for page in self.pages.values() if not page.closed]
-        self._demonstration.update(pages, shared.loop.latest())
+        self._demonstrate(pages, shared.loop.latest())
         for page in pages:
             if not (texts or not page.view.light or self.pictures % LIGHT_EVERY == 0):
                 continue
@@ -143,6 +146,28 @@ class DashboardServer:
         if error is not None and self._failure is None:
             logger.error("the simulation ended", exc_info=error)
             self._fail("The simulation has stopped", error)
+
+    def _demonstrate(self, pages: Sequence[Page], newest: Snapshot) -> None:
+        """Start, repeat or end the demonstration for a single viewer who has not touched the page.
+
+        It starts after `UNTOUCHED` seconds with dbb, and without scenario, pause and comparison.
+        """
+        due, self._demonstration_due = self._demonstration_due, None
+        if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
+            for page in pages:
+                page.guide.leave_demonstration()
+            return
+        guide, now = pages[0].guide, time.monotonic()
+        repeats = guide.state == "demo"
+        if newest.scenario or newest.paused or newest.busy or (newest.ghosts and not repeats):
+            return
+        if due is None:
+            self._demonstration_due = now + (REST if repeats else UNTOUCHED)
+        elif now <= due:
+            self._demonstration_due = due
+        else:
+            with contextlib.suppress(DbbError):  # the robot cannot play the scenario
+                guide.watch("demo")
 
     def _open_and_close_pages(self) -> None:
         """Build at most one page, because this is slow; end the pages of disconnected viewers."""
@@ -177,14 +202,13 @@ class DashboardServer:
             page.fail(*self._failure)
 
     def _switch_robot(self) -> None:
-        """If another robot is ready, replace every viewer's page."""
         switch = self.shared.robot_switch
         if (robot := switch.take()) is None:
             return
         try:
             self.shared, self._failure = self.shared.followed_by(robot), None
             for number in list(self.pages):
-                self._build_page(self.pages[number].viewer.client)
+                self._build_page(self.pages[number].client)
         finally:
             switch.shown()  # also after an error: the switch's thread waits for this
         note = f"; {robot.note}" if robot.note else ""

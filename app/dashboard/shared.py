@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
+from time import monotonic
 
 from app.border.dbb import Cloud
 from app.config import Config
@@ -34,18 +34,13 @@ class Tuning:
         self,
         sink: LoopHandle,
         config: Config,
-        usual: Config | None = None,
-        *,
-        clock: Callable[[], float] = time.monotonic,
+        usual: Config,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
-        """Start with the configuration of the simulation `sink`, which gets each change.
-
-        `usual` has the robot's defaults; None means the program's defaults. `clock` returns [s].
-        """
-        self._sink, self._clock, self.usual = sink, clock, usual or Config()
+        """Start with `config` of the simulation `sink`, and with the robot's defaults `usual`."""
+        self._sink, self._clock, self.usual = sink, clock, usual
         self._steps, self._at = [config], 0  # configurations, oldest first; index of the present
-        self._burst: tuple[str, float] | None = None
-        """Parameter and time [s] of the last change; None if the next one starts a new step."""
+        self._burst: tuple[str, float] | None = None  # parameter and time [s] of the last change
         self._lock = threading.RLock()
 
     @property

@@ -29,10 +29,6 @@ class Verdict(NamedTuple):
     pairs: tuple[State, ...]  # in the order of the snapshot
     touching: str  # text of the function `touching`
 
-    @property
-    def colour(self) -> Rgb:
-        return COLOURS[self.state]
-
 
 def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdict:
     """Return the verdict on a snapshot; `spoken` has words for pairs, by default their names."""
@@ -86,7 +82,6 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
 
 
 def contacts(snapshot: Snapshot) -> list[str]:
-    """Return the reported contacts in words."""
     touches = {
         "arm and base": snapshot.in_contact,
         "links of the arm": snapshot.arm_in_contact,

@@ -40,12 +40,11 @@ LOOK = 0.5  # [s] period of checks of the connections
 SILENT = 3  # [checks] without an answer, after which a viewer counts as silent
 STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
 _MINUTE = 60.0  # [s]
-_KNOCKS = (
+_KNOCKS = (  # log records of failed connections; the cause may be a peer
     "opening handshake failed",
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
-"""Texts of the log records of failed connections. The cause is a peer, or a defect on this side."""
 _pictures = threading.BoundedSemaphore(2)  # [-] simultaneous screenshots
 _said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of each kind
 

@@ -51,13 +51,12 @@ BARRIER = "/sent"  # scene node whose x coordinate is the last number of `send_b
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
 RATE = 25.0  # [Hz] frame rate of a replay
-_MEANINGS: dict[Layer, str] = {
+_MEANINGS: dict[Layer, str] = {  # meaning of a border's colours
     "score": "yellow: high score, purple: low score; avoidance turns yellow parts towards the arm",
     "determinant": "yellow: the base moves the point well, purple: less well",
     "reachability": "yellow: the arm reaches the point well, purple: less well",
     "none": "",
 }
-"""Meaning of a border's colours, by the quantity that colours the border."""
 _TEXTS_EVERY = 5  # frames per update of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
 """Text colour on a dark and on a light background."""
@@ -67,13 +66,12 @@ _YUV = ["-pix_fmt", "yuv420p"]
 _WEB = ["-cpu-used", "5", "-row-mt", "1", "-deadline", "good", "-b:v", "0", "-crf", "32", *_YUV]
 _X264 = ["-crf", "20", *_YUV, "-movflags", "+faststart"]
 _PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=bayer"
-CODECS = {
+CODECS = {  # by suffix, the default first, with ffmpeg's options
     ".mp4": {"h264": ["libx264", *_X264], "h265": ["libx265", *_X264, "-tag:v", "hvc1"]},
     ".webm": {"vp9": ["libvpx-vp9", *_WEB], "vp8": ["libvpx", *_WEB]},
     ".webp": {"webp": ["libwebp_anim", "-loop", "0", "-quality", "70", "-compression_level", "4"]},
     ".gif": {"gif": ["gif", "-loop", "0", "-filter_complex", _PALETTE]},
 }
-"""Codecs by the suffix of a file, the default first, each with ffmpeg's options."""
 _LIFT, _OUTLINE = 0.005, 2.5  # [m] height above the floor, [px] line width
 _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # yuv420p needs even sizes
 
@@ -242,7 +240,6 @@ def send_barrier(server: viser.ViserServer, number: int) -> None:
 
 
 def open_page(page: web.Page, server: viser.ViserServer) -> None:
-    """Open a server's page and wait until it is ready to draw."""
     page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
     page.wait_for_function("() => dbbPage.ready()", timeout=1000 * TIMEOUT)
 

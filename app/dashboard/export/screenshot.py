@@ -58,7 +58,7 @@ def take_pictures(
             def draw(t: float) -> None:
                 loop.go_to(t)
                 shared.update()
-                shown.viewer.camera.wanted = look.view
+                shown.camera.wanted = look.view
                 for _ in range(
                     2
                 ):  # the first call creates a panel's widgets, the second fills them

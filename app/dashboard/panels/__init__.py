@@ -112,14 +112,15 @@ class Panel:
     def update(self, moment: Moment) -> None:
         """Show the moment; the drawing thread calls this method."""
 
-    def on_update(self, handle: Any, act: Callable[[Any], None]) -> None:
-        """Call `act` if a person changes a widget, but not if the program does."""
+    def on_update(self, handle: Any, act: Callable[[Any], None]) -> Any:
+        """Call `act` if a person changes a widget, but not if the program does; return it."""
 
         def updated(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 act(event)
 
         handle.on_update(self._notifier.guard(updated))
+        return handle
 
     def button(
         self, label: str, act: Callable[[Any], None], icon: Any = None, **look: Any
@@ -135,8 +136,7 @@ class Panel:
         """Add a list of titles; `titles` has them by name; `act` gets the name of a chosen one."""
         names = {title: name for name, title in titles.items()}
         handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
-        self.on_update(handle, lambda event: act(names[event.target.value]))
-        return handle
+        return self.on_update(handle, lambda event: act(names[event.target.value]))
 
     def buttons(
         self, label: str, acts: Mapping[str, Callable[[], None]], hint: str | None = None

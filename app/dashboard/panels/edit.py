@@ -54,12 +54,10 @@ class EditPanel(Panel):
             hint = "The large gizmo moves and rotates the body, the small one resizes it."
             self._body = gui.add_dropdown("Body", (_NONE, *self._keys), hint=hint)
             with gui.add_folder("Monitored pairs", expand_by_default=False):
-                self._watched = {
-                    pair: gui.add_checkbox(words.spoken(pair, names), False)
-                    for pair in sorted(self._pairs)
-                }
-                for box in self._watched.values():
-                    self.on_update(box, lambda _: self._switch_pairs())
+                self._watched = {}
+                for pair in sorted(self._pairs):
+                    box = gui.add_checkbox(words.spoken(pair, names), False)
+                    self._watched[pair] = self.on_update(box, lambda _: self._switch_pairs())
             hint = "The shown posture. To change it, pull the arm, or use “Joint sliders” in Lab."
             ready, icon = "Use this posture as ready posture", viser.Icon.STRETCHING
             self.button(ready, lambda _: self._take_posture(), icon, hint=hint)

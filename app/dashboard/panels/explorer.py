@@ -103,8 +103,7 @@ class ExplorerPanel(Panel):
     def _slider(self, label: str, low: float, high: float, step: float, unit: str) -> Any:
         first = min(max(0.0, low), high)
         handle = self._gui.add_slider(f"{label} [{unit}]", low, high, step, first)
-        self.on_update(handle, lambda _: self._read())
-        return handle
+        return self.on_update(handle, lambda _: self._read())
 
     def _enter(self, _: Any) -> None:
         newest = self._shared.loop.latest()

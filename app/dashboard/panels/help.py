@@ -47,8 +47,7 @@ is shared, and the forces of all who pull add up.
 """
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
 TOUR = "Take the tour"
-SHOWN = "guiding-lateral"
-"""The scenario of the demonstration: the arm is pulled from the side towards the base."""
+SHOWN = "guiding-lateral"  # the arm is pulled from the side towards the base
 FARTHER = 1.5  # [-] factor on this scenario's path; the arm then almost reaches a resting base
 
 
@@ -183,22 +182,18 @@ class Guide(Panel):
             card = CARDS.get(self.state)
             if label not in (card.buttons if card else (WATCH, PULL)):
                 return
-            if label == SHOW:
-                self._show()
+            if label == SHOW and self.state == "tour 4":
+                self._viewer.timeline.step(-3.0)
+            elif label == SHOW and self.state != "tour 5":
+                self._viewer.play(SHOWN)
+            elif label == SHOW:
+                self.watch(self.state)
             elif label == WATCH:
                 self.watch("watch")
             elif label == NEXT:
                 self.go(f"tour {int(self.state[-1]) + 1}")
             else:
                 self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
-
-    def _show(self) -> None:
-        if self.state == "tour 5":
-            self.watch(self.state)
-        elif self.state == "tour 4":
-            self._viewer.timeline.step(-3.0)
-        else:
-            self._viewer.play(SHOWN)
 
     def _end(self, *, anew: bool) -> None:
         """End the guide's comparison; if `anew`, also restart, unless a person holds the robot."""

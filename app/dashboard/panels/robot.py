@@ -21,7 +21,7 @@ from app.strict import file_text
 
 FIND = "(detect)"  # choice for wheels that the program finds itself
 _WHEEL = "Joint of a driven wheel; of a rear wheel for a car-like base"
-_QUESTIONS = {
+_QUESTIONS = {  # label and hint by field of `Request`; "left" and "right" are `wheels`
     "file": ("URDF", "One of the URDF files in the zip"),
     "out": ("Name", "A letter, then letters, digits and _"),
     "base": ("Base link", "Root link of the base, z up"),
@@ -41,7 +41,6 @@ _QUESTIONS = {
         "Estimate masses from volumes if the URDF has none for the arm",
     ),
 }
-"""Label and hint by the field of `Request`; "left" and "right" are its field `wheels`."""
 _WHEELS = "“Left wheel” and “Right wheel”"
 _REPORT = (
     "<style>.mantine-Modal-content:has(.dbb-report){{flex:0 0 min(62rem,92vw)!important}}</style>"

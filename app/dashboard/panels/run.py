@@ -47,7 +47,7 @@ INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
 _STARTS = "A scenario starts at once. A pull of the end-effector ends it."
-_SCORES = (
+_SCORES = (  # label with unit, field of `Score`, text of a value, and the best value's function
     ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("end-effector error, now or final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
     ("end-effector error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
@@ -56,7 +56,6 @@ _SCORES = (
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
     ("torque jump [N m, N]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
-"""Label with unit, field of `Score`, text of a value, and function for the best value, or None."""
 
 
 class RunPanel(Panel):
@@ -279,20 +278,17 @@ def _warned(name: str, value: str, *, bad: bool) -> str:
     return reading(name, state_chip("contact", value) if bad else value)
 
 
-def pairs_html(
-    snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str] | None = None
-) -> str:
-    """Return a table of all pairs; `spoken` has words for them, by default their names."""
+def pairs_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
+    """Return a table of all pairs; `spoken` has words for their names."""
     distance = cell("distance [mm]", RIGHT, ONE_LINE, span=2)
     beta = cell("activation β", RIGHT, ONE_LINE, "padding-left:1em")
     head = row(cell(), cell("link pair"), distance, beta, style=FAINT)
-    known = spoken or {pair.name: pair.name for pair in snapshot.pairs}
-    order = list(known)  # also that of the colours in the plots
+    order = list(spoken)  # also that of the colours in the plots
     about = "signed distance d of its convex bodies, negative where they overlap; the mark is d_b ="
     rows = (
         row(
             cell(mark("●", SERIES[order.index(pair.name) % len(SERIES)])),
-            cell(known[pair.name], ONE_LINE),
+            cell(spoken[pair.name], ONE_LINE),
             cell(distance_bar(pair.d, snapshot.d_b, state), "width:26%;padding-left:.4em"),
             cell(_distance(pair.d), RIGHT),
             cell(f"{pair.beta:.2f}", RIGHT),

@@ -25,8 +25,7 @@ from app.simulation.trace.trace import Trace
 from app.strict import check_range
 from app.system import temporary_folder
 
-SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
-"""[px] smallest, largest and default size of a picture."""
+SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}  # [px] least, most and default size
 NamedFile = tuple[str, bytes]
 _CANCEL_EVERY = 0.1  # [s] period of checks for a cancellation
 _PATIENCE = 30.0  # [s] timeout of a picture by the browser

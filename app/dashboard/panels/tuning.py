@@ -27,8 +27,7 @@ class TuningPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         tuning = self._tuning = viewer.shared.tuning
-        self.widgets: dict[str, ParameterWidget] = {}
-        """Widget of each parameter, by the parameter's path."""
+        self.widgets: dict[str, ParameterWidget] = {}  # by the parameter's path
         self._folders: list[tuple[Any, Any, str, tuple[str, ...]]] = []
         """Folder, reset button, title, and paths of the parameters of each section."""
         self.buttons(
@@ -137,8 +136,10 @@ class ParameterWidget(Panel):
 
     def _set(self, event: Any) -> None:
         sent, is_power = event.target.value, event.target is self.exponent
+        if is_power:  # 10 to this power overflows from 300 on
+            sent = float(f"{10.0**sent:.3g}") if abs(sent) < 300 else sent * math.inf
         try:
-            self._tuning.set(self.about.path, _value_of(sent) if is_power else sent)
+            self._tuning.set(self.about.path, sent)
         finally:
             value = self._tuning.config.value(self.about.path)
             event.target.value = _power_of(value) if is_power else value
@@ -160,11 +161,6 @@ class ParameterWidget(Panel):
             handle = gui.add_slider(title, low, high, step, float(value), hint=hint)
         handle.precision = DECIMALS
         return handle, exponent
-
-
-def _value_of(power: float) -> float:
-    """Return 10 to the power, with three digits; ±inf for a power from ±300 on, NaN for NaN."""
-    return float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
 
 
 def _power_of(value: float | str) -> float:

@@ -55,7 +55,7 @@ class WhyPanel(Panel):
 
 def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     """Return verdict, cause of the motion in a sentence, and rows: force, base motion, limits."""
-    why, colour = snapshot.explanation, css(verdict.colour)
+    why, colour = snapshot.explanation, css(COLOURS[verdict.state])
     x, y = _total(why, "f", 2) if why else (0.0, 0.0)
     size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
     force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"

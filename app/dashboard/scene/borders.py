@@ -18,7 +18,7 @@ from app.dashboard.markup import minus
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, in_world
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
-from app.dashboard.scene.legend import QUANTITIES, Legend, measure_of, title_of
+from app.dashboard.scene.legend import Legend, measure_of, title_of
 from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
@@ -94,8 +94,8 @@ class Borders:
         if not len(points):
             return None
         field = self.fields[pair]
-        functions = field.singularity, field.reachability, field.score
-        values = dict(zip(QUANTITIES, functions, strict=True))[quantity](points)
+        measure = "singularity" if quantity == "determinant" else quantity
+        values = getattr(field, measure)(points)
         keep = subsample(len(points), MAX_POINTS)
         low, high = float(values.min()), float(values.max())
         u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)

@@ -91,10 +91,8 @@ class Camera:
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
-        self.extent: Array = np.zeros((1, 3))
-        """(N, 3) [m] points of the robot to show, in the base's frame."""
-        self.wanted = ""
-        """Preset, a key of `PRESETS`, that the next call of `settle` uses; callbacks assign it."""
+        self.extent: Array = np.zeros((1, 3))  # (N, 3) [m] points to show, in the base's frame
+        self.wanted = ""  # preset that the next call of `settle` uses
         self._preset = "iso"  # the preset that was used last
         self._eye = np.full(3, np.inf)  # [m] the preset's position, moved along with the base
         self._fitted: Window | None = None  # the preset's window; None if a viewer moved the camera

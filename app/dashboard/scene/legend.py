@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, table
 from app.dashboard.scene import colours
-from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
+from app.dashboard.scene.colours import BETA, GHOSTS, VIRIDIS, Rgb, css
 from app.dashboard.verdict import COLOURS, State
 
 METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force's arrow: 0.1 m is 40 N
@@ -102,7 +102,8 @@ def _bar_html(legend: Legend) -> str:
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
     unit = factor + legend.unit
     unit = f' <span style="{ONE_LINE}">[{unit}]</span>' if unit else ""
-    gradient = f"background:linear-gradient(to right,{viridis_css()})"
+    shades = ", ".join(f"#{shade}" for shade in VIRIDIS.split())
+    gradient = f"background:linear-gradient(to right,{shades})"
     return small(
         f"<b>{legend.title}{unit}</b>"
         f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'

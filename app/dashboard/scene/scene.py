@@ -76,17 +76,13 @@ class RobotScene:
     """A robot in a scene: its meshes are sent once, below frames that move."""
 
     def __init__(
-        self,
-        scene: viser.SceneApi,
-        parts: RobotParts,
-        root: str = ROOT,
-        *,
-        ghost: Rgb | None = None,
-        light: bool = False,
+        self, scene: viser.SceneApi, parts: RobotParts, ghost: int | None = None, *, light: bool
     ) -> None:
-        """Send all meshes below the node `root`; a `ghost` is translucent and has no bodies."""
-        self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
-        self.root = scene.add_frame(root, show_axes=False)
+        """Send all meshes; with the number of a `ghost`, translucent and without bodies."""
+        self._parts, self._scene = parts, scene
+        self._ghost = None if ghost is None else GHOSTS[ghost % len(GHOSTS)]
+        self._path = ROOT if ghost is None else f"/ghost_{ghost}"
+        self.root = scene.add_frame(self._path, show_axes=False)
         bodies = parts.bodies if ghost is None else []
         moving = sorted({visual.joint for visual in (*parts.visuals, *bodies)})
         self._frames = {
@@ -236,8 +232,7 @@ class Scene:
         """Move the ghosts; hide absent ghosts, and links that coincide with the robot's."""
         scene, parts, light = self._scene, self._data.parts, self._light
         for i in range(len(self._ghosts), len(snapshot.ghosts)):
-            colour = GHOSTS[i % len(GHOSTS)]
-            self._ghosts.append(RobotScene(scene, parts, f"/ghost_{i}", ghost=colour, light=light))
+            self._ghosts.append(RobotScene(scene, parts, i, light=light))
         for robot, ghost in zip_longest(self._ghosts, snapshot.ghosts):
             robot.root.visible = ghost is not None
             if ghost is not None:
