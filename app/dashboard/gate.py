@@ -200,7 +200,7 @@ class Gate:
             return _refused(HTTPStatus.BAD_REQUEST, why, more)
         return None
 
-    async def _handle(self, inner: Callable[..., Any], connection: _Connection) -> None:
+    async def _handle(self, inner: Callable[..., Any], connection: Any) -> None:
         """Run viser's handler `inner` of a connection, which gets only checked messages."""
         if connection.subprotocol != _VERSION:  # viser would print each wrong version
             return await connection.close(1002, "this page is of another version; reload it")

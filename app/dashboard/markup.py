@@ -11,7 +11,6 @@ from app.errors import DbbError
 RIGHT = "text-align:right"
 FAINT = "opacity:.8"
 ONE_LINE = "white-space:nowrap"
-BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 _SCRIPT, _CONTROLS, _STYLE = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
@@ -42,7 +41,7 @@ def small(html: str, *styles: str) -> str:
 
 def problem(text: str) -> str:
     """Return a text in the colour of errors; the text is escaped."""
-    return tag("span", escape(text), f"color:{BAD_COLOUR}")
+    return tag("span", escape(text), "color:light-dark(#c92a2a, #ff8787)")
 
 
 def banner(kind: str, title: str, text: str) -> str:

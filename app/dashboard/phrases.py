@@ -23,7 +23,6 @@ _SECTORS = (  # direction and place on the base, for eighths of a turn countercl
     ("right", "right side"),
     ("forward right", "front right corner"),
 )
-_TOP = 0.8  # [-] |z| of a normal above which the place is the top or the underside
 _BOUNDS: dict[BoundKind, str] = {  # limits whose name is not their kind
     "position": "joint limit",
     "barrier": "minimum distance",
@@ -51,7 +50,7 @@ def direction(x: float, y: float) -> str:
 
 def place(n: Sequence[float]) -> str:
     """Return the place on the base with this outward unit normal (3,), in the base's frame."""
-    if abs(n[2]) > _TOP:
+    if abs(n[2]) > 0.8:  # within 37° of the vertical
         return "top" if n[2] > 0 else "underside"
     return _sector(n[0], n[1])[1]
 

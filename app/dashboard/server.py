@@ -36,7 +36,6 @@ UNTOUCHED = 20.0  # [s] without input before a demonstration starts
 REST = 3.0  # [s] pause between two demonstrations
 FRAME = 1 / 30  # [s] period of drawing
 TEXTS_EVERY = 0.2  # [s] period of updates of panels, plots and labels, also at a low frame rate
-LIGHT_EVERY = 2  # [frames] a page with low detail is drawn in every second frame
 LARGEST_SHARE = 0.5  # [-] largest share of a core's time for drawing, and for building pages
 
 
@@ -133,7 +132,7 @@ class DashboardServer:
         pages = [page for page in self.pages.values() if not page.closed]
         self._demonstrate(pages, shared.loop.latest())
         for page in pages:
-            if not (texts or not page.view.light or self.pictures % LIGHT_EVERY == 0):
+            if not (texts or not page.view.light or self.pictures % 2 == 0):  # half the rate
                 continue
             try:
                 page.draw(texts=texts)

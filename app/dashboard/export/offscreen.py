@@ -57,11 +57,9 @@ _MEANINGS: dict[Layer, str] = {  # meaning of a border's colours
     "reachability": "yellow: the arm reaches the point well, purple: less well",
     "none": "",
 }
-_TEXTS_EVERY = 5  # frames per update of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
 """Text colour on a dark and on a light background."""
 _HEIGHT, _MIN_HEIGHT = 0.04, 12  # height of a line [-], relative to the picture; least height [px]
-_SPACING = 1.4  # [-] distance between lines, relative to their height
 _YUV = ["-pix_fmt", "yuv420p"]
 _WEB = ["-cpu-used", "5", "-row-mt", "1", "-deadline", "good", "-b:v", "0", "-crf", "32", *_YUV]
 _X264 = ["-crf", "20", *_YUV, "-movflags", "+faststart"]
@@ -200,7 +198,7 @@ def replay_html(
         last = round((end - begin) * RATE)
         for k in range(1, last + 1):
             recording.insert_sleep(1.0 / RATE)
-            scene.draw(begin + k / RATE, texts=k == last or k % _TEXTS_EVERY == 0)
+            scene.draw(begin + k / RATE, texts=k == last or k % 5 == 0)
             if k % round(RATE) == 0:
                 on_progress(k / RATE)
         recording.insert_sleep(1.0 / RATE)
@@ -396,7 +394,7 @@ def label(
     font, draw = ImageFont.load_default(size), ImageDraw.Draw(picture)
     for k, line in enumerate(lines):
         text, colour = (line, INK[dark]) if isinstance(line, str) else line
-        at = size, size // 2 + round(_SPACING * k * size)
+        at = size, size // 2 + round(1.4 * k * size)  # line spacing 1.4
         ground, stroke = colours.BACKGROUND[dark], max(size // 12, 1)
         draw.text(at, text, colour, font, stroke_width=stroke, stroke_fill=ground)
     return picture

@@ -26,7 +26,6 @@ from app.simulation.trace.snapshot import Snapshot
 if TYPE_CHECKING:
     import playwright.sync_api as web
 
-_MAX_PICTURES = 12  # most pictures that are taken until two successive ones are equal
 _numbers = itertools.count(1)
 
 
@@ -110,7 +109,7 @@ def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
     page.evaluate("() => document.fonts.ready.then(() => 0)")
     page.evaluate("() => dbbPage.hold(false)")
     before = b""
-    for _ in range(_MAX_PICTURES):  # texts of the scene are drawn with a delay
+    for _ in range(12):  # texts of the scene are drawn with a delay
         page.evaluate("n => dbbPage.render(n)", 2)
         picture = page.screenshot(animations="disabled")
         if picture == before:

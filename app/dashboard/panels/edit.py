@@ -24,7 +24,6 @@ from app.strict import Array
 
 MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below the node of its frame
 _NONE = "(none)"
-_OPACITY = 0.45  # [-]
 _MIN_HALF = 0.002  # [m] smallest half extent of a body
 _MAX_OFFSET = 5.0  # [m] largest coordinate of a body in its frame, and largest half extent
 _DIGITS = 4  # [-] decimals of lengths [m] and angles [rad]
@@ -118,7 +117,7 @@ class EditPanel(Panel):
             shape = self._shape(key)
             if key not in self._drawn or self._drawn[key][0] != shape:
                 node, mesh, T = f"{self._frame(key)}/mesh", shape_mesh(shape), shape.placement()
-                look = {"color": GHOSTS[0], "opacity": _OPACITY, "flat_shading": True}
+                look = {"color": GHOSTS[0], "opacity": 0.45, "flat_shading": True}
                 scene = self._viewer.client.scene
                 self._drawn[key] = shape, add_mesh(scene, node, mesh, T, **look)
         if self._gizmos[0] != chosen:

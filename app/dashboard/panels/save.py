@@ -27,7 +27,6 @@ from app.system import temporary_folder
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}  # [px] least, most and default size
 NamedFile = tuple[str, bytes]
-_CANCEL_EVERY = 0.1  # [s] period of checks for a cancellation
 _PATIENCE = 30.0  # [s] timeout of a picture by the browser
 
 
@@ -107,7 +106,7 @@ class SavePanel(Panel):
         executor = ThreadPoolExecutor(1)
         future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
         executor.shutdown(wait=False)
-        while not wait([future], _CANCEL_EVERY).done:
+        while not wait([future], 0.1).done:  # [s]
             self._job.check()
         try:
             pixels = future.result()

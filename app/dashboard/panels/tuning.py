@@ -15,10 +15,8 @@ from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
 from app.simulation.trace.snapshot import Snapshot
 
-DECIMALS = 6  # [-] decimals of a number box
 MARK = "\N{NO-BREAK SPACE}•"  # after the label of a changed parameter
 FIRST_NAME = "tuning"
-_OPEN = "border"  # section whose folder is open at first
 
 
 class TuningPanel(Panel):
@@ -40,7 +38,7 @@ class TuningPanel(Panel):
         self.on_update(self._all, lambda _: self._show_advanced())
         for section in sections():
             paths = tuple(each.path for each in section.tunables)
-            self._add_folder(section.title, paths, expand=section.name == _OPEN)
+            self._add_folder(section.title, paths, expand=section.name == "border")
         with self._gui.add_folder("File"):
             hint = "Name of the file, without .toml"
             self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
@@ -159,7 +157,7 @@ class ParameterWidget(Panel):
         else:
             step = slider_step(low, high)
             handle = gui.add_slider(title, low, high, step, float(value), hint=hint)
-        handle.precision = DECIMALS
+        handle.precision = 6
         return handle, exponent
 
 

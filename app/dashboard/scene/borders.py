@@ -16,7 +16,7 @@ from app.config import BorderConfig
 from app.dashboard import phrases as words
 from app.dashboard.markup import minus
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, in_world
-from app.dashboard.scene.colours import ACTING, Rgb, viridis
+from app.dashboard.scene.colours import ACTING, viridis
 from app.dashboard.scene.layers import draw_acceleration
 from app.dashboard.scene.legend import Legend, measure_of, title_of
 from app.dashboard.view import HIDDEN, View
@@ -27,13 +27,9 @@ from app.strict import Array
 
 MAX_POINTS = 20_000  # [-] of a drawn border; more points only hide the scene and cost time
 LIGHT_POINTS = 4000  # [-] the same on a page with low detail
-_KEPT = 32  # [-] cached borders
 POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
 LIGHT_SIZE = 0.006  # [m] with `LIGHT_POINTS`
-_GRAIN = 0.002  # [m] resolution of the slice's height
 _EVERY = 3  # [-] every third point of a contour is drawn
-_ON_DARK: Rgb = (255, 255, 255)
-_ON_LIGHT: Rgb = (20, 24, 30)
 _INSIDE = 0.5  # [-] assumed distance of the arm from the base for a `_Probe`, relative to d_b
 _NEAR = 8.0  # [px] largest distance of a point from the pointer
 _SMALL = 1e-4  # [m] step of a numerical gradient
@@ -76,7 +72,7 @@ class Borders:
         """
         key = pair, quantity, border.d_b, border.eps, None if whole else self.top
         if key not in self._kept:
-            if len(self._kept) >= _KEPT:
+            if len(self._kept) >= 32:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = self._colour(*key)
         return self._kept[key]
@@ -211,13 +207,14 @@ class DrawnBorders:
         if not mobile:
             return
         z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
-        key = (round(z / _GRAIN), snapshot.border.d_b)
+        key = (round(z / 0.002), snapshot.border.d_b)  # [m] resolution
         if key != self._slice[0]:
             curves = self._borders.surface(snapshot.border).curves(z)
             thin = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
             self._slice = key, thin
+        colour = (255, 255, 255) if dark else (20, 24, 30)
         if self._slice[1]:
-            canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
+            canvas.lines(f"{ROOT}/slice", self._slice[1], colour, 2.5)
 
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
         """Return the probe of the frontmost drawn point within `_NEAR` of `pointer`, or None."""

@@ -22,7 +22,6 @@ _ASPECTS = (0.4, 4.0)  # [-] limits of a reported aspect ratio
 _MOST_COVERED = 0.8, 0.55  # [-] limits of the shares that are covered in all and from below
 UP = np.array([0.0, 0.0, 1.0])
 _LEAST_STEP = 1e-3  # [m] smaller steps of the camera are invisible
-_SAME = 0.02  # [m] within this distance from its set position, a camera counts as unmoved
 _ECHO = 0.3  # [s] after this time, a browser's reports include the set position
 _PATIENCE = 6.0  # [s] timeout of the browser's confirmation
 _LEAST_SHARE = 0.05  # [-] of the picture's height; a smaller robot counts as unseen
@@ -32,8 +31,6 @@ _AROUND = 0.12 * _CORNERS  # [m] space to show around the end-effector
 _NEAR_EE = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
 _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the picture
-_OPEN = np.deg2rad(90.0)  # [rad] opening of a door that the picture includes
-_OVER_DOOR = 0.15  # [m] height of the angle's label above the door
 
 
 class Window(NamedTuple):
@@ -148,7 +145,7 @@ class Camera:
     def preset(self) -> str:
         """The key of the preset in use; empty once the viewer has moved the camera."""
         away = np.linalg.norm(self._client.camera.position - self._eye)
-        return self._preset if self._waits() or away < _SAME else ""
+        return self._preset if self._waits() or away < 0.02 else ""  # [m]
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
         """Use the wanted preset, if any; fit the last preset again if the window has changed.
@@ -274,9 +271,9 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
         seen = [p + _NEAR_PAIR for p in (nearest.p_a, nearest.p_b)] + seen[len(robots) :]
     elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
-        top = height + _OVER_DOOR
+        top = height + 0.15  # [m] with the label above the door
         corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, top)]
-        poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
+        poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(np.deg2rad(90.0)))
         seen.append(np.array([T.act(np.array(c)) for T in poses for c in corners]))
     return np.vstack([*seen, ee + SCALE * np.eye(3)])  # includes the gizmo's tips
 

@@ -22,7 +22,6 @@ LINE, CHARACTER = 15.0, 5.6  # [px] height of a label's line, width of a charact
 _BEFORE = {"left": 0.0, "center": 0.5, "right": 1.0}  # [-] part of a label left of its position
 _SMALL, _LARGEST = 800.0, 1.6  # [px] height above which labels are larger; [-] largest factor
 _ROOM = 4.0  # [px] space that a label needs around a new spot; this hysteresis avoids jumps
-_SOON = 0.5  # [s] longest simulated time between two pictures of one motion
 _FARTHEST = 8  # [lines] largest shift of a label
 
 
@@ -35,13 +34,13 @@ class Lens(NamedTuple):
     free: tuple[float, float, float, float]
     """[px] left, lower, right and upper edge of the uncovered part, in coordinates of `pixel`."""
 
-    def pixel(self, places: Array) -> tuple[Array, Array, Array]:
+    def pixel(self, places: Array) -> tuple[Any, Any, Any]:
         """Return [px] right of the centre, [px] above it, and depth [m] of places (..., 3) [m]."""
         u, v, depth = self.axes @ (places - self.eye).T
         scale = self.focal / np.maximum(depth, 1e-3)
         return scale * u, scale * v, depth
 
-    def has(self, pixel: tuple[Array, Array, Array]) -> bool:
+    def has(self, pixel: tuple[float, float, float]) -> bool:
         """Whether a point from `pixel` is in front of the camera and in the uncovered part."""
         (u, v, depth), (left, low, right, high) = pixel, self.free
         return bool(depth > 0.0 and left < u < right and low < v < high)
@@ -117,7 +116,7 @@ class Canvas:
 
         Labels prefer their last spots while the simulated time `t` [s] advances in short steps.
         """
-        if not 0.0 < t - self._t < _SOON:
+        if not 0.0 < t - self._t < 0.5:  # [s] not the same motion
             self._spots = {}
         self._drawn, self._texts, self._places, self._t = set(), texts, {}, t
         yield

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,9 +24,6 @@ from app.simulation.plants.door import BODY as DOOR
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
-BODY_OPACITY = 0.28  # [-]
-GHOST_OPACITY = 0.30  # [-]
-_TRACK_LIFT = 0.004  # [m] height of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "end-effector": TRAIL_EE}
 
 
@@ -50,7 +48,7 @@ class SceneData:
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {
-            "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], _TRACK_LIFT)),
+            "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], 0.004)),  # [m]
             "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
         self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get the snapshots
@@ -90,14 +88,14 @@ class RobotScene:
         }
         self.links: list[tuple[int, viser.MeshHandle]] = []  # joint and handle of each visual mesh
         self.dress(light=light)
-        self._bodies = [self._add(body, body.colour, BODY_OPACITY) for body in bodies]
+        self._bodies = [self._add(body, body.colour, 0.28) for body in bodies]
         self.show(meshes=True, bodies=False)
 
     def dress(self, *, light: bool) -> None:
         """Replace `links` by meshes with few faces (`light`) or by the full meshes."""
         for _, handle in self.links:
             handle.remove()
-        opacity = None if self._ghost is None else GHOST_OPACITY
+        opacity = None if self._ghost is None else 0.30
         self.links = [
             (visual.joint, self._add(visual, self._ghost or visual.colour, opacity, light))
             for visual in (self._parts.light_visuals if light else self._parts.visuals)
@@ -191,7 +189,7 @@ class Scene:
         scene, light = self._scene, self._light
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
         scene.configure_environment_map(None)  # reflections double the time of software rendering
-        sky = {"sky_color": (255, 255, 255), "ground_color": (120, 125, 135)}
+        sky: Any = {"sky_color": (255, 255, 255), "ground_color": (120, 125, 135)}
         scene.add_light_hemisphere("/lights/sky", intensity=1.2, **sky)
         dark = self._dark
         scene.add_grid(
