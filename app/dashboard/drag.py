@@ -155,7 +155,6 @@ class DragHandles:
             self._gizmo.position = snapshot.p_ee
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
-        """Handle an event of the gizmo, whose phase is "start", "update" or "end"."""
         # A restart can release the pull earlier, but until "end" the browser ignores new positions.
         if event.phase == "end":
             self._dragged = False

@@ -170,7 +170,6 @@ class Gate:
         return answer
 
     def _refusal(self, request: Request, method: str) -> Response | None:
-        """Return the refusal of a request, or None if viser may answer the request."""
         headers = request.headers
         path, _, query = request.path.partition("?")
         if method not in _METHODS:

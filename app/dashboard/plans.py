@@ -18,10 +18,6 @@ _MOVES = "β_m ẍ_m: base acceleration by the avoidance force along this axis, 
 _ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
 _ERROR = "distance [mm] of the end-effector from its target"
 _STEP = "real time [µs] of the controller in a control step; the period is 1000 µs"
-_EFFORTS = {
-    "rad": "torque u_a divided by its limit of {:g} N m",
-    "m": "force u_a divided by its limit of {:g} N",
-}
 
 
 class Curve(NamedTuple):
@@ -109,7 +105,8 @@ def _series(i: int) -> str:
 
 
 def _torque(i: int, name: str, limit: float, unit: str) -> Curve:
-    hint = f"{name}: {_EFFORTS[unit].format(limit)}, −1 to 1, (26)"
+    kind, unit_of = ("torque", "N m") if unit == "rad" else ("force", "N")
+    hint = f"{name}: {kind} u_a divided by its limit of {limit:g} {unit_of}, −1 to 1, (26)"
     return Curve(f"{i + 1}", lambda s: s.u_a[i] / limit, _series(i), hint)
 
 

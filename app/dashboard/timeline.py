@@ -164,6 +164,5 @@ class Timeline:
         return [stored for stored in (*old, *kept) if stored.t >= begin]
 
     def _cut(self, end: float) -> None:
-        """End the interval at a time [s], and delete its later snapshots."""
         self.end = end
         self._marked = [s for s in self._marked if s.t <= end + 1e-9]

@@ -281,7 +281,7 @@ def film_pictures(
         open_page(page, server)
         page.add_style_tag(content=ONLY_SCENE)
         ground = css(colours.BACKGROUND[look.dark])
-        for k, t in zip(itertools.count(1), times):
+        for k, t in enumerate(times, 1):
             scene.draw(t)
             send_barrier(server, k)
             at = target + pin.utils.rotate("z", (k - 1) * orbit) @ (eye - target)

@@ -47,7 +47,7 @@ class EditPanel(Panel):
         self._drawn: dict[str, tuple[Shape, viser.MeshHandle]] = {}
         self._gizmos: tuple[str, tuple[viser.TransformControlsHandle, ...]] = (_NONE, ())
         self._sizing = False
-        self._q_m: Array | None = None  # (n_m,) [rad or m] joint positions of the shown arm
+        self._q_m = viewer.timeline.shown().q_m  # (n_m,) [rad or m] of the shown arm
         with gui.add_folder("Edit this robot", expand_by_default=False):
             self._text = gui.add_html("")
             hint = "The large gizmo moves and rotates the body, the small one resizes it."
@@ -91,9 +91,8 @@ class EditPanel(Panel):
         self.changes = self.changes._replace(unwatched=reasons)
 
     def _take_posture(self) -> None:
-        if self._q_m is not None:
-            posture = tuple(round(float(q), _DIGITS) for q in self._q_m)
-            self.changes = self.changes._replace(ready=posture)
+        posture = tuple(round(float(q), _DIGITS) for q in self._q_m)
+        self.changes = self.changes._replace(ready=posture)
 
     def _save(self) -> None:
         name, own = self._name.value, self._robot.name
@@ -104,7 +103,6 @@ class EditPanel(Panel):
         shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _draw(self) -> None:
-        """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""
         chosen, changed = self._body.value, self.changes.shapes
         wanted = {
             key

@@ -135,7 +135,6 @@ class ExplorerPanel(Panel):
             self._show(on=False)
 
     def _read(self) -> None:
-        """Set the posture from the sliders, within their ranges; no effect without a posture."""
         with self._lock:
             if self.posture is None:
                 return

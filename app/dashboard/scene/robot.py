@@ -118,7 +118,6 @@ class RobotParts:
 
 
 def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
-    """Return the shapes of all convex bodies, in the frames of their joints in `model`."""
     bodies = []
     for body in robot.description.bodies:
         frame = model.frames[model.getFrameId(body.frame)]

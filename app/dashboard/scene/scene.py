@@ -21,7 +21,7 @@ from app.dashboard.view import View
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants.door import BODY as DOOR
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
 _TRAILS = {"base": TRAIL_BASE, "end-effector": TRAIL_EE}
@@ -107,11 +107,11 @@ class RobotScene:
         for handle in self._bodies:
             handle.visible = bodies
 
-    def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
-        """Move the frames; `base_pose` (3,) is x, y [m] and heading [rad] in the world."""
-        x, y, phi = base_pose
+    def update(self, robot: Snapshot | GhostReading) -> None:
+        """Move the frames to the posture of a robot."""
+        x, y, phi = robot.base_pose
         root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
-        poses = self._parts.kinematics.update(q_m, wheel_angles)
+        poses = self._parts.kinematics.update(robot.q_m, robot.wheel_angles)
         self._placed = root, poses
         self.root.position, self.root.wxyz = to_viser(root)
         for joint, frame in self._frames.items():
@@ -174,7 +174,7 @@ class Scene:
             self._dark, self._light = dark, light
             self._light_up()
         self.robot.show(meshes=view.meshes, bodies=view.bodies)
-        self.robot.update(snapshot.base_pose, snapshot.q_m, snapshot.wheel_angles)
+        self.robot.update(snapshot)
         self._draw_ghosts(snapshot)
         if texts and view.trails:
             self._trails = {name: t.until(snapshot.t) for name, t in self._data.tracks.items()}
@@ -227,12 +227,11 @@ class Scene:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
-        """Move the ghosts; hide absent ghosts, and links that coincide with the robot's."""
         scene, parts, light = self._scene, self._data.parts, self._light
         for i in range(len(self._ghosts), len(snapshot.ghosts)):
             self._ghosts.append(RobotScene(scene, parts, i, light=light))
         for robot, ghost in zip_longest(self._ghosts, snapshot.ghosts):
             robot.root.visible = ghost is not None
             if ghost is not None:
-                robot.update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
+                robot.update(ghost)
                 robot.hide_links_near(self.robot)
