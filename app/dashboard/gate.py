@@ -39,8 +39,8 @@ _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] longest time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
 _QUERY = re.compile(r"(fixedDpr=([1-4]|[0-3]\.\d{1,3}))?")
-"""The only allowed parameter of a page's address: drawn pixels per pixel of the page. Another one,
-which viser would accept, selects another server."""
+"""The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
+parameters are refused, because one of them selects another server."""
 _LONGEST_PATH = 255  # [characters] length of a path; no file of the page has a longer one
 _MOST_UPLOADS = 2  # [-] simultaneous uploads
 _LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
@@ -74,13 +74,8 @@ _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
 _REQUEST = re.compile(rb"([A-Z]+) (\S+) HTTP/1\.[01]\r\n")
 _METHODS = "GET", "HEAD"
 _PORTS = {"http": 80, "https": 443}
-_SINGLE = (
-    "Host",
-    "Origin",
-    "Upgrade",
-    "Cookie",
-    "Accept-Encoding",
-)  # headers that may occur once
+_SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
+"""Headers that may occur once only, because this module or viser reads a single value."""
 _lock = threading.Lock()
 
 _TAKEN = (
@@ -128,10 +123,7 @@ class Gate:
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Check all connections of the server that viser starts in this context.
-
-        Raises `ServerError` if viser starts no server in the expected way.
-        """
+        """Check the server that viser starts in this context; `ServerError` if there is none."""
         with _lock:
             original, seen = websockets_server.serve, []
 
@@ -322,12 +314,12 @@ class Uploads:
     """Register of a viewer's unfinished uploads: viser would store parts of no file forever."""
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Accept files of up to `largest` [bytes]; all `everyone` share the limit of uploads."""
+        """Accept files of up to `largest` [bytes]; the registers `everyone` share another limit."""
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}  # missing bytes and parts, by transfer
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Register a file of `size` [bytes] and a number of `parts`; may raise `RefusedError`."""
+        """Register a file of `size` [bytes] in a number of `parts`; `RefusedError` if forbidden."""
         if size > self._largest:
             limit = f"the limit is {self._largest / 1e6:.0f} MB"
             raise RefusedError(f"a file of {size / 1e6:.0f} MB; {limit}")

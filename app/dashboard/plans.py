@@ -58,10 +58,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 
 
 def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
-    """Return a curve for each numeric column of a log except the time, by the column's name.
-
-    A curve has no colour yet. Its hint is the first sentence of the field's text in `Snapshot`.
-    """
+    """Return a curve without colour for each numeric column of a log except the time, by name."""
     docs = {name: text.split(". ")[0] for name, text in field_docs(Snapshot)}
     pairs = {pair.name: pair.mobile for pair in snapshot.pairs}
     meta = TraceMeta.of(model, pairs, snapshot.config)

@@ -58,10 +58,12 @@ class Course:
         self.name, self.running = "", False  # the name is empty if no scenario has started
         self.duration = self.until = 0.0  # [s] end of the scenario; time until which it has run
         self.least = np.inf  # [m] smallest distance of all pairs
-        self.pull = self.speed = 0.0  # [N] largest external force; [m/s] of the end-effector
+        self.pull = self.speed = 0.0  # [N] largest external force; [m/s] peak end-effector speed
         self.path = 0.0  # [m] length of the base's path
         self.inside = self.left = False  # whether a touch of the first snapshot lasts; has ended
-        self.touched = self.contact = False  # whether a touch began later; was a reported contact
+        self.touched = self.contact = (
+            False  # whether a touch began later; whether the plant reported one
+        )
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:

@@ -132,7 +132,7 @@ class DashboardServer:
         pages = [page for page in self.pages.values() if not page.closed]
         self._demonstrate(pages, shared.loop.latest())
         for page in pages:
-            if not (texts or not page.view.light or self.pictures % 2 == 0):  # half the rate
+            if not (texts or not page.view.light or self.pictures % 2 == 0):  # light: half
                 continue
             try:
                 page.draw(texts=texts)
@@ -238,18 +238,9 @@ def serve_dashboard(
     """Open the dashboard, and start to draw the simulation `loop`, which has published a snapshot.
 
     There is neither a password nor encryption: in a network that is not trusted, use an address
-    that only this machine can reach.
-
-    Args:
-        loop: The simulation.
-        model: The simulated robot.
-        clouds: Point cloud P_i of each pair of L_m, by the pair's name.
-        host: Name or IP address of the server.
-        port: Port of the server; 0 selects a free port.
-        allowed: Further names under which browsers may reach the server.
-        case: A scenario that a button plays, or None.
-        parts: Meshes of the robot; by default they are loaded here.
-        start_loop: Starts the simulation of another robot; by default the robot cannot be changed.
+    that only this machine can reach. Port 0 selects a free port. Browsers may reach the server
+    under the `host` and under the names `allowed`. `clouds` has P_i of each pair of L_m, by the
+    pair's name. A button plays the `case`. If `start_loop` is None, the robot cannot be changed.
 
     Raises `ServerError` if the address cannot be bound, and the errors of `RobotParts`.
     """

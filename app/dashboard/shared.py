@@ -136,7 +136,7 @@ class SharedState(SceneData):
     ) -> None:
         """Continue history and jobs of `before`; other arguments are those of `serve_dashboard`."""
         super().__init__(loop, model, clouds, parts)
-        self.case = case  # A scenario that a button plays, or None
+        self.case = case  # a scenario that a button plays, or None
         usual = model.description.config
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)

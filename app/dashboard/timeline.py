@@ -115,7 +115,7 @@ class Timeline:
                 self._cut(min(end, self.begin + MOST_MARKED))
 
     def mark_end(self) -> None:
-        """Mark the shown instant as the end of the interval; at the marked start, `LogError`.
+        """Mark the shown instant as the end of the interval; raises `LogError` at its start.
 
         An earlier start in this run remains, but it is at most `MOST_MARKED` before the end.
         """
@@ -139,7 +139,7 @@ class Timeline:
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """Return the snapshots of the interval, without marks of the last 60 s; oldest first.
+        """Return the snapshots of the interval, oldest first; without marks, of the last 60 s.
 
         Raises `LogError` for fewer than two snapshots.
         """

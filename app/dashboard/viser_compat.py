@@ -58,8 +58,7 @@ def _passes(record: logging.LogRecord) -> bool:
     """
     text = record.getMessage().partition("\n")[0]
     error = record.exc_info[1] if record.exc_info else None
-    frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
-    place = [(frame.filename, frame.lineno) for frame in frames]
+    place = traceback.format_tb(error.__traceback__, limit=-1) if error else ()
     kind = str(record.msg).partition("\n")[0], f"{type(error).__name__} {place}"
     if text in _KNOCKS:
         record.msg = f"a connection: {text}" + (f": {error!r}" if error else "")
@@ -142,9 +141,9 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
 def scene_picture(
     client: viser.ClientHandle, height: int, width: int, timeout: float
 ) -> np.ndarray:
-    """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
+    """Return a viewer's scene (height, width, 4) uint8, RGBA, within the timeout [s].
 
-    Raises `RuntimeError` if the viewer has disconnected, `TimeoutError` after the timeout [s].
+    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError`.
     """
     connection = _connection(client)
     if connection is None:

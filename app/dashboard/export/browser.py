@@ -110,9 +110,10 @@ def chromium() -> Iterator[Browser]:
 def new_context(
     browser: Browser, size: tuple[int, int], *scripts: str, **more: Any
 ) -> BrowserContext:
-    """Create a context for pages of `size` (width, height) [px], with arguments of playwright.
+    """Create a browser context for pages of `size` (width, height) [px].
 
-    Each page first runs `scripts`, then `browser.js`, which adds the functions `dbbPage`.
+    Each page first runs `scripts`, then `browser.js`, which adds the functions `dbbPage`. `more`
+    has further arguments of playwright's `new_context`.
     """
     viewport: ViewportSize = {"width": size[0], "height": size[1]}
     context = browser.new_context(viewport=viewport, reduced_motion="reduce", **more)

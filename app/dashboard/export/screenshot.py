@@ -58,9 +58,7 @@ def take_pictures(
                 loop.go_to(t)
                 shared.update()
                 shown.camera.wanted = look.view
-                for _ in range(
-                    2
-                ):  # the first call creates a panel's widgets, the second fills them
+                for _ in range(2):  # a panel's widgets are created, and then filled
                     shown.draw(texts=True)
 
             draw(times[0])

@@ -113,7 +113,7 @@ class Panel:
         """Show the moment; the drawing thread calls this method."""
 
     def on_update(self, handle: Any, act: Callable[[Any], None]) -> Any:
-        """Call `act` if a person changes a widget, but not if the program does; return it."""
+        """Call `act` if a person changes a widget, not if the program does; return the widget."""
 
         def updated(event: viser.GuiEvent) -> None:
             if event.client is not None:

@@ -27,7 +27,7 @@ class ExplorerPanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        self.posture: Posture | None = None  # that the page shows; None without posing
+        self.posture: Posture | None = None  # on the page; None while no slider is in use
         self._target: Array | None = None  # (3,) [m] new position of the end-effector, by the gizmo
         self._error = 0.0  # [m] distance of the end-effector from the last such position
         self._paused = False  # whether the pause has taken effect

@@ -47,7 +47,7 @@ is shared, and the forces of all who pull add up.
 """
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
 TOUR = "Take the tour"
-SHOWN = "guiding-lateral"  # the arm is pulled from the side towards the base
+SHOWN = "guiding-lateral"  # the demonstration: a pull from the side towards the base
 FARTHER = 1.5  # [-] factor on this scenario's path; the arm then almost reaches a resting base
 
 

@@ -47,7 +47,7 @@ INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
 _STARTS = "A scenario starts at once. A pull of the end-effector ends it."
-_SCORES = (  # label with unit, field of `Score`, text of a value, and the best value's function
+_SCORES = (  # label with unit, field of `Score`, text of a value, function for the best or None
     ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("end-effector error, now or final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
     ("end-effector error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
@@ -205,10 +205,7 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
-    """Return preparation (`Snapshot.busy`), progress or result of the last scenario, if any.
-
-    The description `robot` has the scenario's usual options.
-    """
+    """Return preparation (`Snapshot.busy`), progress or result of the last scenario, if any."""
     if busy:
         text = "The simulation continues after this."
         return banner("notice", f"{words.sentence(busy)} …", text)

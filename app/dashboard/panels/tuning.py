@@ -134,7 +134,7 @@ class ParameterWidget(Panel):
 
     def _set(self, event: Any) -> None:
         sent, is_power = event.target.value, event.target is self.exponent
-        if is_power:  # 10 to this power overflows from 300 on
+        if is_power:  # the value is 10 to this power, or ±inf from ±300 on
             sent = float(f"{10.0**sent:.3g}") if abs(sent) < 300 else sent * math.inf
         try:
             self._tuning.set(self.about.path, sent)

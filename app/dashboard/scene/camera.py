@@ -42,7 +42,7 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Clip the browser's sizes [px] and covered shares [-]; `ANY_WINDOW` if impossible."""
+        """Clip the browser's sizes [px] and covered shares [-]; `ANY_WINDOW` for wrong ones."""
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, *_ASPECTS))

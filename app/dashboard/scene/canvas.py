@@ -116,7 +116,7 @@ class Canvas:
 
         Labels prefer their last spots while the simulated time `t` [s] advances in short steps.
         """
-        if not 0.0 < t - self._t < 0.5:  # [s] not the same motion
+        if not 0.0 < t - self._t < 0.5:  # [s] otherwise this is another motion
             self._spots = {}
         self._drawn, self._texts, self._places, self._t = set(), texts, {}, t
         yield

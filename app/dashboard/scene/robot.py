@@ -170,7 +170,7 @@ def load_visuals(description: RobotDescription) -> list[Visual]:
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a mesh to draw: with at most about `MAX_FACES` faces, and with sharp edges."""
+    """Return a mesh to draw: decimated if over `MAX_FACES` faces, and with sharp edges."""
     if len(mesh.faces) > MAX_FACES:
         whole = mesh.copy()
         whole.merge_vertices(merge_tex=True, merge_norm=True)  # else no triangles are connected

@@ -51,7 +51,7 @@ class SceneData:
             "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], 0.004)),  # [m]
             "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
-        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get the snapshots
+        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get all snapshots
         self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._newest = first
 
@@ -76,7 +76,7 @@ class RobotScene:
     def __init__(
         self, scene: viser.SceneApi, parts: RobotParts, ghost: int | None = None, *, light: bool
     ) -> None:
-        """Send all meshes; with the number of a `ghost`, translucent and without bodies."""
+        """Send all meshes; the robot number `ghost` is translucent and has no convex bodies."""
         self._parts, self._scene = parts, scene
         self._ghost = None if ghost is None else GHOSTS[ghost % len(GHOSTS)]
         self._path = ROOT if ghost is None else f"/ghost_{ghost}"
