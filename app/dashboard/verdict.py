@@ -21,7 +21,7 @@ COLOURS: dict[State, Rgb] = {  # from the best state to the worst
 }
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
 _PUSHED = 0.1  # [-] smallest β of two links of the arm at which the arm counts as resisting
-_NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
+STEEP = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
 class Verdict(NamedTuple):
@@ -54,11 +54,6 @@ def is_slow(snapshot: Snapshot) -> bool:
     return not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
 
 
-def is_steep(pair: NearPair) -> bool:
-    """Whether the pair's normal is so close to the vertical that base motion hardly helps."""
-    return pair.above >= _NO_BASE_HELPS
-
-
 def links_repel(pair: NearPair | PairReading) -> bool:
     """Whether two links of the arm are so close that a person feels their repulsion."""
     return not pair.mobile and pair.beta >= _PUSHED
@@ -72,7 +67,7 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
         return "resisting"
     if pair.beta == 0.0:
         return "clear"
-    if controller in ("none", "barrier") or (near is not None and is_steep(near)):
+    if controller in ("none", "barrier") or (near is not None and near.above >= STEEP):
         return "near"
     if not pair.mobile:
         return "resisting" if links_repel(pair) else "near"

@@ -76,10 +76,8 @@ class SavePanel(Panel):
                 self._job.check()
                 client.send_file_download(*file, save_immediately=True)
 
-        def pressed(_: Any) -> None:
-            self._job.start(label, "in progress", lambda: self._notifier.attempt(client, send))
-
-        self.button(label, pressed, icon, **look)
+        attempt = partial(self._notifier.attempt, client, send)
+        self.button(label, lambda _: self._job.start(label, "in progress", attempt), icon, **look)
 
     def _case(self, event: Any) -> None:
         case, last = self._shared.course.case, self._shared.course.last

@@ -9,7 +9,7 @@ from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, row, small, 
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
-from app.dashboard.verdict import COLOURS, State, Verdict, contacts, is_slow, is_steep, links_repel
+from app.dashboard.verdict import COLOURS, STEEP, State, Verdict, contacts, is_slow, links_repel
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
@@ -173,7 +173,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
     if apart := next(filter(links_repel, why.near), None):  # the most active one
         a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
         also = f" {b.capitalize()} and {a} are also pushed apart."
-    if is_steep(pair):
+    if pair.above >= STEEP:  # base motion cannot help
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.limited:
