@@ -1276,7 +1276,8 @@ def test_after_a_refusal_the_list_shows_the_present_scenario_again(loop):
     panel, free = object.__new__(RunPanel), loop.latest()
     for name in ("_scenario", "_controller", "_pause", "_restart", "_course", "_pairs"):
         setattr(panel, name, widget())
-    panel._shared = SimpleNamespace(course=Course(), model=husky_panda(), spoken={})
+    names = {pair.name: pair.name for pair in free.pairs}
+    panel._shared = SimpleNamespace(course=Course(), model=husky_panda(), spoken=names)
     panel.followed, warnings = {}, []
     notifier = SimpleNamespace(warn=lambda _, text: warnings.append(text))
     page = object.__new__(Page)
