@@ -20,7 +20,6 @@ SPACING = 0.01  # [m] smallest distance between two points of a track
 _LONGEST = 1500  # [-] largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the timeline
 _QUIET = 1.0  # [s] after a pause of this length, the same event counts as a new one
-_MOST_EVENTS = 400  # [-] largest number of stored events
 
 
 class Track:
@@ -157,7 +156,7 @@ class Strip:
             number = self._numbered
             self._numbered += 1
             self.events[number] = Event(t, kind, text)
-            self.events.pop(number - _MOST_EVENTS, None)
+            self.events.pop(number - 400, None)  # at most 400 are stored
         self._seen[kind, subject] = number, t
 
 

@@ -20,7 +20,6 @@ COLOURS: dict[State, Rgb] = {  # from the best state to the worst
     "contact": (226, 16, 56),  # contact or overlap
 }
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
-_PUSHED = 0.1  # [-] smallest β of two links of the arm at which the arm counts as resisting
 STEEP = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
@@ -56,7 +55,7 @@ def is_slow(snapshot: Snapshot) -> bool:
 
 def links_repel(pair: NearPair | PairReading) -> bool:
     """Whether two links of the arm are so close that a person feels their repulsion."""
-    return not pair.mobile and pair.beta >= _PUSHED
+    return not pair.mobile and pair.beta >= 0.1
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:

@@ -39,7 +39,6 @@ _ENDING = 10.0  # [s] timeout for the end of viser's thread
 LOOK = 0.5  # [s] period of checks of the connections
 SILENT = 3  # [checks] without an answer, after which a viewer counts as silent
 STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
-_MINUTE = 60.0  # [s]
 _KNOCKS = (  # log records of failed connections; the cause may be a peer
     "opening handshake failed",
     "unexpected internal error",
@@ -70,7 +69,7 @@ def _passes(record: logging.LogRecord) -> bool:
         if of_peer or broke_off:
             record.exc_info = None
             kind = text, ""
-    due = _said.get(kind, -math.inf) <= time.monotonic() - _MINUTE
+    due = _said.get(kind, -math.inf) <= time.monotonic() - 60.0
     if due:
         _said[kind] = time.monotonic()
     return due

@@ -27,7 +27,6 @@ from app.system import temporary_folder
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}  # [px] least, most and default size
 NamedFile = tuple[str, bytes]
-_PATIENCE = 30.0  # [s] timeout of a picture by the browser
 
 
 class SavePanel(Panel):
@@ -102,7 +101,7 @@ class SavePanel(Panel):
     def _scene(self, width: int, height: int) -> Image.Image:
         """Return the scene as the viewer's browser draws it in a size [px]."""
         executor = ThreadPoolExecutor(1)
-        future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
+        future = executor.submit(scene_picture, self._viewer.client, height, width, 30.0)  # [s]
         executor.shutdown(wait=False)
         while not wait([future], 0.1).done:  # [s]
             self._job.check()

@@ -28,7 +28,6 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
 )
 """Label, hint, and names of the possible levels of each row."""
-_BEHIND = -0.5  # [-] x of a normal; above it, the near body is in front of the base or beside it
 
 
 class WhyPanel(Panel):
@@ -215,7 +214,7 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
     """Describe the base's motion; at rest, the motion that is commanded next; None without both."""
-    ahead = pair.n[0] > _BEHIND
+    ahead = pair.n[0] > -0.5  # in front of the base or beside it
     moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)

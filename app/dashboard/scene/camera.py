@@ -17,14 +17,10 @@ from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; less distortion than viser's 75°
-_MARGIN = 0.10  # [-] empty share of the free part of the picture, both sides together
-_ASPECTS = (0.4, 4.0)  # [-] limits of a reported aspect ratio
 _MOST_COVERED = 0.8, 0.55  # [-] limits of the shares that are covered in all and from below
 UP = np.array([0.0, 0.0, 1.0])
 _LEAST_STEP = 1e-3  # [m] smaller steps of the camera are invisible
-_ECHO = 0.3  # [s] after this time, a browser's reports include the set position
 _PATIENCE = 6.0  # [s] timeout of the browser's confirmation
-_LEAST_SHARE = 0.05  # [-] of the picture's height; a smaller robot counts as unseen
 _MOVED = 0.2  # [m] motion of an unseen base after which a following camera moves
 _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)  # of a cube
 _AROUND = 0.12 * _CORNERS  # [m] space to show around the end-effector
@@ -45,7 +41,7 @@ class Window(NamedTuple):
         """Clip the browser's sizes [px] and covered shares [-]; `ANY_WINDOW` for wrong ones."""
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
-        aspect = float(np.clip(width / height, *_ASPECTS))
+        aspect = float(np.clip(width / height, 0.4, 4.0))
         covered = min(float(below), _MOST_COVERED[1])
         return cls(aspect, covered, min(float(above), _MOST_COVERED[0] - covered))
 
@@ -228,7 +224,7 @@ class Camera:
         self._arrived = self._arrived or there
         # A slow browser reports its old position for seconds: the new one has not arrived yet.
         late = _near(camera.position, self._from)
-        if there or (monotonic() > self._set_at + _ECHO and not late):
+        if there or (monotonic() > self._set_at + 0.3 and not late):  # [s] for the answer
             self._set = None
 
 
@@ -290,7 +286,7 @@ def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
     lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
     pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
-    return lens.has(pixel) and size >= _LEAST_SHARE * np.tan(FIELD_OF_VIEW / 2) * pixel[2]
+    return lens.has(pixel) and size >= 0.05 * np.tan(FIELD_OF_VIEW / 2) * pixel[2]
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
@@ -324,7 +320,7 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
     low, high = (
         np.tan(FIELD_OF_VIEW / 2) * np.array([(-window.aspect, window.aspect), window.edges]).T
     )
-    spare = _MARGIN / 2 * (high - low)
+    spare = 0.05 * (high - low)  # a margin on each side
     low, high = low + spare, high - spare
     # A camera at coordinate u_0 and depth w_0 shows a point at (u - u_0)/(w - w_0). This is between
     # `low` and `high`: in each direction, all points give two half-planes of (u_0, w_0).

@@ -21,7 +21,6 @@ FONT_SCALE = 0.85  # [-] size of labels, whose characters are then 12 px high
 LINE, CHARACTER = 15.0, 5.6  # [px] height of a label's line, width of a character
 _BEFORE = {"left": 0.0, "center": 0.5, "right": 1.0}  # [-] part of a label left of its position
 _SMALL, _LARGEST = 800.0, 1.6  # [px] height above which labels are larger; [-] largest factor
-_ROOM = 4.0  # [px] space that a label needs around a new spot; this hysteresis avoids jumps
 _FARTHEST = 8  # [lines] largest shift of a label
 
 
@@ -75,7 +74,7 @@ def set_apart(
         wide = scale * CHARACTER * (max(map(len, rows)) + 1)
         tall = scale * LINE * len(rows)
         for k, spot in enumerate((*spots, spots[0])):
-            room = 0.0 if spot == before.get(name) else _ROOM
+            room = 0.0 if spot == before.get(name) else 4.0  # [px] avoids jumps
             left = u - wide * _BEFORE[spot.anchor.partition("-")[2]]
             low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
             inside = left >= free[0] and low >= free[1]

@@ -23,7 +23,6 @@ SAME = 0.01  # [m or rad] links of a ghost with smaller differences from the rob
 _LEAST_FORCE = 0.5  # [N] weaker forces are not drawn
 
 _LEAST_ACCELERATION = 0.02  # [m/s²], [rad/s²] smaller values are not drawn
-_RADIANS_PER_ACCELERATION = 0.4  # [s²] arc of ω̇: 0.4 rad is 1 rad/s²
 _MOST_ARC = np.deg2rad(300.0)  # [rad] largest arc
 _ARC_POINTS = 24
 
@@ -118,7 +117,7 @@ def draw_acceleration(
         along = METRES_PER_ACCELERATION * np.array([forward, left, 0.0])
         canvas.arrow(f"{node}/v", over, over + along, colours.ACCELERATION)
     if abs(w) > _LEAST_ACCELERATION:
-        angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
+        angle = float(np.clip(0.4 * w, -_MOST_ARC, _MOST_ARC))  # 0.4 rad is 1 rad/s²
         along = np.linspace(0.0, angle, _ARC_POINTS)
         circle = np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
         points = over + 0.22 * circle  # [m] radius

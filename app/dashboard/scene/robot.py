@@ -33,7 +33,6 @@ GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
 BODY: Rgb = (64, 156, 224)  # colour of convex bodies
 _DARKEST = 110  # [-] smallest value of the brightest channel: black is invisible on a dark page
 _BELOW = np.array([0.0, 0.0, 0.12])  # [m] from the top of the arm down to the label's point
-_AT_TOP = 0.01  # [m] points within this distance below the highest one are at the top
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] space for a border around the base
 
 
@@ -91,7 +90,7 @@ class RobotParts:
         self.extent = self._extent(robot.description)
         """(N, 3) [m] corners of the parts that a camera must show, in the base's frame: the links
         in the ready posture, and a part of the border around the base."""
-        top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
+        top = self.extent[:, 2] > self.extent[:, 2].max() - 0.01  # [m]
         self.crown = self.extent[top].mean(axis=0) - _BELOW
         """(3,) [m] position of the robot's label in the base's frame, slightly below the top."""
 
