@@ -48,7 +48,7 @@ def download(tab: DashboardTab, button: str, folder: Path) -> Path:
         tab.click(button)
     path = folder / coming.value.suggested_filename
     coming.value.save_as(path)
-    job = next(iter(tab.pages.values())).viewer.files
+    job = next(iter(tab.pages.values())).files
     wait_for(lambda: job.progress is None, what="the end of the work")
     return path
 
@@ -132,7 +132,7 @@ def test_a_replay_moves_the_robot_without_a_network(tab, tmp_path, offline):
 
 def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
     page = next(iter(tab.pages.values()))
-    job = page.viewer.files
+    job = page.files
     page.timeline.go_to(END)
     tab.page.locator("#dbb-past").wait_for()
     tab.choose("Film format", ".gif")

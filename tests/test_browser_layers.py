@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from app.dashboard.scene.camera import PRESETS, placed
-from app.dashboard.scene.canvas import METRES_PER_NEWTON, ROOT
+from app.dashboard.scene.canvas import ROOT
+from app.dashboard.scene.legend import METRES_PER_NEWTON
 from app.simulation.loop.commands import Compare
 from app.simulation.trace.snapshot import Snapshot
 from tests.browser import DashboardTab, around, wait_for
@@ -222,7 +223,7 @@ def test_the_checkbox_switches_the_theme_between_dark_and_light(tab):
 
 def preset_view(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Eye and target of a preset in the viewer's window."""
-    window = served.page()._camera.window
+    window = served.page().camera.window
     return placed(PRESETS[name], [served.loop.latest()], served.server.shared.parts.extent, window)
 
 

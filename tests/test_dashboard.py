@@ -50,18 +50,16 @@ from app.dashboard.panels.why import header_html, sentence, why_html
 from app.dashboard.plans import plot_plans
 from app.dashboard.record import Course
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
-from app.dashboard.scene.canvas import (
-    ANCHORS,
-    CHARACTER,
-    LINE,
-    METRES_PER_NEWTON,
-    ROOT,
-    Canvas,
-    set_apart,
-)
+from app.dashboard.scene.canvas import ANCHORS, CHARACTER, LINE, ROOT, Canvas, set_apart
 from app.dashboard.scene.colours import css, viridis
 from app.dashboard.scene.layers import draw_distances, draw_motion, segments
-from app.dashboard.scene.legend import Legend, legend_html, tick_texts, title_of
+from app.dashboard.scene.legend import (
+    METRES_PER_NEWTON,
+    Legend,
+    legend_html,
+    tick_texts,
+    title_of,
+)
 from app.dashboard.scene.robot import (
     GREY,
     MAX_FACES,
@@ -272,7 +270,7 @@ def test_gizmo_returns_only_after_the_end_of_a_drag_that_a_restart_has_released(
     grip, _, client = held()
     gizmo = SimpleNamespace(on_update=lambda _: None, position=np.zeros(3))
     scene = SimpleNamespace(add_transform_controls=lambda *_, **__: gizmo)
-    handles = DragHandles(scene, SimpleNamespace(links=None), grip, Notifier(client), {})
+    handles = DragHandles(scene, SimpleNamespace(links=None), grip, {})
     event = SimpleNamespace(phase="start", target=gizmo, client=client)
     handles._drag_gizmo(event)
     grip.release()
@@ -920,7 +918,7 @@ def test_tour_advances_only_on_a_click_on_the_current_card(dashboard, loop, guid
     ("way", "after"), [("pull", "pull"), ("close", ""), ("touch", ""), ("guest", "")]
 )
 def test_demonstration_ends_with_its_card(dashboard, loop, guided, monkeypatch, way, after):
-    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    monkeypatch.setattr("app.dashboard.server.UNTOUCHED", 0.1)
     _, say, shows = guided
     say("seen", "untouched")
     shows("demo")
@@ -929,7 +927,7 @@ def test_demonstration_ends_with_its_card(dashboard, loop, guided, monkeypatch, 
     loop.commands.clear()
     match way:
         case "pull" | "close":  # the click arrives before the report of the first input
-            monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 60.0)
+            monkeypatch.setattr("app.dashboard.server.UNTOUCHED", 60.0)
             say("card", PULL if way == "pull" else CLOSE)
             shows(after)
         case "touch":
@@ -942,7 +940,7 @@ def test_demonstration_ends_with_its_card(dashboard, loop, guided, monkeypatch, 
 
 
 def test_repeated_demonstration_keeps_its_scenario_until_a_pull(loop, guided, monkeypatch):
-    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    monkeypatch.setattr("app.dashboard.server.UNTOUCHED", 0.1)
     _, say, shows = guided
     say("seen", "untouched")
     shows("demo")
@@ -1004,7 +1002,7 @@ def test_the_measured_result_replaces_the_expectation_on_the_card(loop, guided, 
 
 
 def test_end_of_the_demonstration_does_not_stop_a_newer_one(loop, guided, monkeypatch):
-    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    monkeypatch.setattr("app.dashboard.server.UNTOUCHED", 0.1)
     page, say, shows = guided
     say("seen", "untouched")
     shows("demo")
@@ -1026,7 +1024,7 @@ def test_end_of_the_demonstration_does_not_stop_a_newer_one(loop, guided, monkey
 
 def buttons_of(page, label):
     """The button or box with this label."""
-    handles = page.viewer.client.gui._gui_input_handle_from_uuid.values()
+    handles = page.client.gui._gui_input_handle_from_uuid.values()
     return next(handle for handle in handles if getattr(handle, "label", "") == label)
 
 
@@ -1081,7 +1079,7 @@ def test_a_curve_without_a_value_is_reported_and_the_list_explains_the_column(da
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
         plots, told = page._plots, []
-        page._notifier.tell = lambda _, title, text: told.append(f"{title}: {text}")
+        page.notifier.tell = lambda _, title, text: told.append(f"{title}: {text}")
         client.set_widget(plots._name, "door_angle_rad")
         wait_for(lambda: "door that the end-effector holds" in plots._name.hint)
         client.set_widget(buttons_of(page, "Curve"), "Add")
@@ -1092,7 +1090,7 @@ def test_a_curve_without_a_value_is_reported_and_the_list_explains_the_column(da
 def test_a_restart_by_another_viewer_ends_a_pull_with_a_message(dashboard, loop):
     with RawClient(dashboard.address):
         page, told = page_of(dashboard), []
-        page._notifier.tell = lambda _, title, text: told.append(title)
+        page.notifier.tell = lambda _, title, text: told.append(title)
         page.grip.take()
         loop.send(Restart())
         wait_for(lambda: told)
@@ -1103,8 +1101,8 @@ def test_a_restart_by_another_viewer_ends_a_pull_with_a_message(dashboard, loop)
 def test_only_the_start_of_a_comparison_reports_that_the_timeline_starts_again(dashboard):
     with RawClient(dashboard.address):
         page, told = page_of(dashboard), []
-        panel = next(each for each in page.viewer.panels if isinstance(each, ComparePanel))
-        page._notifier.tell = lambda _, title, text: told.append(title)
+        panel = next(each for each in page.panels if isinstance(each, ComparePanel))
+        page.notifier.tell = lambda _, title, text: told.append(title)
         panel._choose()
         assert told == []
         panel._chosen = lambda: [METHOD_TITLES["none"]]
@@ -1114,9 +1112,9 @@ def test_only_the_start_of_a_comparison_reports_that_the_timeline_starts_again(d
 
 def test_view_of_the_door_is_refused_without_a_door(dashboard):
     with RawClient(dashboard.address):
-        viewer = page_of(dashboard).viewer
+        page = page_of(dashboard)
         with pytest.raises(ConfigError, match="no door"):
-            viewer.look("door")
+            page.look("door")
 
 
 def test_a_curve_that_is_added_while_a_page_is_drawn_appears_with_the_next_values(dashboard):
@@ -1217,8 +1215,9 @@ def test_sentence_rows_and_bars_show_the_same_verdict(loop, d, controller, state
     snapshot = near_by(loop, d, controller=controller.split()[0])
     snapshot = replace(snapshot, base_velocity=np.array(moves or (0.0, 0.0)))
     verdict = judge(snapshot)
-    assert (verdict.state, verdict.pairs[0], verdict.colour) == (state, state, COLOURS[state])
-    status, rows = status_html(snapshot), pairs_html(snapshot, verdict)
+    assert (verdict.state, verdict.pairs[0]) == (state, state)
+    names = {pair.name: pair.name for pair in snapshot.pairs}
+    status, rows = status_html(snapshot), pairs_html(snapshot, verdict, names)
     assert state.capitalize() in why_html(snapshot, verdict)
     assert coloured(why_html(snapshot, verdict), state)
     assert coloured(rows, state) >= 1
@@ -1277,13 +1276,14 @@ def test_after_a_refusal_the_list_shows_the_present_scenario_again(loop):
     panel, free = object.__new__(RunPanel), loop.latest()
     for name in ("_scenario", "_controller", "_pause", "_restart", "_course", "_pairs"):
         setattr(panel, name, widget())
-    panel._shared = SimpleNamespace(course=Course(), model=husky_panda(), spoken={})
+    names = {pair.name: pair.name for pair in free.pairs}
+    panel._shared = SimpleNamespace(course=Course(), model=husky_panda(), spoken=names)
     panel.followed, warnings = {}, []
     notifier = SimpleNamespace(warn=lambda _, text: warnings.append(text))
     page = object.__new__(Page)
-    page.viewer, page._notifier, page._client = SimpleNamespace(panels=[panel]), notifier, None
+    page.panels, page.notifier, page.client = [panel], notifier, None
     page._refusal, page._key, page._hung = None, widget(), widget()
-    page._shared = SimpleNamespace(loop=SimpleNamespace(silence=0.0))
+    page.shared = SimpleNamespace(loop=SimpleNamespace(silence=0.0))
     refused = replace(free, refusal=Refusal(1, "the handle is too far away"))
     chosen, shown = TITLES["refrigerator"], []
     for snapshot in (free, free, refused, refused):

@@ -57,7 +57,7 @@ def new_viewer(served):
 
 def widgets(page):
     """All widgets of a page."""
-    return list(page._client.gui._gui_input_handle_from_uuid.values())
+    return list(page.client.gui._gui_input_handle_from_uuid.values())
 
 
 def labelled(page, label):
@@ -104,7 +104,7 @@ def test_a_picture_of_another_size_gives_the_viewer_a_warning(served, monkeypatc
     monkeypatch.setattr(_viser, "_make_uuid", lambda: "asked")
     warnings, small = [], png(Image.new("RGBA", (8, 4)))
     with new_viewer(served) as (client, page):
-        monkeypatch.setattr(page._notifier, "warn", lambda _, text: warnings.append(text))
+        monkeypatch.setattr(page.notifier, "warn", lambda _, text: warnings.append(text))
         button = labelled(page, "Picture (PNG)")
         client.set_widget(button, True)
 
@@ -119,7 +119,7 @@ def test_a_picture_of_another_size_gives_the_viewer_a_warning(served, monkeypatc
 
 def test_a_picture_that_does_not_arrive_can_be_cancelled(served):
     with new_viewer(served) as (client, page):
-        files = page.viewer.files
+        files = page.files
         client.set_widget(labelled(page, "Picture (PNG)"), True)
         wait_for(lambda: files.progress is not None, what="the start of the picture")
         files.cancel()

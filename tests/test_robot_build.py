@@ -352,7 +352,7 @@ def test_oversized_or_excess_uploads_are_rejected_before_transfer(
 ) -> None:
     with visitor(server) as (client, page):
         assert page.robot_panel is not None
-        uuid, gui = page.robot_panel.own.uploads._impl.uuid, page._client.gui
+        uuid, gui = page.robot_panel.own.uploads._impl.uuid, page.client.gui
         states = gui._current_file_upload_states
         begin(client, uuid, "a", 10**9, 1000)
         begin(client, uuid, "b", 100, 10**12)

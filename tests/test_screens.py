@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from app.dashboard import page
+from app.dashboard import server
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.panels.help import CARDS, SHOWN, WATCH
 from app.dashboard.scene.borders import LIGHT_POINTS
@@ -175,7 +175,7 @@ def pull_by_finger(tab: DashboardTab, served: Served) -> None:
 
 
 def test_untouched_page_plays_the_demonstration_until_the_first_input(browser, served, monkeypatch):
-    monkeypatch.setattr(page, "UNTOUCHED", 0.5)
+    monkeypatch.setattr(server, "UNTOUCHED", 0.5)
     served.begin_anew()
     tab = DashboardTab(browser, served.server.address, fresh=True)
     commands = served.loop.commands
@@ -199,7 +199,7 @@ def test_untouched_page_plays_the_demonstration_until_the_first_input(browser, s
 def test_click_on_watch_counts_even_if_the_demonstration_starts_before(
     browser, served, monkeypatch
 ):
-    monkeypatch.setattr(page, "UNTOUCHED", 2.0)
+    monkeypatch.setattr(server, "UNTOUCHED", 2.0)
     served.begin_anew()
     tab = DashboardTab(browser, served.server.address, (1000, 640), fresh=True, first_visit=True)
     watch = tab.page.get_by_role("button", name=WATCH)

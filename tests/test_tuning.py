@@ -75,7 +75,7 @@ class Desk:
 
     def __init__(self, servers):
         self.sink, self.clock = Sink(), Clock()
-        self.tuning = Tuning(self.sink, Config(), clock=self.clock)
+        self.tuning = Tuning(self.sink, Config(), Config(), clock=self.clock)
         self.viewers = [self.viewer(server) for server in servers]
         self.panels = [TuningPanel(viewer) for viewer in self.viewers]
         self.newest = SimpleNamespace(changing="", paused=False)
@@ -133,7 +133,7 @@ def press(gui, label, value=True, person=None):
 
 def test_each_change_is_sent_once():
     sink = Sink()
-    tuning = Tuning(sink, Config())
+    tuning = Tuning(sink, Config(), Config())
     for _ in range(2):
         tuning.set(D_B, 0.2)
     assert sink.commands == [Configure(Config().replace(D_B, 0.2))]
@@ -142,7 +142,7 @@ def test_each_change_is_sent_once():
 @pytest.mark.parametrize("value", [99999.0, -1.0, math.nan, math.inf, "0.2", [0.2], None, True])
 def test_rejected_value_changes_nothing_and_adds_no_undo_step(value):
     sink = Sink()
-    tuning = Tuning(sink, Config())
+    tuning = Tuning(sink, Config(), Config())
     with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.05 to 0\.3 m"):
         tuning.set(D_B, value)
     with pytest.raises(ConfigError, match="nothing to undo"):
@@ -152,7 +152,7 @@ def test_rejected_value_changes_nothing_and_adds_no_undo_step(value):
 
 def test_changes_of_one_slider_within_the_burst_are_one_step():
     clock = Clock()
-    tuning = Tuning(Sink(), Config(), clock=clock)
+    tuning = Tuning(Sink(), Config(), Config(), clock=clock)
     for value in (0.16, 0.17, 0.18):
         clock.now += 0.99 * BURST
         tuning.set(D_B, value)
@@ -170,7 +170,7 @@ def test_changes_of_one_slider_within_the_burst_are_one_step():
 
 
 def test_change_and_return_within_one_burst_is_no_step():
-    tuning = Tuning(Sink(), Config(), clock=Clock())
+    tuning = Tuning(Sink(), Config(), Config(), clock=Clock())
     tuning.set("force.f_max", 200.0)
     tuning.set(D_B, 0.2)
     tuning.set(D_B, 0.15)
@@ -187,7 +187,7 @@ acts = st.one_of(
 @given(st.lists(acts, max_size=15))
 def test_undo_of_all_steps_and_redo_visit_the_same_configurations(script):
     clock, sink = Clock(), Sink()
-    tuning = Tuning(sink, Config(), clock=clock)
+    tuning = Tuning(sink, Config(), Config(), clock=clock)
     for name, *given_ in script:
         before = tuning.config
         try:
@@ -221,7 +221,7 @@ def until_refused(tuning, act):
 
 
 def test_change_after_undo_discards_the_redo_steps():
-    tuning = Tuning(Sink(), Config(), clock=Clock())
+    tuning = Tuning(Sink(), Config(), Config(), clock=Clock())
     tuning.set(D_B, 0.2)
     tuning.undo()
     tuning.set(D_B, 0.25)
@@ -231,7 +231,7 @@ def test_change_after_undo_discards_the_redo_steps():
 
 
 def test_a_gain_too_large_for_the_stated_period_is_refused_and_not_stored():
-    tuning = Tuning(sink := Sink(), Config(), clock=Clock())
+    tuning = Tuning(sink := Sink(), Config(), Config(), clock=Clock())
     tuning.set("repulsion.k_v", 100.0)
     with pytest.raises(ConfigError, match="too large for a control period of 8 ms"):
         tuning.set("disturbance.stated_period", 0.008)
@@ -244,7 +244,7 @@ def test_a_gain_too_large_for_the_stated_period_is_refused_and_not_stored():
 
 def test_history_is_bounded():
     clock = Clock()
-    tuning = Tuning(Sink(), Config(), clock=clock)
+    tuning = Tuning(Sink(), Config(), Config(), clock=clock)
     for i in range(MOST_STEPS + 50):
         clock.now += 2 * BURST
         tuning.set("force.f_max", float(i))
@@ -256,7 +256,7 @@ def test_history_is_bounded():
 
 
 def test_load_and_reset_are_one_step_each():
-    tuning = Tuning(Sink(), Config(), clock=Clock())
+    tuning = Tuning(Sink(), Config(), Config(), clock=Clock())
     loaded = Config().replace(D_B, 0.2).replace("hand.f_max", 20.0)
     tuning.load(loaded)
     tuning.reset([D_B])

@@ -23,19 +23,14 @@ SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
 class Grip:
-    """Sends the pulls of one viewer, who holds at most one point of the robot.
-
-    The forces of several viewers add up. All methods are thread-safe: after the release of a point,
-    no further pull of this point is sent.
-    """
+    """Sends the pulls of one viewer, who holds at most one point of the robot; thread-safe."""
 
     def __init__(
         self, sink: LoopHandle, notifier: Notifier, client: viser.ClientHandle, timeline: Timeline
     ) -> None:
         """Start without a held point; commands to `sink` contain the number of `client`."""
-        self._sink, self._notifier, self._client, self._timeline = sink, notifier, client, timeline
-        self._held: tuple[str | None, Point | None] | None = None
-        """Link and position of the held point, as in `take`; None without a held point."""
+        self._sink, self.notifier, self._client, self._timeline = sink, notifier, client, timeline
+        self._held: tuple[str | None, Point | None] | None = None  # arguments of the last `take`
         self._pulls = False  # whether the simulation has a pull of this viewer
         self._warned = False
         self._moved = 0.0  # [s] time of the last pull
@@ -54,17 +49,16 @@ class Grip:
         return self._held is not None
 
     def take(self, link: str | None = None, point: Point | None = None) -> None:
-        """Release the held point, and hold another one, by default the end-effector.
+        """Release the held point, and hold a point (3,) [m] of a link, or the end-effector.
 
-        `link` is the name of the joint that moves the held link; `point` (3,) [m] is in the frame
-        of this joint. If the page shows the past, no point is held: the page returns to the
-        present, with a message.
+        `link` is the name of the joint whose frame moves with the link and contains the point. If
+        the page shows the past, it returns to the present instead, with a message.
         """
         with self._lock:
             self.release()
             if not self._timeline.live:
                 self._timeline.go_live()
-                self._notifier.tell(self._client, "Now", "The page showed the past. Pull again.")
+                self.notifier.tell(self._client, "Now", "The page showed the past. Pull again.")
                 return
             self._held, self._warned, self._moved = (link, point), False, monotonic()
             self._by_keys = False
@@ -72,9 +66,9 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
 
-        Nothing happens if no point is held, or if keys hold the point but `by_keys` is False, or
-        the reverse. If `reach` is set, no pull is sent: if the held point is the end-effector,
-        `reach` gets the unchanged target. The first negative z of a pull warns the viewer.
+        There is no effect if no point is held, or if keys hold the point and `by_keys` is False,
+        or the reverse. If `reach` is set, no pull is sent, and `reach` gets the unchanged target if
+        the held point is the end-effector.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -87,16 +81,15 @@ class Grip:
                 return
             if z < 0.0 and not self._warned:
                 self._warned = True  # warn once per drag
-                self._notifier.warn(self._client, "The floor is at z = 0; the target stays on it.")
+                self.notifier.warn(self._client, "The floor is at z = 0; the target stays on it.")
             self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._client.client_id))
             self._pulls = True
 
     def nudge(self, ahead: Sequence[float], snapshot: Snapshot) -> None:
-        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead`.
+        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead` (3,).
 
-        The components of `ahead` (3,) are forward, left and up in the base's frame, and are clipped
-        to [−1, 1]. The target stays within `MOST_NUDGED` of the end-effector. The first call of a
-        pull by keys returns to the present. During a drag, the call has no effect.
+        `ahead` is forward, left and up in the base's frame, clipped to [−1, 1]. The target stays
+        within `MOST_NUDGED` of the end-effector. The first call of a pull returns to the present.
         """
         with self._lock:
             if self.holds_anything and not self._by_keys:
@@ -132,30 +125,22 @@ class Grip:
                 return
             self.release()
         text = "Your pull has ended, because your browser did not respond. Pull again."
-        self._notifier.warn(self._client, text)
+        self.notifier.warn(self._client, text)
 
 
 class DragHandles:
     """Handles for the mouse: the gizmo on the end-effector, and the meshes of the arm's links."""
 
     def __init__(
-        self,
-        scene: viser.SceneApi,
-        robot: RobotScene,
-        grip: Grip,
-        notifier: Notifier,
-        arm_joints: dict[int, str],
+        self, scene: viser.SceneApi, robot: RobotScene, grip: Grip, arm_joints: dict[int, str]
     ) -> None:
-        """Add the gizmo to the scene, and handle drags of the gizmo and of the arm's links.
-
-        `arm_joints` has the names of the arm's joints, by their indices in the drawn model.
-        """
+        """Add the gizmo; `arm_joints` has the arm's joints by their indices in the drawn model."""
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
         )
-        self._gizmo.on_update(notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
-        self._robot, self._arm_joints, self._notifier = robot, arm_joints, notifier
+        self._gizmo.on_update(grip.notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
+        self._robot, self._arm_joints = robot, arm_joints
         self._links: object = None
         self._dragged = False  # whether the viewer drags the gizmo
 
@@ -170,7 +155,6 @@ class DragHandles:
             self._gizmo.position = snapshot.p_ee
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
-        """Handle an event of the gizmo, whose phase is "start", "update" or "end"."""
         # A restart can release the pull earlier, but until "end" the browser ignores new positions.
         if event.phase == "end":
             self._dragged = False
@@ -193,4 +177,4 @@ class DragHandles:
                 self.grip.take(name, (x, y, z))
             self.grip.pull(np.array(event.end_position))
 
-        mesh.on_drag(self._notifier.guard(dragged))  # type: ignore[arg-type]
+        mesh.on_drag(self.grip.notifier.guard(dragged))  # type: ignore[arg-type]

@@ -20,8 +20,6 @@ CLOSE = 0.002  # [m] tolerance of the end-effector's position
 
 
 class Posture(NamedTuple):
-    """Posture of the arm, together with the pose of the base."""
-
     base_pose: Array  # (3,) x, y [m] and heading [rad] of the base
     q_m: Array  # (n_m,) [rad or m] joint positions of the arm
 
@@ -65,9 +63,9 @@ class Explorer:
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
         """Find a posture that brings the end-effector to `place` (3,) [m] in the world.
 
-        Return this posture, and the remaining distance [m] of the end-effector from `place`. The
-        search starts from `posture`, and the base stays. The end-effector's z axis keeps its
-        direction if this distance is then below `CLOSE`; otherwise the axis may turn.
+        Return it and the remaining distance [m]. The search starts from `posture`, and the base
+        stays. The end-effector's z axis keeps its direction if this distance is then below `CLOSE`;
+        otherwise the axis may turn.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

@@ -1,9 +1,7 @@
 """Checks of connections and of the pages' messages, before viser handles them.
 
 viser has no hook for these checks. Therefore this module wraps the functions that viser passes to
-`websockets` when its server starts. `is_allowed` checks requests. Headers of each answer forbid
-every website to show the page in a frame. `checked` checks each message before viser reads it,
-against viser's type annotations, which viser itself does not check.
+`websockets` when its server starts. viser itself does not check the types of a message's fields.
 """
 
 from __future__ import annotations
@@ -18,6 +16,8 @@ import threading
 from asyncio import get_running_loop
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from functools import partial
+from html import escape
 from http import HTTPStatus
 from typing import Any, Union, get_type_hints
 from urllib.parse import urlsplit
@@ -29,7 +29,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.dashboard.markup import refusal, with_head
+from app.dashboard.markup import with_head
 from app.errors import ServerError
 
 LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half this size
@@ -55,14 +55,19 @@ _POLICY = (
 )
 """Content policy: viser's page contains its scripts, evaluates code of its markdown, and connects
 only to this server."""
-_HEADERS = {
+_HEADERS = {  # of each answer, in addition to the policy
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""Headers of each answer, in addition to the policy."""
+_REFUSAL = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
+<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
+<style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
+body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
+<p>{why}.</p>{more}</html>
+"""
 _WAY_OUT = """<p>To reach this server under this name, restart it with
 <code>--allow-host {name}</code>. Everybody who can open the page can move the robot.</p>"""
 _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
@@ -92,13 +97,11 @@ _VERSION = f"viser-v{__version__}"  # name of the websocket protocol
 
 
 class RefusedError(ValueError):
-    """A message is refused; on the page, "Refused: " precedes the reason `why`."""
+    """A message is refused; the page shows the reason `why` after "Refused: "."""
 
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
-        self.message = message
-        """The refused message, or None if it was not decoded. If the message sets a widget, the
-        sender gets the widget's value again."""
+        self.message = message  # the refused message, or None if it was not decoded
 
 
 class GarbageError(RefusedError):
@@ -109,7 +112,6 @@ class Gate:
     """Checks between a viser server and its connections."""
 
     def __init__(self, host: str, allowed: Collection[str], largest_upload: int) -> None:
-        """Create a gate; the arguments are those of `open_server`."""
         self._allowed = {name.lower() for name in allowed}
         self._own_names = {host.lower(), *self._allowed}
         self._largest_upload = largest_upload
@@ -117,16 +119,11 @@ class Gate:
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Returns a widget of a page, by the page's connection and the widget's name, or None."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
-        """Called with the connection and the error after each `RefusedError`, but not after a
-        `GarbageError`."""
+        """Called after each `RefusedError` of a connection except a `GarbageError`."""
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Check all connections of the server that viser starts in this context.
-
-        Raises:
-            ServerError: No server was started in the expected way; if one runs, it has no checks.
-        """
+        """Check the server that viser starts in this context; `ServerError` if there is none."""
         with _lock:
             original, seen = websockets_server.serve, []
 
@@ -134,8 +131,8 @@ class Gate:
                 seen.append(True)
                 more |= {"max_size": LARGEST_MESSAGE, "max_queue": _MOST_WAITING}
                 more["create_connection"] = _Connection
-                more["process_request"] = self._process_request(process_request)
-                return original(self._handler(handler), *args, **more)
+                more["process_request"] = partial(self._answer, process_request)
+                return original(partial(self._handle, handler), *args, **more)
 
             websockets_server.serve = serve  # type: ignore[assignment]
             try:
@@ -145,30 +142,26 @@ class Gate:
         if not seen:
             raise ServerError("this version of viser starts its server in an unknown way")
 
-    def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap viser's handler of requests: refuse some, and add head and headers to answers."""
-
-        async def process(connection: _Connection, request: Request) -> Response | None:
-            answer = self._refusal(request, connection.method)
-            if answer is None:
-                answer = inner(connection, request)
-                answer = await answer if hasattr(answer, "__await__") else answer
-                if answer and answer.headers.get("Content-Type", "").startswith("text/html"):
-                    encoding = answer.headers["Content-Encoding"]
-                    answer.body = with_head(bytes(answer.body), encoding)
-                    del answer.headers["Content-Length"]
-                    answer.headers["Content-Length"] = str(len(answer.body))
-            if answer is not None:
-                host = ", ".join(request.headers.get_all("Host")).encode("ascii", "ignore").decode()
-                answer.headers.update(_HEADERS)
-                answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
-                answer.body = b"" if connection.method == "HEAD" else answer.body
-            return answer
-
-        return process
+    async def _answer(
+        self, inner: Callable[..., Any], connection: _Connection, request: Request
+    ) -> Response | None:
+        """Refuse a request, or let viser's `inner` answer it; add head and headers to answers."""
+        answer = self._refusal(request, connection.method)
+        if answer is None:
+            answer = inner(connection, request)
+            answer = await answer if hasattr(answer, "__await__") else answer
+            if answer and answer.headers.get("Content-Type", "").startswith("text/html"):
+                answer.body = with_head(bytes(answer.body), answer.headers["Content-Encoding"])
+                del answer.headers["Content-Length"]
+                answer.headers["Content-Length"] = str(len(answer.body))
+        if answer is not None:
+            host = ", ".join(request.headers.get_all("Host")).encode("ascii", "ignore").decode()
+            answer.headers.update(_HEADERS)
+            answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
+            answer.body = b"" if connection.method == "HEAD" else answer.body
+        return answer
 
     def _refusal(self, request: Request, method: str) -> Response | None:
-        """Return the refusal of a request, or None if viser may answer the request."""
         headers = request.headers
         path, _, query = request.path.partition("?")
         if method not in _METHODS:
@@ -198,47 +191,41 @@ class Gate:
             return _refused(HTTPStatus.BAD_REQUEST, why, more)
         return None
 
-    def _handler(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap viser's handler of connections, which then gets only checked messages."""
-
-        async def handle(connection: _Connection) -> None:
-            if connection.subprotocol != _VERSION:  # viser would print each wrong version
-                return await connection.close(1002, "this page is of another version; reload it")
-            connection.transport.max_size = 2**13  # [bytes] read at once, then other connections
-            uploads = Uploads(self._largest_upload, self._uploads)
-            connection.gate, connection.uploads = self, uploads
-            self._uploads.add(uploads)
-            try:
-                await inner(connection)
-            finally:
-                self._uploads.discard(uploads)
-
-        return handle
+    async def _handle(self, inner: Callable[..., Any], connection: Any) -> None:
+        """Run viser's handler `inner` of a connection, which gets only checked messages."""
+        if connection.subprotocol != _VERSION:  # viser would print each wrong version
+            return await connection.close(1002, "this page is of another version; reload it")
+        connection.transport.max_size = 2**13  # [bytes] read at once, then other connections
+        uploads = Uploads(self._largest_upload, self._uploads)
+        connection.gate, connection.uploads = self, uploads
+        self._uploads.add(uploads)
+        try:
+            await inner(connection)
+        finally:
+            self._uploads.discard(uploads)
 
 
 def _refused(status: HTTPStatus, why: str, more: str = "") -> Response:
-    body = refusal(why[:_LONGEST_REASON], more).encode(errors="replace")
-    kind = "text/html; charset=utf-8"
-    fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
-    return Response(status.value, status.phrase, fields, body)
+    """Return a page that shows the reason `why`, which is escaped, and the HTML `more`."""
+    html = _REFUSAL.format(why=escape(why[:_LONGEST_REASON]), more=more)
+    body = html.encode(errors="replace")
+    fields = {"Content-Length": str(len(body)), "Content-Type": "text/html; charset=utf-8"}
+    return Response(status.value, status.phrase, Headers(fields), body)
 
 
 class _Connection(ServerConnection):
     """A connection that answers every HTTP request, and returns checked messages only.
 
-    The library `websockets` answers only GET requests of HTTP/1.1, and closes the connection after
-    others. But proxies send requests of HTTP/1.0, and health checks send HEAD requests. If the
-    method is neither GET nor HEAD, only the first line of the request is read.
+    The library `websockets` answers only GET requests of HTTP/1.1. But proxies send requests of
+    HTTP/1.0, and health checks send HEAD requests.
     """
 
-    method = "GET"
-    """Method of the HTTP request, such as "HEAD"."""
+    method = "GET"  # method of the HTTP request, such as "HEAD"
     gate: Gate
     uploads: Uploads
-    """Gate and uploads of the connection, from its opening on."""
 
     def data_received(self, data: bytes) -> None:
-        """Read data, in which the first line of a request is replaced by that of GET, HTTP/1.1."""
+        """Read data; replace the first line of a request by that of GET and HTTP/1.1."""
         if self.method not in _METHODS:  # the answer is on its way: ignore the request's content
             return
         if self.request is None and (line := _REQUEST.match(data)):
@@ -275,19 +262,13 @@ class _Connection(ServerConnection):
 def is_allowed(
     origin: str | None, host: str | None, own_names: Collection[str], allowed: Collection[str]
 ) -> bool:
-    """Whether the server answers a request.
+    """Whether the server answers a request with the headers `Origin` and `Host`, or None.
 
-    The header `Host` must be an IP address, localhost, or a name of this server or machine, because
-    another website could let its own name point to this machine. A browser sends the page's origin
-    with each websocket request. The origin must have the same name and port as `Host`, or a name in
-    `allowed`, because a proxy can change `Host`. Other programs send no origin; only their `Host`
-    is checked. A request with neither header is answered.
-
-    Args:
-        origin: The request's header `Origin`, or None.
-        host: The request's header `Host`, or None.
-        own_names: Names of the server in lower case, besides the names that every server has.
-        allowed: Names from `own_names` that the origin may have even if `Host` is different.
+    `Host` must be an IP address, localhost, the name of this machine, or one of `own_names` in
+    lower case: another website could let its own name point to this machine. A browser sends
+    `Origin` with each websocket request. It must have the same name and port as `Host`, or a name
+    in `allowed`, because a proxy can change `Host`. Other programs send no origin; only their
+    `Host` is checked. A request with neither header is answered.
     """
     if host is None:
         return origin is None
@@ -330,27 +311,15 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """Register of one viewer's unfinished uploads; the parts of a file must arrive in order.
-
-    viser stores the parts of a file until the file is complete, and parts of no file forever.
-    """
+    """Register of a viewer's unfinished uploads: viser would store parts of no file forever."""
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Create an empty register for files of up to `largest` [bytes].
-
-        `everyone` has the registers of all viewers, which share the limit `_MOST_UPLOADS`.
-        """
+        """Accept files of up to `largest` [bytes]; the registers `everyone` share another limit."""
         self._largest, self._everyone = largest, everyone
-        self.unfinished: dict[str, tuple[int, range]] = {}
-        """Number of missing bytes and indices of the missing parts, by the transfer's name."""
+        self.unfinished: dict[str, tuple[int, range]] = {}  # missing bytes and parts, by transfer
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Register an announced file of `size` [bytes] in a number of `parts`, 0 if it is empty.
-
-        Raises:
-            RefusedError: The file is too large, the number of parts is impossible, or too many
-                uploads are unfinished.
-        """
+        """Register a file of `size` [bytes] in a number of `parts`; `RefusedError` if forbidden."""
         if size > self._largest:
             limit = f"the limit is {self._largest / 1e6:.0f} MB"
             raise RefusedError(f"a file of {size / 1e6:.0f} MB; {limit}")
@@ -374,12 +343,8 @@ class Uploads:
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
     """Return the unchanged bytes of an allowed message; register files and parts in `uploads`.
 
-    `widget` returns a widget of the page by its name, or None.
-
-    Raises:
-        GarbageError: The data are not a message of the types `_TAKEN`, or a field has a wrong type.
-        RefusedError: The message or a value is too large, a value is not finite or does not match
-            its widget, or a picture or an upload is not allowed.
+    `widget` returns a widget of the page by its name, or None. Raises `GarbageError` if the data
+    are not a message of the types `_TAKEN`, and `RefusedError` if a value is not allowed.
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is not a message")

@@ -40,9 +40,9 @@ _PATIENCE = 10.0  # [s] timeout for the end of a thread
 def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector, and return the freed memory to the system.
 
-    Python searches old objects for reference cycles only rarely, but a few such objects can use
-    much memory, for example a model or a border. If `frozen`, the collector also searches the
-    objects that `gc_frozen` has excluded, if any, and then excludes all remaining objects.
+    Python itself rarely searches old objects, such as a model or a border, for reference cycles.
+    If `frozen`, the objects that `gc_frozen` has excluded are searched too, and then all remaining
+    objects are excluded.
     """
     frozen &= gc.get_freeze_count() > 0
     if frozen:
@@ -63,13 +63,11 @@ class Progress(NamedTuple):
 class Job:
     """Runs background jobs, at most one at a time; all methods are thread-safe."""
 
-    replaces_robot: ClassVar[bool] = False
-    """Whether a job leaves objects of a former robot behind."""
+    replaces_robot: ClassVar[bool] = False  # whether a job leaves objects of a former robot behind
 
     def __init__(self) -> None:
         self.progress: Progress | None = None  # of the running job
-        self.problem = ""
-        """Error message of the last job; empty if it succeeded or still runs."""
+        self.problem = ""  # error message of the last job; empty if it succeeded or still runs
         self._cancelled = threading.Event()
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -78,10 +76,7 @@ class Job:
         """Start the job `title`: run `work` in a new thread; `text` describes its first step.
 
         If `work` raises `Cancelled`, a `DbbError` or an `OSError`, `problem` has the message; after
-        any other exception, `problem` refers to the log.
-
-        Raises:
-            ConfigError: Another job is running.
+        any other exception, it refers to the log. Raises `ConfigError` if another job is running.
         """
         with self._lock:
             running = self.progress  # read once, because the work's thread may clear it
@@ -90,9 +85,8 @@ class Job:
             self.progress = Progress(title, time.monotonic(), text)
         self.problem = ""
         self._cancelled.clear()
-        self._thread = threading.Thread(
-            target=self._work, args=(title, work), name="job", daemon=True
-        )
+        work_of = partial(self._work, title, work)
+        self._thread = threading.Thread(target=work_of, name="job", daemon=True)
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
@@ -105,7 +99,6 @@ class Job:
             self.progress = self.progress._replace(text=text, share=share)
 
     def check(self) -> None:
-        """Raise `Cancelled` if the running job was cancelled."""
         if self.cancelled:
             raise Cancelled("cancelled")
 
@@ -205,11 +198,11 @@ def write_replay(report: Report, trace: Trace, page: Path) -> None:
 
     model, data = _loaded(trace.meta.robot, progress=False)
     duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
+    look = Look(view=cast("Side", first_view(trace.snapshots[0])))
 
     def on_progress(t: float) -> None:
         report("drawing the pictures", min(t / duration, 1.0))
 
-    look = Look(view=cast("Side", first_view(trace.snapshots[0])))
     write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))
 
 

@@ -11,16 +11,7 @@ from app.errors import DbbError
 RIGHT = "text-align:right"
 FAINT = "opacity:.8"
 ONE_LINE = "white-space:nowrap"
-BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
-
-# Page of a refused request.
-_REFUSAL = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
-<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
-<style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
-body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
-<p>{why}.</p>{more}</html>
-"""
 _SCRIPT, _CONTROLS, _STYLE = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
     for name in ("page.js", "controls.js", "page.css")
@@ -42,50 +33,39 @@ def with_head(page: bytes, encoding: str) -> bytes:
     return gzip.compress(html) if encoding == "gzip" else html
 
 
-def refusal(why: str, more: str) -> str:
-    """Return the page of a refused request; the reason `why` is escaped, the HTML `more` is not."""
-    return _REFUSAL.format(why=escape(why), more=more)
-
-
 def small(html: str, *styles: str) -> str:
     """Return a paragraph in the small type of panels, with further CSS `styles`."""
     look = "padding:.2em .7em;font-size:.82em;line-height:1.5;overflow-wrap:anywhere"
-    return _tag("div", html, look, *styles)
+    return tag("div", html, look, *styles)
 
 
 def problem(text: str) -> str:
     """Return a text in the colour of errors; the text is escaped."""
-    return _tag("span", escape(text), f"color:{BAD_COLOUR}")
+    return tag("span", escape(text), "color:light-dark(#c92a2a, #ff8787)")
 
 
 def banner(kind: str, title: str, text: str) -> str:
     """Return a coloured box of the kind "error" or "notice"; title and text are escaped."""
-    return _tag(
-        "div",
-        f"<b>{escape(title)}</b><br>{escape(text)}",
-        "margin:.5em .7em;padding:.5em .7em;border-radius:4px;color:white;font-size:.85em",
-        "overflow-wrap:anywhere",
-        f"background:{_BANNERS[kind]}",
-    )
+    look = "margin:.5em .7em;padding:.5em .7em;border-radius:4px;color:white;font-size:.85em"
+    html, ground = f"<b>{escape(title)}</b><br>{escape(text)}", f"background:{_BANNERS[kind]}"
+    return tag("div", html, look, "overflow-wrap:anywhere", ground)
 
 
 def table(rows: Iterable[str], *styles: str, tight: bool = False) -> str:
     """Return a table of rows from `row`, as wide as its panel; `tight` cells have no padding."""
-    style = _style("width:100%;font-variant-numeric:tabular-nums", *styles)
-    space = ' cellpadding="0"' if tight else ""
-    return f"<table{space}{style}>{''.join(rows)}</table>"
+    look, padding = "width:100%;font-variant-numeric:tabular-nums", "0" if tight else ""
+    return tag("table", "".join(rows), look, *styles, cellpadding=padding)
 
 
 def row(*cells: str, hint: str = "", style: str = "") -> str:
     """Return a row of cells from `cell`; `hint` appears while the pointer is over the row."""
-    title = f' title="{escape(hint)}"' if hint else ""
-    return f"<tr{title}{_style(style)}>{''.join(cells)}</tr>"
+    return tag("tr", "".join(cells), style, title=escape(hint))
 
 
 def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str:
     """Return a cell that covers `span` columns; `head` marks the title of a column."""
-    name, across = "th" if head else "td", f' colspan="{span}"' if span > 1 else ""
-    return f"<{name}{across}{_style(*styles)}>{html}</{name}>"
+    across = f"{span}" if span > 1 else ""
+    return tag("th" if head else "td", html, *styles, colspan=across)
 
 
 def reading(name: str, value: str) -> str:
@@ -95,22 +75,16 @@ def reading(name: str, value: str) -> str:
 def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:
     """Return a bar that is filled to `share` (0 to 1), with a mark at `stroke` (0 to 1) if any."""
     filled = f"width:{100 * share:.0f}%;height:100%;background:{colour};border-radius:2px"
-    html = _tag("div", "", filled)
+    html = tag("div", "", filled)
     if stroke is not None:
         place = f"position:absolute;left:{100 * stroke:.0f}%;top:-.15em"
-        html += _tag("div", "", place, "width:1px;height:.85em;background:currentColor;opacity:.7")
+        html += tag("div", "", place, "width:1px;height:.85em;background:currentColor;opacity:.7")
     ground = "position:relative;height:.55em;background:rgba(128,138,150,.22);border-radius:2px"
-    return _tag("div", html, ground)
-
-
-def chip(text: str, ground: str, ink: str) -> str:
-    """Return a short text on a coloured background."""
-    look = f"background:{ground};color:{ink};border-radius:4px;padding:.1em .5em"
-    return _tag("b", text, look)
+    return tag("div", html, ground)
 
 
 def mark(sign: str, colour: str) -> str:
-    return _tag("b", sign, f"color:{colour}")
+    return tag("b", sign, f"color:{colour}")
 
 
 def minus(text: str) -> str:
@@ -118,10 +92,8 @@ def minus(text: str) -> str:
     return text.replace("-", "−")
 
 
-def _tag(name: str, html: str, *styles: str) -> str:
-    return f"<{name}{_style(*styles)}>{html}</{name}>"
-
-
-def _style(*styles: str) -> str:
-    declared = ";".join(style for style in styles if style)
-    return f' style="{declared}"' if declared else ""
+def tag(name: str, html: str, *styles: str, **attributes: str) -> str:
+    """Return an element; empty styles and attributes are omitted."""
+    attributes["style"] = ";".join(filter(None, styles))
+    texts = (f' {key}="{value}"' for key, value in attributes.items() if value)
+    return f"<{name}{''.join(texts)}>{html}</{name}>"

@@ -25,16 +25,11 @@ class Notifier:
 
     def warn(self, client: viser.ClientHandle | None, text: str) -> None:
         """Show for 6 s why an action was refused; to all viewers if `client` is None."""
-        self._show(client, "Not possible", sentence(text), "orange", 6.0)
+        self._show(client, "Not possible", sentence(text), "orange")
 
     def tell(self, client: viser.ClientHandle | None, title: str, text: str) -> None:
         """Show a message for 6 s; to all viewers if `client` is None."""
-        self._show(client, title, text, "blue", 6.0)
-
-    def fail(self, client: viser.ClientHandle | None, error: BaseException) -> None:
-        """Log an internal error and show it for 30 s; to all viewers if `client` is None."""
-        logger.error("the dashboard failed", exc_info=error)
-        self._show(client, "Internal error", plain(error), "red", 30.0)
+        self._show(client, title, text, "blue")
 
     def clear(self, client: viser.ClientHandle) -> None:
         for key, (_, _, handle, _) in list(self._shown.items()):
@@ -43,12 +38,9 @@ class Notifier:
                 del self._shown[key]
 
     def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """Wrap a callback for viser so that its exceptions are shown to the event's `client`.
+        """Wrap a short callback for viser; its exceptions are shown to the event's `client`."""
 
-        The result is `async`, so that viser runs it in its event loop: the callback must be short.
-        """
-
-        async def guarded(event: Any) -> None:
+        async def guarded(event: Any) -> None:  # viser runs it in its event loop
             self.attempt(event.client, lambda: callback(event))
 
         return guarded
@@ -60,11 +52,11 @@ class Notifier:
         except DbbError as error:
             self.warn(client, str(error))
         except Exception as error:  # the viewer must see it
-            self.fail(client, error)
+            logger.exception("the dashboard failed")
+            self._show(client, "Internal error", plain(error), "red")
 
-    def _show(
-        self, client: viser.ClientHandle | None, title: str, text: str, colour: Any, seconds: float
-    ) -> None:
+    def _show(self, client: viser.ClientHandle | None, title: str, text: str, colour: Any) -> None:
+        seconds = 30.0 if colour == "red" else 6.0
         text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may come from a file
         clients = [client] if client is not None else list(self._server.get_clients().values())
         here = {each.client_id for each in clients} | set(self._server.get_clients())

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable
 from functools import partial
-from time import monotonic
+from typing import Any
 
 import viser
 
@@ -14,7 +13,7 @@ from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Viewer
 from app.dashboard.panels.explorer import ExplorerPanel
-from app.dashboard.panels.help import Guide, Shortcut, add_help, add_shortcuts
+from app.dashboard.panels.help import TEXT, Guide
 from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import ComparePanel, LabPanel, RunPanel
@@ -28,24 +27,17 @@ from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.legend import key_html, legend_html
 from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
-from app.errors import DbbError
 from app.simulation.loop.commands import Restart
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.snapshot import Snapshot
 
 PRODUCT = "dbb self-collision avoidance"
-PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
 PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
-UNTOUCHED = 20.0  # [s] without input before a demonstration starts
-REST = 3.0  # [s] pause between two demonstrations
+_MAIN_WIDTH = 350  # [px] of the right column
 
 
-class Page:
-    """Panels, layers, camera and point in time of one viewer.
-
-    The drawing thread creates and draws a page. Callbacks only assign to the view or send commands.
-    Create a page within the client's `atomic`, so that the viewer never sees an incomplete page.
-    """
+class Page(Viewer):
+    """Panels and scene of one viewer; create it within the client's `atomic`."""
 
     def __init__(
         self,
@@ -55,10 +47,7 @@ class Page:
         before: Page | None = None,
     ) -> None:
         """Create the page of a client; `before` is the client's closed page of another robot."""
-        self._client, self._shared, self._notifier = client, shared, notifier
-        self.viewer = viewer = Viewer(client, notifier, shared, before.viewer if before else None)
-        self.view, self.timeline, self.grip = viewer.view, viewer.timeline, viewer.grip
-        self.channel, self._camera = viewer.channel, viewer.camera
+        super().__init__(client, notifier, shared, before)
         self.channel.on("escape", self._escape)
         self.channel.on("nudge", lambda *ahead: self.grip.nudge(ahead, self._present()))
         self.channel.on("drop", self.grip.release_keys)
@@ -70,68 +59,69 @@ class Page:
         with client.atomic():
             self._build_left()
             self._build_right()
-            TimelinePanel(self.viewer)
-        self.guide = Guide(self.viewer, before.guide.state if before else "")
+            TimelinePanel(self)
+        self.guide = Guide(self, before.guide.state if before else "")
         self.channel.begin()
         self.channel.tell("title", f"{PRODUCT} · {shared.parts.title}")
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
-        self._border = border = self._scene.border
+        border = self._border = self._scene.border
         self.channel.on("pointer", lambda *at: setattr(border, "pointer", at[:2] if at[1:] else ()))
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
-        self.handles = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
-        add_shortcuts(client.gui, self._shortcuts(), notifier)
-        self._camera.begin(self.timeline.shown())
+        self.handles = DragHandles(client.scene, self._scene.robot, self.grip, arm)
+        for label, key, act in self._shortcuts():
+            command = client.gui.add_command(label, hotkey=key)
+            command.on_trigger(notifier.guard(lambda _, act=act: act()))
+        self.camera.begin(self.timeline.shown())
         self.draw(texts=True)
 
     def _present(self) -> Snapshot:
         """Return the newest snapshot; while joint sliders are in use, the response to them."""
-        return self.explorer_panel.shown(newest := self._shared.loop.latest(), newest)
+        return self.explorer_panel.shown(newest := self.shared.loop.latest(), newest)
 
     def draw(self, *, texts: bool) -> None:
         """Draw the snapshot that the viewer sees; update panels, plots, labels only if `texts`."""
-        newest, shown = self._shared.loop.latest(), self.timeline.shown()
+        newest, shown = self.shared.loop.latest(), self.timeline.shown()
         if not newest.follows(self._newest) and self.grip.holds_anything:
             self.grip.release()  # the simulation has restarted and has dropped all pulls
             if self.grip.reach is None:
-                self._notifier.tell(self._client, "Pull ended", "A new run has started.")
+                self.notifier.tell(self.client, "Pull ended", "A new run has started.")
         self._newest = newest
         if self.grip.holds_anything:
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
         if self._border.update(self.view, shown.border):
-            spoken = self._shared.spoken
-            self._why.legend.content = legend_html(
-                [each._replace(pair=spoken[each.pair]) for each in self._border.legends]
-            )
-        with self._client.atomic():
+            spoken, legends = self.shared.spoken, self._border.legends
+            named = [each._replace(pair=spoken[each.pair]) for each in legends]
+            self._why.legend.content = legend_html(named)
+        with self.client.atomic():
             if self._look != (self.view.dark, self.view.light):
                 self._look = self.view.dark, self.view.light
-                set_theme(self._client.gui, dark=self.view.dark)
+                set_theme(self.client.gui, dark=self.view.dark)
                 self.channel.tell("light", self.view.light)
-            verdict = self._scene.draw(shown, texts=texts, lens=self._camera.lens)
+            verdict = self._scene.draw(shown, texts=texts, lens=self.camera.lens)
             self.handles.update(shown)
-            self._camera.settle(shown, busy=self.grip.holds_anything)
+            self.camera.settle(shown, busy=self.grip.holds_anything)
             moment = Moment(newest, shown, verdict)
             if texts and moment.live:
-                self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
+                self.camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
             # With ghosts the camera stands still, so that the motion of each robot is visible.
-            self._camera.follow(shown.base_pose[:2], on=self.view.follow and not shown.ghosts)
+            self.camera.follow(shown.base_pose[:2], on=self.view.follow and not shown.ghosts)
             if texts:
                 self._renew(moment)
 
     def _renew(self, moment: Moment) -> None:
         before, self._refusal = self._refusal, moment.newest.refusal
         refused = self._refusal != before
-        for panel in self.viewer.panels:
+        for panel in self.panels:
             if refused:  # the panels show the state again, not the refused choice
                 panel.followed.clear()
             panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
         if refused and self._refusal is not None:
-            self._notifier.warn(self._client, self._refusal.message)
-        _show(self._hung, hung_html(self._shared.loop.silence))
+            self.notifier.warn(self.client, self._refusal.message)
+        _show(self._hung, hung_html(self.shared.loop.silence))
 
     @property
     def untouched(self) -> bool:
@@ -146,10 +136,10 @@ class Page:
         if self.closed:
             return self
         self.close()
-        with self._client.atomic():
-            self._client.scene.reset()
-            self._client.gui.reset()
-            return Page(self._client, shared, self._notifier, self)
+        with self.client.atomic():
+            self.client.scene.reset()
+            self.client.gui.reset()
+            return Page(self.client, shared, self.notifier, self)
 
     def close(self) -> None:
         """Release the viewer's pull, end the demonstration if it runs, and stop drawing."""
@@ -161,101 +151,69 @@ class Page:
         """Close the page and its guide, and cancel the job that creates the viewer's files."""
         self.close()
         self.guide.go("")
-        self.viewer.files.cancel()
+        self.files.cancel()
 
     def _build_left(self) -> None:
-        gui = self._client.gui
+        gui = self.client.gui
         panel = gui.add_panel()
         with panel.add_tab("Why", viser.Icon.BULB):
-            self._why = WhyPanel(self.viewer)
-        self._plots = Plots(self.viewer, panel.add_tab("Plots", viser.Icon.CHART_LINE))
+            self._why = WhyPanel(self)
+        self._plots = Plots(self, panel.add_tab("Plots", viser.Icon.CHART_LINE))
         with panel.add_tab("Compare", viser.Icon.USERS):
-            ComparePanel(self.viewer)
+            ComparePanel(self)
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
             self._key = gui.add_html("")
         panel.dock_left()
-        panel.set_width(PANEL_WIDTH)
+        panel.set_width(330)
 
     def _build_right(self) -> None:
-        gui, viewer = self._client.gui, self.viewer
+        gui = self.client.gui
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(MAIN_WIDTH)
-        self.channel.on("wide", lambda _: gui.main_panel.set_width(MAIN_WIDTH))
+        gui.main_panel.set_width(_MAIN_WIDTH)
+        self.channel.on("wide", lambda _: gui.main_panel.set_width(_MAIN_WIDTH))
         self._banner = gui.add_html("", visible=False)
-        self.change = JobStatus(viewer, self._shared.robot_switch)
+        self.change = JobStatus(self, self.shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            RunPanel(viewer)
+            RunPanel(self)
         with tabs.add_tab("Lab"):
-            LabPanel(viewer)
-            self.explorer_panel = ExplorerPanel(viewer)
+            LabPanel(self)
+            self.explorer_panel = ExplorerPanel(self)
         with tabs.add_tab("View"):
-            ViewPanel(viewer)
+            ViewPanel(self)
         with tabs.add_tab("Tune"):
-            self.tuning_panel = TuningPanel(viewer)
+            self.tuning_panel = TuningPanel(self)
         self.robot_panel: RobotPanel | None = None
-        if self._shared.robot_switch.possible:
+        if self.shared.robot_switch.possible:
             with tabs.add_tab("Robot"):
-                self.robot_panel = RobotPanel(viewer)
+                self.robot_panel = RobotPanel(self)
         with tabs.add_tab("Save"):
-            SavePanel(viewer)
+            SavePanel(self)
         with tabs.add_tab("Help"):
-            add_help(gui, self._shortcuts())
+            keyed = ((label, key) for label, key, _ in self._shortcuts() if key is not None)
+            keys = ", ".join(f"`{key}` {label.lower()}" for label, key in keyed)
+            gui.add_markdown(TEXT.format(keys=keys))
 
-    def _shortcuts(self) -> list[Shortcut]:
-        viewer = self.viewer
-        looks = (
-            Shortcut(f"Camera: {name}", str(i), partial(viewer.look, name))
-            for i, name in enumerate(PRESETS, 1)
-        )
+    def _shortcuts(self) -> list[tuple[str, Any, Callable[[], None]]]:
+        """Return label, key or None, and action of each entry in the list of `Ctrl K`."""
+        views = ((f"Camera: {name}", str(i), name) for i, name in enumerate(PRESETS, 1))
         return [
-            Shortcut(f"{PAUSE} or {CONTINUE.lower()}", "space", viewer.toggle_pause),
-            Shortcut(RESTART, "R", lambda: self._shared.loop.send(Restart())),
-            Shortcut("Back 1 s", "B", lambda: viewer.step(-1.0)),
-            Shortcut("Forward 1 s", "F", lambda: viewer.step(1.0)),
-            Shortcut("Back to now", "N", self.timeline.go_live),
-            Shortcut("Dark or light theme", "L", self.view.toggle_dark),
-            *looks,
-            Shortcut(BACK, None, partial(viewer.play, "")),
-            *(Shortcut(f"Play {name}", None, partial(viewer.play, name)) for name in SCENARIOS),
-            Shortcut("Tour", "H", lambda: self.guide.go("tour 1")),
+            (f"{PAUSE} or {CONTINUE.lower()}", "space", self.toggle_pause),
+            (RESTART, "R", lambda: self.shared.loop.send(Restart())),
+            ("Back 1 s", "B", lambda: self.step(-1.0)),
+            ("Forward 1 s", "F", lambda: self.step(1.0)),
+            ("Back to now", "N", self.timeline.go_live),
+            ("Dark or light theme", "L", self.view.toggle_dark),
+            *((label, key, partial(self.look, name)) for label, key, name in views),
+            (BACK, None, partial(self.play, "")),
+            *((f"Play {name}", None, partial(self.play, name)) for name in SCENARIOS),
+            ("Tour", "H", lambda: self.guide.go("tour 1")),
         ]
 
     def _escape(self) -> None:
         self.guide.go("")
-        self._notifier.clear(self._client)
-
-
-class Demonstration:
-    """Starts and repeats a demonstration for a single viewer who has not touched the page.
-
-    With the controller dbb, the demonstration starts after `UNTOUCHED` seconds without a scenario,
-    a pause or a comparison. The first input, a second viewer, or another controller ends it.
-    """
-
-    _due: float | None = None
-
-    def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
-        """Start or repeat the demonstration when it is due; end it if its conditions do not hold.
-
-        The drawing thread calls this method before each frame.
-        """
-        if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
-            self._due = None
-            for page in pages:
-                page.guide.leave_demonstration()
-            return
-        guide = pages[0].guide
-        repeats = guide.state == "demo"
-        if newest.scenario or newest.paused or newest.busy or (newest.ghosts and not repeats):
-            self._due = None
-        elif self._due is None:
-            self._due = monotonic() + (REST if repeats else UNTOUCHED)
-        elif monotonic() > self._due:
-            self._due = None
-            with suppress(DbbError):  # the robot cannot play the scenario
-                guide.watch("demo")
+        self.notifier.clear(self.client)
 
 
 def hung_html(silence: float) -> str:
@@ -266,7 +224,3 @@ def hung_html(silence: float) -> str:
 
 def _show(handle: viser.GuiHtmlHandle, html: str) -> None:
     handle.content, handle.visible = html, bool(html)
-
-
-def show_failure(gui: viser.GuiApi, title: str, error: BaseException) -> None:
-    gui.add_html(banner("error", title, plain(error)))

@@ -13,7 +13,7 @@ from app.strict import Array
 AT_REST = (0.005, 0.0087)  # [m/s], [rad/s] slower motions, displayed as 0, count as rest
 SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] smaller commanded accelerations are not mentioned
 
-_SECTORS = (
+_SECTORS = (  # direction and place on the base, for eighths of a turn counterclockwise from forward
     ("forward", "front"),
     ("forward left", "front left corner"),
     ("left", "left side"),
@@ -23,15 +23,11 @@ _SECTORS = (
     ("right", "right side"),
     ("forward right", "front right corner"),
 )
-"""Direction, and place on the base, for each eighth of a turn, counterclockwise from forward."""
-_TOP = 0.8  # [-] |z| of a normal above which the place is the top or the underside
-
-_BOUNDS: dict[BoundKind, str] = {
+_BOUNDS: dict[BoundKind, str] = {  # limits whose name is not their kind
     "position": "joint limit",
     "barrier": "minimum distance",
     "angular acceleration": "turning acceleration limit",
 }
-"""Limits whose name is not their kind."""
 
 
 def sentence(text: str) -> str:
@@ -54,27 +50,23 @@ def direction(x: float, y: float) -> str:
 
 def place(n: Sequence[float]) -> str:
     """Return the place on the base with this outward unit normal (3,), in the base's frame."""
-    if abs(n[2]) > _TOP:
+    if abs(n[2]) > 0.8:  # within 37° of the vertical
         return "top" if n[2] > 0 else "underside"
     return _sector(n[0], n[1])[1]
 
 
 def bound(reading: Bound, chain: Sequence[str]) -> str:
     """Return an active limit in words, such as "panda_joint4: torque limit"."""
-    where = reading.where
-    if reading.kind == "barrier":
-        where = spoken(where, chain)
+    where = spoken(reading.where, chain) if reading.kind == "barrier" else reading.where
     return f"{where}: {_BOUNDS.get(reading.kind, f'{reading.kind} limit')}"
 
 
 def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
-    """Describe a base's motion, such as "backs away at 0.21 m/s and turns left"; None at rest.
+    """Describe a base's velocity v, such as "backs away at 0.21 m/s and turns left"; None at rest.
 
-    Args:
-        v: Velocity of the base [m/s, m/s, rad/s]. If `intended`, its commanded acceleration [m/s²,
-            m/s², rad/s²], which is described as the next motion: "back away and turn left".
-        ahead: Whether the avoided body is in front of the base or beside it.
-        intended: Whether the base is at rest and `v` is an acceleration.
+    If `intended`, v is the commanded acceleration [m/s², m/s², rad/s²] of a base at rest, and the
+    text is its next motion: "back away and turn left". `ahead` means that the avoided body is in
+    front of the base or beside it.
     """
     forward, left, turn = v
     (slow, slow_turn), s = (SLIGHT, "") if intended else (AT_REST, "s")

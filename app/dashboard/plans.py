@@ -18,11 +18,6 @@ _MOVES = "β_m ẍ_m: base acceleration by the avoidance force along this axis, 
 _ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
 _ERROR = "distance [mm] of the end-effector from its target"
 _STEP = "real time [µs] of the controller in a control step; the period is 1000 µs"
-_THRESHOLD = "#98a0ab"
-_EFFORTS = {
-    "rad": "torque u_a divided by its limit of {:g} N m",
-    "m": "force u_a divided by its limit of {:g} N",
-}
 
 
 class Curve(NamedTuple):
@@ -43,10 +38,7 @@ class PlotPlan(NamedTuple):
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
-    """Return all plots of a robot; `names` are its link pairs, in the order of the snapshots.
-
-    `door` is the name of the pair of base and door, which has a plot of its own.
-    """
+    """Return all plots of a robot for its link pairs `names`, and for the pair `door`."""
     axes, joints = model.description.base.axes, model.description.arm.joints
     colours = (*map(_series, range(len(axes) - 2)), css(PERSON), css(ACTING))[-len(axes) :]
     torques = tuple(map(_torque, range(len(joints)), joints, model.tau_max, model.joint_units))
@@ -66,10 +58,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 
 
 def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
-    """Return a curve for each numeric column of a log except the time, by the column's name.
-
-    A curve has no colour yet. Its hint is the first sentence of the field's text in `Snapshot`.
-    """
+    """Return a curve without colour for each numeric column of a log except the time, by name."""
     docs = {name: text.split(". ")[0] for name, text in field_docs(Snapshot)}
     pairs = {pair.name: pair.mobile for pair in snapshot.pairs}
     meta = TraceMeta.of(model, pairs, snapshot.config)
@@ -99,7 +88,7 @@ def _distances(
         for i, name in enumerate(names, first)
     )
     about = f"buffer distance d_b, (3), {tunable('border.d_b').allowed}"
-    d_b = Curve("buffer d_b", lambda s: s.d_b, _THRESHOLD, about, dashed=True)
+    d_b = Curve("buffer d_b", lambda s: s.d_b, "#98a0ab", about, dashed=True)
     return PlotPlan(title, (*curves, d_b), _soft(0.0, 0.4), height)
 
 
@@ -113,7 +102,8 @@ def _series(i: int) -> str:
 
 
 def _torque(i: int, name: str, limit: float, unit: str) -> Curve:
-    hint = f"{name}: {_EFFORTS[unit].format(limit)}, −1 to 1, (26)"
+    kind, unit_of = ("torque", "N m") if unit == "rad" else ("force", "N")
+    hint = f"{name}: {kind} u_a divided by its limit of {limit:g} {unit_of}, −1 to 1, (26)"
     return Curve(f"{i + 1}", lambda s: s.u_a[i] / limit, _series(i), hint)
 
 

@@ -1,7 +1,7 @@
 """History for the page: paths of base and end-effector, results of a scenario, and events."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,6 @@ SPACING = 0.01  # [m] smallest distance between two points of a track
 _LONGEST = 1500  # [-] largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the timeline
 _QUIET = 1.0  # [s] after a pause of this length, the same event counts as a new one
-_MOST_EVENTS = 400  # [-] largest number of stored events
 
 
 class Track:
@@ -46,35 +45,24 @@ class Track:
 
 
 class Course:
-    """Results of the last scenario.
-
-    Attributes:
-        name: Name of the scenario; empty if none has started in this run.
-        running: Whether the scenario is running.
-        duration: [s] end of the scenario.
-        until: [s] time up to which the scenario was executed.
-        least: [m] smallest distance of all pairs; infinite before the first snapshot.
-        pull, speed: Largest external force [N]; peak speed [m/s] of the end-effector.
-        path: [m] length of the base's path.
-        inside: Whether a contact or overlap of the first snapshot still lasts.
-        left: Whether a contact or overlap of the first snapshot has ended.
-        touched: Whether a contact or overlap began later.
-        contact: Whether the plant has reported a contact.
-        case: The last scenario's case, as at its start; None before the first one.
-        last: The last snapshot of the last scenario, with changes during it; None before it.
-    """
+    """Results of the last scenario; a touch is a contact or an overlap."""
 
     def __init__(self) -> None:
-        self.case: RunCase | None = None
-        self.last: Snapshot | None = None
+        self.case: RunCase | None = None  # of the last scenario, as at its start
+        self.last: Snapshot | None = None  # of the last scenario, with changes during it
         self.begin()
 
     def begin(self) -> None:
         """Begin a run: reset all results except `case` and `last`."""
-        self.name, self.running = "", False
-        self.duration = self.until = self.pull = self.speed = self.path = 0.0
-        self.least = np.inf
-        self.touched = self.inside = self.left = self.contact = False
+        self.name, self.running = "", False  # the name is empty if no scenario has started
+        self.duration = self.until = 0.0  # [s] end of the scenario; time until which it has run
+        self.least = np.inf  # [m] smallest distance of all pairs
+        self.pull = self.speed = 0.0  # [N] largest external force; [m/s] peak end-effector speed
+        self.path = 0.0  # [m] length of the base's path
+        self.inside = self.left = False  # whether a touch of the first snapshot lasts; has ended
+        self.touched = self.contact = (
+            False  # whether a touch began later; whether the plant reported one
+        )
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
@@ -116,11 +104,7 @@ class Event(NamedTuple):
 
 
 class Strip:
-    """Data of the dashboard's timeline, in bins of `BIN` seconds.
-
-    Each bin has a row with the smallest distance and the largest β of its snapshots. Of every two
-    bins, the snapshot with the smallest distance is stored.
-    """
+    """Data of the dashboard's timeline, in bins of `BIN` seconds."""
 
     def __init__(self, chain: Sequence[str]) -> None:
         """Create an empty history; `chain` has the names of the robot's bodies, the base first."""
@@ -132,16 +116,12 @@ class Strip:
         self.runs += 1
         self.rows: deque[tuple[float, ...]] = deque(maxlen=round(HISTORY / BIN))
         """For each bin: start [s], smallest distance [m], largest β, and d_b [m]."""
-        self.closed = self._numbered = 0
-        """Numbers of rows and of events since the restart, including deleted ones."""
+        self.closed = self._numbered = 0  # rows and events since the restart, also deleted ones
         self.events: dict[int, Event] = {}  # by their numbers, in order
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
-        self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))
-        """Of every two bins, the snapshot with the smallest distance."""
-        self.nearest: Snapshot | None = None
-        """Snapshot with the smallest distance since the restart; None without snapshots."""
-        self.hardest: Snapshot | None = None
-        """Snapshot with the largest external force since the restart; None without a force."""
+        self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))  # one of every two bins
+        self.nearest: Snapshot | None = None  # with the smallest distance since the restart
+        self.hardest: Snapshot | None = None  # with the largest external force above 0
         self._bin: list[Snapshot] = []
         self._before: Snapshot | None = None
 
@@ -176,7 +156,7 @@ class Strip:
             number = self._numbered
             self._numbered += 1
             self.events[number] = Event(t, kind, text)
-            self.events.pop(number - _MOST_EVENTS, None)
+            self.events.pop(number - 400, None)  # at most 400 are stored
         self._seen[kind, subject] = number, t
 
 
@@ -188,36 +168,31 @@ def pulled(snapshot: Snapshot) -> float:
 
 def happenings(
     before: Snapshot | None, now: Snapshot, chain: Sequence[str]
-) -> list[tuple[str, str, str]]:
-    """Return kind, subject and text of each event between two snapshots.
-
-    Without a snapshot `before`, only the start of a scenario is an event.
-    """
+) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, subject and text of each event between two snapshots."""
+    earlier = before.scenario if before else ""
+    if now.scenario != earlier:
+        yield "scenario", "", f"{now.scenario} starts" if now.scenario else f"{earlier} ends"
     if before is None:
-        return [("scenario", "", f"{now.scenario} starts")] if now.scenario else []
-    found = []
-    if now.scenario != before.scenario:
-        text = f"{now.scenario} starts" if now.scenario else f"{before.scenario} ends"
-        found.append(("scenario", "", text))
+        return
     if now.controller != before.controller:
-        found.append(("parameter", "controller", f"controller: {now.controller}"))
+        yield "parameter", "controller", f"controller: {now.controller}"
     if before.config is not now.config:
         for path, value in now.config.changes(before.config).items():
             text = value if isinstance(value, str) else f"{value:.4g}"
-            found.append(("parameter", path, f"{tunable(path).title}: {text}"))
+            yield "parameter", path, f"{tunable(path).title}: {text}"
     held, holds = ({pull.who for pull in s.pulls if pull.who >= 0} for s in (before, now))
     if held != holds:
         text = "pulls" if holds - held else "releases"
-        found.append(("person", text, f"a person {text} the robot"))
+        yield "person", text, f"a person {text} the robot"
     spoken = {pair.name: words.spoken(pair.name, chain) for pair in now.pairs}
     for old, pair in zip(before.pairs, now.pairs, strict=True):
         if pair.beta > 0.0 and old.beta == 0.0:
-            found.append(("buffer", pair.name, f"{spoken[pair.name]} inside the buffer"))
+            yield "buffer", pair.name, f"{spoken[pair.name]} inside the buffer"
     met, meets = (
         {words.bound(bound, chain) for bound in s.explanation.bounds} if s.explanation else set()
         for s in (before, now)
     )
-    found += [("limit", text, text) for text in sorted(meets - met)]
+    yield from (("limit", text, text) for text in sorted(meets - met))
     if (text := touching(now, spoken)) and not touching(before):
-        found.append(("contact", "", text))
-    return found
+        yield "contact", "", text

@@ -16,23 +16,16 @@ from app.dashboard.scene.robot import RobotParts
 from app.errors import ConfigError, DbbError
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
 from app.onboarding.request import NAME, Request
-from app.robot.assets import (
-    bare_urdf,
-    is_own,
-    resolved_urdf,
-    robot_folder,
-    robot_names,
-    user_robots,
-)
+from app.robot import assets
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants import default_plant
 from app.system import remove_abandoned, temporary_folder
 
-_NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
-"""Checks the files that a robot needs: pybullet needs every mesh; MuJoCo and the page use the
-convex bodies if a mesh is missing."""
+_NEEDED = assets.resolved_urdf if default_plant() == "planar" else assets.bare_urdf
+"""Checks a robot's files: pybullet needs every mesh; without one, MuJoCo and the page use the
+convex bodies."""
 
 
 class RobotEntry(NamedTuple):
@@ -51,10 +44,10 @@ class RobotEntry(NamedTuple):
 def robot_entries() -> list[RobotEntry]:
     """Return all robots, sorted by name."""
     entries = []
-    for name in robot_names():
+    for name in assets.robot_names():
         title, about, problem = name, "", None
-        page = robot_folder(name) / "report.html"
-        own, report = is_own(name), page.is_file() and not page.is_symlink()
+        page = assets.robot_folder(name) / "report.html"
+        own, report = assets.is_own(name), page.is_file() and not page.is_symlink()
         try:
             description = load_robot(name)
             title = description.title
@@ -66,8 +59,7 @@ def robot_entries() -> list[RobotEntry]:
     return entries
 
 
-Changes = Mapping[str, float | str]
-"""Values of parameters that differ from a robot's defaults, by the parameter's path."""
+Changes = Mapping[str, float | str]  # parameters that differ from a robot's defaults, by path
 StartLoop = Callable[[RobotModel, BorderData, Config, str], LoopHandle]
 """Creates the simulation of a robot with parameters and a controller; the caller starts it."""
 
@@ -96,10 +88,8 @@ class RobotSwitch(Job):
         """Create an idle switch; if `start_loop` is None, the robot cannot be switched."""
         super().__init__()
         self._start_loop = start_loop
-        self.possible = start_loop is not None
-        """Whether the robot can be switched."""
-        self.entries: list[RobotEntry] = []
-        """All robots that the last search found."""
+        self.possible = start_loop is not None  # whether the robot can be switched
+        self.entries: list[RobotEntry] = []  # all robots that the last search found
         self._ready: RunningRobot | None = None
         self._taken = threading.Event()
         self._loop: LoopHandle | None = None
@@ -113,17 +103,14 @@ class RobotSwitch(Job):
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
         The new robot gets the present controller, and `changes`, or its defaults if these fail.
-
-        Raises:
-            ConfigError: The robot does not exist or cannot be used, or another switch is running.
+        Raises `ConfigError` if the robot cannot be used, or if another switch is running.
         """
         entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
         if entry is None or self._start_loop is None:
             raise ConfigError(f"the robot {name!r} does not exist, or cannot be used here")
         if entry.problem is not None:
             raise ConfigError(f"{entry.title}: {entry.problem}")
-        replaced = [running]
-        controller = running.latest().controller
+        replaced, controller = [running], running.latest().controller
 
         def work() -> None:
             self._taken.clear()
@@ -153,9 +140,7 @@ class RobotSwitch(Job):
     def _prepare(self, entry: RobotEntry, changes: Changes, controller: str) -> RunningRobot:
         model = RobotModel(load_robot(entry.name))
         self.report("looking for the border")
-        data = kept_border_data(model)
-        if data is None:
-            data = self.run(sample_border, entry.name)
+        data = kept_border_data(model) or self.run(sample_border, entry.name)
         self.check()
         self.report("reading the meshes")
         parts = RobotParts(model, apart=True)
@@ -199,19 +184,13 @@ class RobotBuild(Job):
     def __init__(self, switch: RobotSwitch) -> None:
         """Start without an upload; `switch` searches for robots again after each build."""
         super().__init__()
-        self.package: Package | None = None
-        """The last uploaded zip; None without a usable upload, and after a successful build."""
-        self.built = ""
-        """Name of the built robot; empty after the start of a new upload or build."""
+        self.package: Package | None = None  # last uploaded zip, until a robot is built from it
+        self.built = ""  # name of the built robot; empty after the start of a new upload or build
         self._switch = switch
         self._folder = ExitStack()
 
     def receive(self, name: str, content: bytes) -> None:
-        """Store an uploaded zip, and read its content in a job.
-
-        Raises:
-            ConfigError: The zip is too large, or another job is running.
-        """
+        """Read an uploaded zip in a job; `ConfigError` if it is too large, or if a job runs."""
         if len(content) > LARGEST_ARCHIVE:
             raise ConfigError(f"a zip may have at most {LARGEST_ARCHIVE / 1e6:.0f} MB")
 
@@ -227,11 +206,7 @@ class RobotBuild(Job):
         self.start(_file_name(name), "reading", work)
 
     def build(self, request: Request) -> None:
-        """Build the requested robot from the upload, in a job with a separate process.
-
-        Raises:
-            ConfigError: The name is not allowed or in use, or another job is running.
-        """
+        """Build the requested robot in a job; raises the errors of `new_folder` and `start`."""
         new_folder(request.name)
 
         def work() -> None:
@@ -257,16 +232,12 @@ class RobotBuild(Job):
 
 
 def new_folder(name: str) -> Path:
-    """Return the folder for a new robot of the user.
-
-    Raises:
-        ConfigError: The name is not allowed, or a robot of this name exists.
-    """
+    """Return the folder for a new robot; `ConfigError` if the name is not allowed or exists."""
     if not NAME.fullmatch(name):  # checked before it becomes a part of a path
         raise ConfigError("a name starts with a letter and has only letters, digits and _")
-    if name in robot_names():
+    if name in assets.robot_names():
         raise ConfigError(f"a robot {name!r} exists; choose another name")
-    return user_robots()[0] / name
+    return assets.user_robots()[0] / name
 
 
 def _file_name(name: str) -> str:

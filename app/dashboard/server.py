@@ -11,28 +11,31 @@ import viser
 
 from app.border.dbb import Cloud
 from app.dashboard.job import give_back
+from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
+from app.dashboard.page import PATIENCE, Page
 from app.dashboard.robots import RobotSwitch, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.shared import SharedState
 from app.dashboard.viser_compat import Watchdog, close_server, open_server
-from app.errors import LoopError, ServerError
+from app.errors import DbbError, LoopError, ServerError
 from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Release
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario
+from app.simulation.trace.snapshot import Snapshot
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
 _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
+UNTOUCHED = 20.0  # [s] without input before a demonstration starts
+REST = 3.0  # [s] pause between two demonstrations
 FRAME = 1 / 30  # [s] period of drawing
 TEXTS_EVERY = 0.2  # [s] period of updates of panels, plots and labels, also at a low frame rate
-LIGHT_EVERY = 2  # [frames] a page with low detail is drawn in every second frame
 LARGEST_SHARE = 0.5  # [-] largest share of a core's time for drawing, and for building pages
 
 
@@ -46,30 +49,23 @@ class DashboardServer:
         host = {"0.0.0.0": "localhost", "::": "::1"}.get(host, host)
         host = f"[{host}]" if ":" in host else host  # IPv6
         self.address = f"http://{host}:{viser_server.get_port()}"
-        self.pages: dict[int, Page] = {}
-        """Page of each viewer, by the number that viser assigns to the viewer."""
-        self.pictures = 0
-        """Number of frames so far."""
-        self.error: BaseException | None = None
-        """Exception that ended the drawing thread, or None."""
+        self.pages: dict[int, Page] = {}  # by the numbers that viser assigns to the viewers
+        self.pictures = 0  # number of frames so far
+        self.error: BaseException | None = None  # exception that ended the drawing thread, or None
         self._texts_due = self._newcomer_due = 0.0  # [s] of `time.monotonic`
-        self._notifier, self._demonstration = Notifier(viser_server), Demonstration()
+        self._demonstration_due: float | None = None  # [s] of `time.monotonic`
+        self._notifier = Notifier(viser_server)
         self._failure: tuple[str, BaseException] | None = None
         self._here: frozenset[int] = frozenset()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(
-            target=self._draw_until_stopped, name="dashboard", daemon=True
-        )
+        work = self._draw_until_stopped
+        self._thread = threading.Thread(target=work, name="dashboard", daemon=True)
         viser_server.on_client_disconnect(self._part)
         self.watchdog = Watchdog(viser_server, self._silent)
         self._thread.start()  # last, because only `stop` ends it
 
     def run_forever(self) -> None:
-        """Wait until another thread calls `stop`, or for Ctrl-C; call `stop` after Ctrl-C.
-
-        Raises:
-            LoopError: The simulation or the drawing has ended with an error; raised after the wait.
-        """
+        """Wait for `stop` or Ctrl-C; then raise `LoopError` if simulation or drawing has failed."""
         with contextlib.suppress(KeyboardInterrupt):
             give_back()
             with gc_frozen():
@@ -79,10 +75,7 @@ class DashboardServer:
                 raise LoopError(f"the {part} ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
-        """End the drawing thread, the pages, the background jobs, and the server.
-
-        A simulation that replaced the initial one ends too; the caller ends the initial one.
-        """
+        """End the drawing thread, the pages, the jobs, the server, and a simulation of a switch."""
         self._stopping.set()
         self._thread.join(timeout=5.0)
         for page in list(self.pages.values()):
@@ -92,8 +85,7 @@ class DashboardServer:
 
     async def _part(self, client: viser.ClientHandle) -> None:
         """End the page of a disconnected viewer at once, before the next frame."""
-        page = self.pages.get(client.client_id)
-        if page is not None:
+        if page := self.pages.get(client.client_id):
             page.end()
 
     def _newcomer(self) -> viser.ClientHandle | None:
@@ -105,8 +97,7 @@ class DashboardServer:
 
     def _silent(self, number: int) -> None:
         """Release the pull of a silent browser if it has not moved for more than `PATIENCE`."""
-        page = self.pages.get(number)
-        if page is not None:
+        if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
     def _draw_until_stopped(self) -> None:
@@ -124,7 +115,9 @@ class DashboardServer:
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has stopped", error)
-            self._show_to_late_viewers()
+            while not self._stopping.wait(0.2):
+                if client := self._newcomer():
+                    _show_failure(client, "Drawing has stopped", error)
 
     def _draw_picture(self) -> None:
         """Draw a frame of each page; no local name may refer to a robot that is replaced here."""
@@ -137,9 +130,9 @@ class DashboardServer:
         shared = self.shared
         shared.update()
         pages = [page for page in self.pages.values() if not page.closed]
-        self._demonstration.update(pages, shared.loop.latest())
+        self._demonstrate(pages, shared.loop.latest())
         for page in pages:
-            if not (texts or not page.view.light or self.pictures % LIGHT_EVERY == 0):
+            if not (texts or not page.view.light or self.pictures % 2 == 0):  # light: half
                 continue
             try:
                 page.draw(texts=texts)
@@ -153,6 +146,28 @@ class DashboardServer:
             logger.error("the simulation ended", exc_info=error)
             self._fail("The simulation has stopped", error)
 
+    def _demonstrate(self, pages: Sequence[Page], newest: Snapshot) -> None:
+        """Start, repeat or end the demonstration for a single viewer who has not touched the page.
+
+        It starts after `UNTOUCHED` seconds with dbb, and without scenario, pause and comparison.
+        """
+        due, self._demonstration_due = self._demonstration_due, None
+        if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
+            for page in pages:
+                page.guide.leave_demonstration()
+            return
+        guide, now = pages[0].guide, time.monotonic()
+        repeats = guide.state == "demo"
+        if newest.scenario or newest.paused or newest.busy or (newest.ghosts and not repeats):
+            return
+        if due is None:
+            self._demonstration_due = now + (REST if repeats else UNTOUCHED)
+        elif now <= due:
+            self._demonstration_due = due
+        else:
+            with contextlib.suppress(DbbError):  # the robot cannot play the scenario
+                guide.watch("demo")
+
     def _open_and_close_pages(self) -> None:
         """Build at most one page, because this is slow; end the pages of disconnected viewers."""
         due = time.monotonic() >= self._newcomer_due
@@ -165,8 +180,7 @@ class DashboardServer:
 
     def _build_page(self, client: viser.ClientHandle) -> None:
         """Build a viewer's page; it replaces the viewer's page of another robot, if any."""
-        number = client.client_id
-        before = self.pages.get(number)
+        number, before = client.client_id, self.pages.get(client.client_id)
         try:
             if before is None:
                 with client.atomic():
@@ -178,7 +192,7 @@ class DashboardServer:
             client.scene.reset()
             client.gui.reset()
             self.shared.loop.send(Release(number))  # a part of the page can have pulled
-            show_failure(client.gui, _PAGE_ENDED, error)
+            _show_failure(client, _PAGE_ENDED, error)
             if before is not None:
                 self.pages.pop(number).end()
             return
@@ -187,14 +201,13 @@ class DashboardServer:
             page.fail(*self._failure)
 
     def _switch_robot(self) -> None:
-        """If another robot is ready, replace every viewer's page."""
         switch = self.shared.robot_switch
         if (robot := switch.take()) is None:
             return
         try:
             self.shared, self._failure = self.shared.followed_by(robot), None
             for number in list(self.pages):
-                self._build_page(self.pages[number].viewer.client)
+                self._build_page(self.pages[number].client)
         finally:
             switch.shown()  # also after an error: the switch's thread waits for this
         note = f"; {robot.note}" if robot.note else ""
@@ -205,11 +218,9 @@ class DashboardServer:
         for page in self.pages.values():
             page.fail(title, error)
 
-    def _show_to_late_viewers(self) -> None:
-        while not self._stopping.wait(0.2):
-            client = self._newcomer()
-            if client is not None and self._failure is not None:
-                show_failure(client.gui, *self._failure)
+
+def _show_failure(client: viser.ClientHandle, title: str, error: BaseException) -> None:
+    client.gui.add_html(banner("error", title, plain(error)))
 
 
 def serve_dashboard(
@@ -224,25 +235,14 @@ def serve_dashboard(
     parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
 ) -> DashboardServer:
-    """Open the dashboard and start drawing.
+    """Open the dashboard, and start to draw the simulation `loop`, which has published a snapshot.
 
     There is neither a password nor encryption: in a network that is not trusted, use an address
-    that only this machine can reach.
+    that only this machine can reach. Port 0 selects a free port. Browsers may reach the server
+    under the `host` and under the names `allowed`. `clouds` has P_i of each pair of L_m, by the
+    pair's name. A button plays the `case`. If `start_loop` is None, the robot cannot be changed.
 
-    Args:
-        loop: The simulation, which has published a snapshot.
-        model: The simulated robot.
-        clouds: Point cloud P_i of each pair of L_m, by the pair's name.
-        host: Name or IP address of the server.
-        port: Port of the server; 0 selects a free port.
-        allowed: Further names under which browsers may reach the server.
-        case: A scenario that a button plays, or None.
-        parts: Meshes of the robot; by default they are loaded here.
-        start_loop: Starts the simulation of another robot; by default the robot cannot be changed.
-
-    Raises:
-        ServerError: The address cannot be bound.
-        AssetError: The robot's URDF or the mesh of a convex body is missing.
+    Raises `ServerError` if the address cannot be bound, and the errors of `RobotParts`.
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
@@ -267,22 +267,19 @@ def _rested(begin: float) -> float:
 
 
 def check_address(host: str, port: int) -> None:
-    """Check that an address can be bound: viser hangs at a bad host, and replaces a busy port.
-
-    Raises:
-        ServerError: The address cannot be bound; the message names the reason and a remedy.
-    """
+    """Raise `ServerError` for a host at which viser would hang, or a port that is in use."""
+    failure = f"cannot listen at {host}:{port}"
     if not 0 <= port <= 65535:  # getaddrinfo would use the port modulo 65536
-        raise ServerError(f"cannot listen at {host}:{port}: a port is between 0 and 65535")
+        raise ServerError(f"{failure}: a port is between 0 and 65535")
     try:
         family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:  # UnicodeError: a label is empty or too long
         hint = "--host is a name or an address of this machine, without brackets and port"
-        raise ServerError(f"cannot listen at {host}:{port}: {error}; {hint}") from None
+        raise ServerError(f"{failure}: {error}; {hint}") from None
     with socket.socket(family, kind) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(address)
         except OSError as error:
             hint = "try another --port, or 0 for a free one"
-            raise ServerError(f"cannot listen at {host}:{port}: {error}; {hint}") from None
+            raise ServerError(f"{failure}: {error}; {hint}") from None

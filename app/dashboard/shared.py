@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
+from time import monotonic
 
 from app.border.dbb import Cloud
 from app.config import Config
@@ -28,28 +28,19 @@ MOST_STEPS = 200  # [-] largest number of steps that can be undone
 
 
 class Tuning:
-    """The configuration and its history; every change is sent to the simulation at once.
-
-    All methods are thread-safe.
-    """
+    """The configuration and its history; each change is sent to the simulation; thread-safe."""
 
     def __init__(
         self,
         sink: LoopHandle,
         config: Config,
-        usual: Config | None = None,
-        *,
-        clock: Callable[[], float] = time.monotonic,
+        usual: Config,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
-        """Start with the configuration of the simulation `sink`, which gets each change.
-
-        `usual` has the robot's defaults; None means the program's defaults. `clock` returns [s].
-        """
-        self._sink, self._clock, self.usual = sink, clock, usual or Config()
-        self._steps, self._at = [config], 0
-        """Configurations after each step, oldest first, and the index of the present one."""
-        self._burst: tuple[str, float] | None = None
-        """Parameter and time [s] of the last change; None if the next one starts a new step."""
+        """Start with `config` of the simulation `sink`, and with the robot's defaults `usual`."""
+        self._sink, self._clock, self.usual = sink, clock, usual
+        self._steps, self._at = [config], 0  # configurations, oldest first; index of the present
+        self._burst: tuple[str, float] | None = None  # parameter and time [s] of the last change
         self._lock = threading.RLock()
 
     @property
@@ -65,8 +56,7 @@ class Tuning:
     def set(self, path: str, value: float | str) -> None:
         """Change one parameter; its successive changes within `BURST` become one step for `undo`.
 
-        Raises:
-            ConfigError: The parameter or value is not allowed, or a gain is too large.
+        Raises `ConfigError` if parameter or value are not allowed, or if a gain is too large.
         """
         with self._lock:
             if self.config.value(path) == value:
@@ -144,22 +134,16 @@ class SharedState(SceneData):
         robot_switch: RobotSwitch | None = None,
         before: SharedState | None = None,
     ) -> None:
-        """Load the shared data; most arguments are those of `serve_dashboard`.
-
-        The history of parameters and the jobs of `before`, the state of another robot, continue.
-        """
+        """Continue history and jobs of `before`; other arguments are those of `serve_dashboard`."""
         super().__init__(loop, model, clouds, parts)
-        self.case = case
-        """A scenario that a button plays, or None."""
+        self.case = case  # a scenario that a button plays, or None
         usual = model.description.config
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.plans = plot_plans(model, self.pairs, self.of_door)
-        self.quantities = quantities(model, loop.latest())
-        """All curves that a viewer can add to a plot, by their names."""
+        self.quantities = quantities(model, loop.latest())  # curves that a viewer can add
         self.course, self.strip = Course(), Strip(model.body_names)
-        """Results of the last scenario, and data of the timeline, of the last ten minutes."""
         self.keepers += [self.course, self.strip]
         self._watched = True
 

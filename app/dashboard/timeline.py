@@ -29,9 +29,8 @@ class Timeline:
         self._newest = loop.latest()
         self._marked: list[Stored] = []
         self._lock = threading.RLock()
-        self.begin: float | None = None
-        self.end: float | None = None
-        """[s] start and end of the marked interval; None if not marked."""
+        self.begin: float | None = None  # [s] start of the marked interval, if marked
+        self.end: float | None = None  # [s] its end, if marked
 
     @property
     def earlier(self) -> bool:
@@ -74,11 +73,7 @@ class Timeline:
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown.
-
-        Raises:
-            ConfigError: The speed is not within `REPLAY`.
-        """
+        """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown."""
         check_range("replay speed", speed, *REPLAY, "× real time")
         with self._lock:
             if self.plays:
@@ -120,12 +115,9 @@ class Timeline:
                 self._cut(min(end, self.begin + MOST_MARKED))
 
     def mark_end(self) -> None:
-        """Mark the shown instant as the end of the interval.
+        """Mark the shown instant as the end of the interval; raises `LogError` at its start.
 
         An earlier start in this run remains, but it is at most `MOST_MARKED` before the end.
-
-        Raises:
-            LogError: The shown instant is the marked start.
         """
         with self._lock:
             at = self.shown().t  # an interval without an end has all snapshots now
@@ -172,6 +164,5 @@ class Timeline:
         return [stored for stored in (*old, *kept) if stored.t >= begin]
 
     def _cut(self, end: float) -> None:
-        """End the interval at a time [s], and delete its later snapshots."""
         self.end = end
         self._marked = [s for s in self._marked if s.t <= end + 1e-9]

@@ -6,24 +6,21 @@ from typing import Literal, NamedTuple
 from app.control.explanation import NearPair
 from app.control.inputs import MOVES_BASE
 from app.dashboard.phrases import AT_REST, SLIGHT
-from app.dashboard.scene.colours import CLEAR, CONTACT, NEAR, RESISTS, YIELDS, Rgb
+from app.dashboard.scene.colours import Rgb
 from app.simulation.trace.snapshot import PairReading, Snapshot
 from app.simulation.trace.words import millimetres
 
 State = Literal["clear", "near", "giving way", "resisting", "contact"]
 
-COLOURS: dict[State, Rgb] = {
-    "clear": CLEAR,
-    "near": NEAR,
-    "giving way": YIELDS,
-    "resisting": RESISTS,
-    "contact": CONTACT,
+COLOURS: dict[State, Rgb] = {  # from the best state to the worst
+    "clear": (128, 138, 150),  # a pair outside its buffer
+    "near": (235, 205, 70),  # a pair inside its buffer, without a reaction
+    "giving way": (240, 150, 40),  # a pair for which the base gives way
+    "resisting": (224, 84, 36),  # a pair that only the arm keeps apart
+    "contact": (226, 16, 56),  # contact or overlap
 }
-"""Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
-is at rest or cannot help, the controller does not react, or two links hardly repel each other."""
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
-_PUSHED = 0.1  # [-] smallest β of two links of the arm at which the arm counts as resisting
-_NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
+STEEP = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
 class Verdict(NamedTuple):
@@ -31,16 +28,15 @@ class Verdict(NamedTuple):
     pairs: tuple[State, ...]  # in the order of the snapshot
     touching: str  # text of the function `touching`
 
-    @property
-    def colour(self) -> Rgb:
-        return COLOURS[self.state]
-
 
 def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdict:
     """Return the verdict on a snapshot; `spoken` has words for pairs, by default their names."""
     why = snapshot.explanation
     known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
-    moves = base_gives_way(snapshot)
+    rates = (snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT)
+    moves = any(  # the base gives way
+        max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
+    )
     pairs: tuple[State, ...] = tuple(
         _state(pair, known.get(pair.name), snapshot.controller, moves=moves)
         for pair in snapshot.pairs
@@ -52,27 +48,14 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     return Verdict("contact" if touches else max(states, key=list(COLOURS).index), pairs, touches)
 
 
-def base_gives_way(snapshot: Snapshot) -> bool:
-    """Whether velocity or commanded acceleration of the base reaches one of its thresholds."""
-    rates = ((snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT))
-    return any(
-        max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
-    )
-
-
 def is_slow(snapshot: Snapshot) -> bool:
     """Whether the running simulation noticeably misses its desired speed."""
     return not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
 
 
-def base_cannot_help(pair: NearPair) -> bool:
-    """Whether the pair's normal is so close to the vertical that base motion hardly helps."""
-    return pair.above >= _NO_BASE_HELPS
-
-
-def pushes_links_apart(pair: NearPair | PairReading) -> bool:
+def links_repel(pair: NearPair | PairReading) -> bool:
     """Whether two links of the arm are so close that a person feels their repulsion."""
-    return not pair.mobile and pair.beta >= _PUSHED
+    return not pair.mobile and pair.beta >= 0.1
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
@@ -83,17 +66,16 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
         return "resisting"
     if pair.beta == 0.0:
         return "clear"
-    if controller in ("none", "barrier") or (near is not None and base_cannot_help(near)):
+    if controller in ("none", "barrier") or (near is not None and near.above >= STEEP):
         return "near"
     if not pair.mobile:
-        return "resisting" if pushes_links_apart(pair) else "near"
+        return "resisting" if links_repel(pair) else "near"
     if controller not in MOVES_BASE:
         return "resisting"
     return "giving way" if moves else "near"
 
 
 def contacts(snapshot: Snapshot) -> list[str]:
-    """Return the reported contacts in words."""
     touches = {
         "arm and base": snapshot.in_contact,
         "links of the arm": snapshot.arm_in_contact,

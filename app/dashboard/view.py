@@ -10,8 +10,7 @@ from app.dashboard.scene.legend import QUANTITIES
 HIDDEN = "hidden"  # choice for a border that is not drawn
 CHOICES = (*reversed(QUANTITIES), HIDDEN)  # choices for the colour of a border
 LABELS = "active", "all", "none"  # choices for the labels
-BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
-"""Folders of the tab "View"."""
+BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"  # folders of the tab
 
 
 def _shown(folder: str, label: str, first: bool | str, hint: str | None = None) -> Any:
@@ -23,8 +22,7 @@ def _shown(folder: str, label: str, first: bool | str, hint: str | None = None) 
 class View:
     """Choices of the viewer. Callbacks assign to a field; the drawing thread reads the fields."""
 
-    borders: dict[str, str]
-    """Quantity that colours each pair's border, by the pair: one of `QUANTITIES`, or `HIDDEN`."""
+    borders: dict[str, str]  # by the pair: one of `QUANTITIES`, or `HIDDEN`
     whole_border: bool = _shown(
         BORDER, "Include the top", False, "Show the border above the base too; it can hide the arm"
     )

@@ -35,36 +35,29 @@ from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
-
 _ENDING = 10.0  # [s] timeout for the end of viser's thread
 LOOK = 0.5  # [s] period of checks of the connections
 SILENT = 3  # [checks] without an answer, after which a viewer counts as silent
-_MINUTE = 60.0  # [s]
-_KNOCKS = (
+STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
+_KNOCKS = (  # log records of failed connections; the cause may be a peer
     "opening handshake failed",
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
-"""Texts of the log records of failed connections. The cause is a peer, or a defect on this side."""
 _pictures = threading.BoundedSemaphore(2)  # [-] simultaneous screenshots
-STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
-
-
 _said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of each kind
 
 
 def _passes(record: logging.LogRecord) -> bool:
     """Whether a log record is written: one of each kind per minute, as any peer can cause records.
 
-    The websockets library would write a whole traceback for each wrong or excess connection, up to
-    a hundred times per second. If the peer or the connection can explain an error, the record is
-    one line. Other errors are defects of this program or of its libraries: their records keep the
-    traceback. The texts `_KNOCKS` are changed, because viser hides records with these texts.
+    A record of a failed connection is one line if the peer or the connection can explain the
+    error. Records of other errors keep their traceback, because they are defects of this program
+    or of its libraries. viser hides records with the texts `_KNOCKS`, so these texts are changed.
     """
     text = record.getMessage().partition("\n")[0]
     error = record.exc_info[1] if record.exc_info else None
-    frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
-    place = [(frame.filename, frame.lineno) for frame in frames]
+    place = traceback.format_tb(error.__traceback__, limit=-1) if error else ()
     kind = str(record.msg).partition("\n")[0], f"{type(error).__name__} {place}"
     if text in _KNOCKS:
         record.msg = f"a connection: {text}" + (f": {error!r}" if error else "")
@@ -76,7 +69,7 @@ def _passes(record: logging.LogRecord) -> bool:
         if of_peer or broke_off:
             record.exc_info = None
             kind = text, ""
-    due = _said.get(kind, -math.inf) <= time.monotonic() - _MINUTE
+    due = _said.get(kind, -math.inf) <= time.monotonic() - 60.0
     if due:
         _said[kind] = time.monotonic()
     return due
@@ -87,14 +80,9 @@ def open_server(
 ) -> viser.ViserServer:
     """Start a server behind a `Gate`, at an address for which `check_address` has succeeded.
 
-    Args:
-        host: Name or IP address of the server.
-        port: Port of the server; 0 selects a free port.
-        largest_upload: [bytes] largest size of an uploaded file; 0 without uploads.
-        allowed: Further names under which browsers may reach the server.
-
-    Raises:
-        ServerError: viser starts its server in an unexpected way.
+    Port 0 selects a free port. `largest_upload` [bytes] is the largest size of an uploaded file,
+    or 0 without uploads. `allowed` has further names under which browsers may reach the server.
+    Raises `ServerError` if viser starts its server in an unexpected way.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # no records of each connection
     for name in ("websockets.server", "asyncio", logger.name):
@@ -103,7 +91,7 @@ def open_server(
     _replace_parts_of_viser()
     gate = Gate(host, allowed, largest_upload)
     with contextlib.ExitStack() as started:
-        with _silence(), gate.closed():
+        with contextlib.redirect_stdout(io.StringIO()), gate.closed():
             server = viser.ViserServer(host=host, port=port, verbose=False)
             started.callback(close_server, server)
         started.pop_all()
@@ -136,7 +124,7 @@ def open_server(
 
 def close_server(server: viser.ViserServer) -> None:
     """Stop a server, and wait for the end of its network thread, at most `_ENDING`."""
-    with _silence():
+    with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
         thread = server._websock_server._server_thread
         if thread is not None:
@@ -152,11 +140,9 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
 def scene_picture(
     client: viser.ClientHandle, height: int, width: int, timeout: float
 ) -> np.ndarray:
-    """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
+    """Return a viewer's scene (height, width, 4) uint8, RGBA, within the timeout [s].
 
-    Raises:
-        RuntimeError: The viewer has disconnected.
-        TimeoutError: No picture has arrived within the timeout [s].
+    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError`.
     """
     connection = _connection(client)
     if connection is None:
@@ -189,11 +175,7 @@ def finite(value: Any) -> float:
 
 
 class Channel:
-    """Calls of functions, by their names, between the page's own scripts and this program.
-
-    The scripts add functions that viser does not have: widgets that span the page, number boxes
-    that send complete numbers instead of single digits, and reports of visible widgets.
-    """
+    """Calls of functions, by their names, between the page's own scripts and this program."""
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
         self._client = client
@@ -251,11 +233,6 @@ def _connection(client: viser.ClientHandle) -> Any:
     return client._viser_server._websock_server._live_connections.get(client.client_id)
 
 
-def _silence() -> contextlib.redirect_stdout[io.StringIO]:
-    """Suppress the output of viser, because the caller prints the address."""
-    return contextlib.redirect_stdout(io.StringIO())
-
-
 class _Seen(NamedTuple):
     answer: asyncio.Task[None] | None = None  # to the last ping
     unanswered: int = 0  # [-] successive checks without this answer
@@ -266,14 +243,13 @@ class _Seen(NamedTuple):
 class Watchdog:
     """Detects viewers who do not answer, and closes connections without answers or deliveries.
 
-    A browser answers a ping even if its page is busy. The thread that receives the answers counts
-    time in checks, so that a delay of this program itself counts as one check.
+    A browser answers a ping even if its page is busy. Time is counted in checks, because the thread
+    that counts also receives the answers: a delay of this program counts as one check.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
         """Start the checks; at each one, `on_silent` gets the number of each silent viewer."""
-        self.closed = 0
-        """Number of connections that were closed; their pages connect again."""
+        self.closed = 0  # number of connections that were closed; their pages connect again
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
         loop = self._server._background_event_loop
@@ -366,10 +342,7 @@ def _icon(name: str) -> str:
 
 
 def _replace_parts_of_viser() -> None:
-    """Replace viser's queue of messages, and two parts that repeat work for each widget.
-
-    These parts open the archive of 4,000 icons, and evaluate the type hints of a class.
-    """
+    """Replace viser's queue of messages, and two parts that repeat slow work for each widget."""
     hints = cache(get_type_hints)
     of_class = property(lambda self: hints(type(self._impl.props)))
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private

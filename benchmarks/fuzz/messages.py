@@ -200,7 +200,7 @@ class _Fuzz:
         return "taken"
 
     def _widgets(self) -> dict[str, Any]:
-        return self._page._client.gui._gui_input_handle_from_uuid
+        return self._page.client.gui._gui_input_handle_from_uuid
 
     def _message(self, kind: type) -> Any:
         """A message of a kind, in most cases mutated."""
@@ -227,7 +227,7 @@ class _Fuzz:
             names = list(self._widgets())
             return names[int(self._rng.integers(len(names)))]
         if name in ("name", "node_name"):
-            nodes = list(self._page._client.scene._handle_from_node_name)
+            nodes = list(self._page.client.scene._handle_from_node_name)
             nodes = nodes or ["/robot"]
             return nodes[int(self._rng.integers(len(nodes)))]
         if options and not isinstance(options[0], type) and not get_args(options[0]):
@@ -266,7 +266,7 @@ class _Fuzz:
         """All jobs that buttons of the pages can start."""
         shared = self._server.shared
         jobs = [shared.robot_switch, shared.robot_build]
-        return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
+        return [*jobs, *(page.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:
         """[MB] memory of this process and of its child processes, after all work has ended."""

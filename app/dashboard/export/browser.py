@@ -60,10 +60,8 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 def browser_path(bundled: str) -> str | None:
     """Return the path of the browser to use, or None for playwright's own, which is at `bundled`.
 
-    The path in `DBB_BROWSER` comes first, then an installed browser, then playwright's own.
-
-    Raises:
-        BrowserError: No browser is found, or the path in `DBB_BROWSER` does not exist.
+    The path in `DBB_BROWSER` comes first, then an installed browser, then playwright's own. Raises
+    `BrowserError` if no browser is found, or if the path in `DBB_BROWSER` does not exist.
     """
     if chosen := os.environ.get(VARIABLE):
         if not Path(chosen).exists():
@@ -83,12 +81,7 @@ def browser_path(bundled: str) -> str | None:
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Run a headless browser with WebGL; at the end, close it and delete its temporary files.
-
-    Raises:
-        BrowserError: There is no browser, it does not start, it has no WebGL 2, or it fails while
-            it is in use.
-    """
+    """Run a headless browser with WebGL; raises `BrowserError` if none is found, or if it fails."""
     # Imported here, because most users of a scene need no browser.
     from playwright.sync_api import Error, sync_playwright
 

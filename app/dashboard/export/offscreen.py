@@ -6,6 +6,7 @@ import base64
 import contextlib
 import io
 import itertools
+import re
 import subprocess
 import tempfile
 from bisect import bisect_right
@@ -29,6 +30,7 @@ from app.dashboard.scene.canvas import Lens, in_world
 from app.dashboard.scene.colours import Rgb, css, set_theme
 from app.dashboard.scene.layers import nearness
 from app.dashboard.scene.scene import Scene, SceneData
+from app.dashboard.verdict import COLOURS
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import OutputError
@@ -49,30 +51,25 @@ BARRIER = "/sent"  # scene node whose x coordinate is the last number of `send_b
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
 RATE = 25.0  # [Hz] frame rate of a replay
-_MEANINGS: dict[Layer, str] = {
+_MEANINGS: dict[Layer, str] = {  # meaning of a border's colours
     "score": "yellow: high score, purple: low score; avoidance turns yellow parts towards the arm",
     "determinant": "yellow: the base moves the point well, purple: less well",
     "reachability": "yellow: the arm reaches the point well, purple: less well",
     "none": "",
 }
-"""Meaning of a border's colours, by the quantity that colours the border."""
-_TEXTS_EVERY = 5  # frames per update of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
 """Text colour on a dark and on a light background."""
-_HEIGHT = 0.04  # [-] height of a line, relative to the picture's height
-_MIN_HEIGHT = 12  # [px] smallest height of a line, for legibility
-_SPACING = 1.4  # [-] distance between lines, relative to their height
+_HEIGHT, _MIN_HEIGHT = 0.04, 12  # height of a line [-], relative to the picture; least height [px]
 _YUV = ["-pix_fmt", "yuv420p"]
 _WEB = ["-cpu-used", "5", "-row-mt", "1", "-deadline", "good", "-b:v", "0", "-crf", "32", *_YUV]
 _X264 = ["-crf", "20", *_YUV, "-movflags", "+faststart"]
 _PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=bayer"
-CODECS = {
+CODECS = {  # by suffix, the default first, with ffmpeg's options
     ".mp4": {"h264": ["libx264", *_X264], "h265": ["libx265", *_X264, "-tag:v", "hvc1"]},
     ".webm": {"vp9": ["libvpx-vp9", *_WEB], "vp8": ["libvpx", *_WEB]},
     ".webp": {"webp": ["libwebp_anim", "-loop", "0", "-quality", "70", "-compression_level", "4"]},
     ".gif": {"gif": ["gif", "-loop", "0", "-filter_complex", _PALETTE]},
 }
-"""Codecs by the suffix of a file, the default first, each with ffmpeg's options."""
 _LIFT, _OUTLINE = 0.005, 2.5  # [m] height above the floor, [px] line width
 _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # yuv420p needs even sizes
 
@@ -118,11 +115,7 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send all constant objects to a server without other scenes; `labels`: draw labels too.
-
-        Raises:
-            AssetError: The robot's URDF or the mesh of a convex body is missing.
-        """
+        """Send all constant objects, and draw `labels` too; raises the errors of `RobotParts`."""
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
         self._view = View.first(self._data.mobile, [])
@@ -193,53 +186,41 @@ def replay_html(
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
-    The file shows the dashboard's scene with a bar for the time. After each drawn second of the
-    run, `on_progress` gets the total duration [s] drawn so far.
-
-    Raises:
-        AssetError: The robot's URDF or the mesh of a convex body is missing.
+    After each drawn second of the run, `on_progress` gets the duration [s] drawn so far. Raises
+    the errors of `OffscreenScene`.
     """
     begin, end = log.snapshots[0].t, log.snapshots[-1].t
-    pictures = 1 + round((end - begin) * RATE)
     with own_server() as server:
         scene = OffscreenScene(server, RecordedLoop(log.snapshots), model, clouds, look)
         scene.look(log.snapshots)
         scene.draw(begin)
         recording = server.get_scene_serializer()
-        for k in range(1, pictures):
+        last = round((end - begin) * RATE)
+        for k in range(1, last + 1):
             recording.insert_sleep(1.0 / RATE)
-            last = k == pictures - 1
-            scene.draw(begin + k / RATE, texts=last or k % _TEXTS_EVERY == 0)
+            scene.draw(begin + k / RATE, texts=k == last or k % 5 == 0)
             if k % round(RATE) == 0:
                 on_progress(k / RATE)
         recording.insert_sleep(1.0 / RATE)
         page = recording.as_html(dark_mode=look.dark)
-    return _titled(page, *_caption(log, model.body_names, look.layer))
+    return _captioned_page(page, log, model.body_names, look.layer)
 
 
-def _caption(log: Trace, chain: Sequence[str], layer: Layer) -> tuple[str, str]:
-    """Return the title of a replay, and a text: the verdict on the run, and the scene's legend."""
+def _captioned_page(page: str, log: Trace, chain: Sequence[str], layer: Layer) -> str:
+    """Insert the title of the run, and a box with title, verdict on the run, and legend."""
     methods = ", then ".join(METHOD_WORDS.get(name, name) for name in log.controllers)
-    title = f"{log.meta.scenario or 'Guiding by hand'}, {methods}"
-    border = f"Coloured points: border around the base; {_MEANINGS[layer]}. "
-    legend = (
-        f"{border if _MEANINGS[layer] else ''}Lines: closest points, with distances inside the "
-        "buffer. Pink: force on the base."
-    )
-    return f"{log.meta.robot}: {title}", f"{verdict(metrics(log), chain)} {legend}"
-
-
-def _titled(page: str, title: str, text: str) -> str:
-    """Insert a title for the browser's tab, and a box over the scene with title and text."""
-    head, begin, rest = page.partition("<title>")
-    _, end, tail = rest.partition("</title>")
+    scenario, meaning = log.meta.scenario or "Guiding by hand", _MEANINGS[layer]
+    title = escape(f"{log.meta.robot}: {scenario}, {methods}")
+    border = f"Coloured points: border around the base; {meaning}. " if meaning else ""
+    legend = "Lines: closest points, with distances inside the buffer. Pink: force on the base."
+    text = escape(f"{verdict(metrics(log), chain)} {border}{legend}")
     box = (
         '<div style="position:fixed;left:12px;top:12px;max-width:34em;padding:8px 12px;z-index:99;'
         "border-radius:6px;background:rgba(20,22,26,.82);color:white;font:13px/1.4 sans-serif;"
-        f'pointer-events:none"><b>{escape(title)}</b><br>{escape(text)}</div></body>'
+        f'pointer-events:none"><b>{title}</b><br>{text}</div></body>'
     )
-    tail = box.join(tail.rsplit("</body>", 1))
-    return f"{head}{begin}{escape(title)}{end}{tail}" if end else page
+    page = re.sub("(?<=<title>).*?(?=</title>)", lambda _: title, page, count=1)
+    return box.join(page.rsplit("</body>", 1))
 
 
 @contextlib.contextmanager
@@ -257,20 +238,16 @@ def send_barrier(server: viser.ViserServer, number: int) -> None:
 
 
 def open_page(page: web.Page, server: viser.ViserServer) -> None:
-    """Open a server's page and wait until it is ready to draw."""
     page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
     page.wait_for_function("() => dbbPage.ready()", timeout=1000 * TIMEOUT)
 
 
 def with_ghosts(shown: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
     """Return the snapshots `shown` with the robots of `others`, at the same times, as ghosts."""
-
-    def ghost(s: Snapshot) -> GhostReading:
-        return GhostReading(s.controller, s.base_pose, s.q_m, s.wheel_angles, s.p_ee, s.clearance)
-
+    names = GhostReading._fields
     return [
-        replace(main, ghosts=tuple(map(ghost, ghosts)))
-        for main, *ghosts in zip(shown, *others, strict=True)
+        replace(s, ghosts=tuple(GhostReading(*(getattr(g, x) for x in names)) for g in ghosts))
+        for s, *ghosts in zip(shown, *others, strict=True)
     ]
 
 
@@ -286,13 +263,11 @@ def film_pictures(
 ) -> Generator[Image.Image, None, None]:
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
-    Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
-    turns about the vertical axis through its target by `orbit` [rad]. Each picture has the lines of
-    `captioned`. A part of a side-by-side film needs `framed`, the snapshots of all robots: the
-    camera shows them all, the base's initial outline is drawn, and `story` replaces `captioned`.
-
-    Raises:
-        AssetError: The robot's URDF or the mesh of a convex body is missing.
+    Each picture shows the last snapshot at or before its time [s], with the lines of `captioned`.
+    Between two pictures, the camera turns about the vertical axis through its target by `orbit`
+    [rad]. A part of a side-by-side film needs `framed`, the snapshots of all robots: the camera
+    shows them all, the base's initial outline is drawn, and `story` replaces `captioned`. Raises
+    the errors of `OffscreenScene`.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):
@@ -306,7 +281,7 @@ def film_pictures(
         open_page(page, server)
         page.add_style_tag(content=ONLY_SCENE)
         ground = css(colours.BACKGROUND[look.dark])
-        for k, t in zip(itertools.count(1), times):
+        for k, t in enumerate(times, 1):
             scene.draw(t)
             send_barrier(server, k)
             at = target + pin.utils.rotate("z", (k - 1) * orbit) @ (eye - target)
@@ -335,7 +310,7 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     return [
         method.capitalize(),
         (task, colours.PERSON),
-        near if shown.clearance >= 0.0 else (near, colours.CONTACT),
+        near if shown.clearance >= 0.0 else (near, COLOURS["contact"]),
         (f"base moved {moved:.2f} m from the outline", colours.TRAIL_BASE),
     ]
 
@@ -369,12 +344,9 @@ def write_film(
 ) -> int:
     """Encode pictures of equal size, at least one, and return their number.
 
-    The file is written completely or not at all. `rate` [1/s] is the frame rate, and `codec` is a
-    codec of the file's suffix in `CODECS`. Before each picture, `on_progress` gets the number of
-    pictures written so far.
-
-    Raises:
-        OutputError: The file cannot be written.
+    The file is written completely or not at all; a failure raises `OutputError`. `rate` [1/s] is
+    the frame rate, and `codec` is a codec of the file's suffix in `CODECS`. Before each picture,
+    `on_progress` gets the number of pictures written so far.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -422,7 +394,7 @@ def label(
     font, draw = ImageFont.load_default(size), ImageDraw.Draw(picture)
     for k, line in enumerate(lines):
         text, colour = (line, INK[dark]) if isinstance(line, str) else line
-        at = size, size // 2 + round(_SPACING * k * size)
+        at = size, size // 2 + round(1.4 * k * size)  # line spacing 1.4
         ground, stroke = colours.BACKGROUND[dark], max(size // 12, 1)
         draw.text(at, text, colour, font, stroke_width=stroke, stroke_fill=ground)
     return picture

@@ -6,6 +6,7 @@ import io
 import itertools
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 import viser
@@ -25,7 +26,6 @@ from app.simulation.trace.snapshot import Snapshot
 if TYPE_CHECKING:
     import playwright.sync_api as web
 
-_MAX_PICTURES = 12  # most pictures that are taken until two successive ones are equal
 _numbers = itertools.count(1)
 
 
@@ -37,31 +37,42 @@ def take_pictures(
     clouds: Mapping[str, Cloud],
     look: Look,
 ) -> list[Image.Image]:
-    """Take pictures at some times of a run.
+    """Take a picture at each of the times [s] of a run: of the last snapshot at or before it.
 
-    Each picture shows the last snapshot at or before its time [s]; `clouds` has all P_i. Pictures
-    of the scene have one common viewpoint; if `look.page`, each picture has its own viewpoint.
-
-    Raises:
-        BrowserError: The browser's page does not connect.
-        AssetError: The robot's URDF or the mesh of a convex body is missing.
+    `clouds` has all P_i. Pictures of the scene have one common viewpoint; if `look.page`, each
+    picture has its own viewpoint. Raises `BrowserError` if the browser's page does not connect,
+    and the errors of `OffscreenScene`.
     """
     loop = RecordedLoop(snapshots)
-    with offscreen.own_page(browser, look) as (server, page):
+    with ExitStack() as stack:
+        server, page = stack.enter_context(offscreen.own_page(browser, look))
         if look.page:
-            shared = SharedState(loop, model, clouds)
-            try:
-                return _of_page(page, server, loop, shared, times, look)
-            finally:
-                shared.close()
-        scene = OffscreenScene(server, loop, model, clouds, look)
-        scene.look([loop.go_to(t) for t in times])
-        scene.draw(times[0])
-        offscreen.open_page(page, server)
-        page.add_style_tag(content=offscreen.ONLY_SCENE)
+            shared = stack.enter_context(closing(SharedState(loop, model, clouds)))
+            offscreen.open_page(page, server)
+            client = _client_of(server)
+            page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour in a picture
+            shown = Page(client, shared, Notifier(server))
+            offscreen.apply_look(shown.view, look)
+
+            def draw(t: float) -> None:
+                loop.go_to(t)
+                shared.update()
+                shown.camera.wanted = look.view
+                for _ in range(2):  # a panel's widgets are created, and then filled
+                    shown.draw(texts=True)
+
+            draw(times[0])
+            _settled(page, server)  # then the page has reported the free part of the scene
+        else:
+            scene = OffscreenScene(server, loop, model, clouds, look)
+            scene.look([loop.go_to(t) for t in times])
+            draw = scene.draw
+            draw(times[0])
+            offscreen.open_page(page, server)
+            page.add_style_tag(content=offscreen.ONLY_SCENE)
         pictures = []
         for t in times:
-            scene.draw(t)
+            draw(t)
             pictures.append(_settled(page, server))
         return pictures
 
@@ -78,34 +89,6 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
     return whole
 
 
-def _of_page(
-    page: web.Page,
-    server: viser.ViserServer,
-    loop: RecordedLoop,
-    shared: SharedState,
-    times: Sequence[float],
-    look: Look,
-) -> list[Image.Image]:
-    offscreen.open_page(page, server)
-    client = _client_of(server)
-    page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour in a picture
-    shown = Page(client, shared, Notifier(server))
-    offscreen.apply_look(shown.view, look)
-    pictures = []
-    loop.go_to(times[0])
-    shared.update()
-    shown.draw(texts=True)
-    _settled(page, server)  # then the page has reported the free part of the scene
-    for t in times:
-        loop.go_to(t)
-        shared.update()
-        shown.viewer.camera.wanted = look.view
-        for _ in range(2):  # the first call creates a panel's widgets, the second fills them
-            shown.draw(texts=True)
-        pictures.append(_settled(page, server))
-    return pictures
-
-
 def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
     deadline = time.monotonic() + offscreen.TIMEOUT
     while not (clients := server.get_clients()):
@@ -117,17 +100,14 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
     """Return a picture of the page after all messages are drawn and the page stays unchanged."""
-    n = next(_numbers)
+    n, ready = next(_numbers), "([name, n]) => dbbPage.arrived(name) === n"
     offscreen.send_barrier(server, n)
-    page.wait_for_function(
-        "([name, n]) => dbbPage.arrived(name) === n",
-        arg=[offscreen.BARRIER, n],
-        timeout=1000 * offscreen.TIMEOUT,
-    )
+    values, timeout = [offscreen.BARRIER, n], 1000 * offscreen.TIMEOUT
+    page.wait_for_function(ready, arg=values, timeout=timeout)
     page.evaluate("() => document.fonts.ready.then(() => 0)")
     page.evaluate("() => dbbPage.hold(false)")
     before = b""
-    for _ in range(_MAX_PICTURES):  # texts of the scene are drawn with a delay
+    for _ in range(12):  # texts of the scene are drawn with a delay
         page.evaluate("n => dbbPage.render(n)", 2)
         picture = page.screenshot(animations="disabled")
         if picture == before:

@@ -57,8 +57,7 @@ class Viewer:
         self.camera = before.camera if before else Camera(client)
         self.camera.extent = shared.parts.extent
         self.channel.on("scene", self.camera.cover)
-        self.files = before.files if before else Job()
-        """Runs the jobs that create the viewer's files, at most one at a time."""
+        self.files = before.files if before else Job()  # creates the viewer's files
 
     def look(self, preset: str) -> None:
         """Set the camera to a preset of `PRESETS`; "door" without a door raises `ConfigError`."""
@@ -100,29 +99,28 @@ class Moment(NamedTuple):
 class Panel:
     """Widgets of one viewer; the constructor adds them to the GUI container that is open.
 
-    The page updates each panel, also one that is a part of another panel. The callback of a widget
-    gets viser's event; its exceptions are shown to the viewer who used the widget. An `update` may
-    assign all values each time, because viser sends only changes.
+    The callback of a widget gets viser's event; its exceptions are shown to the viewer who used
+    the widget. `update` may assign all values each time, because viser sends only changes.
     """
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer, self._shared = viewer, viewer.shared
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
-        self.followed: dict[int, Any] = {}
-        """Shared values that `follow` has assigned, by the identity of the widget."""
+        self.followed: dict[int, Any] = {}  # values that `follow` has assigned, by the widget's id
         viewer.panels.append(self)
 
     def update(self, moment: Moment) -> None:
         """Show the moment; the drawing thread calls this method."""
 
-    def on_update(self, handle: Any, act: Callable[[Any], None]) -> None:
-        """Call `act` if a person changes a widget, but not if the program does."""
+    def on_update(self, handle: Any, act: Callable[[Any], None]) -> Any:
+        """Call `act` if a person changes a widget, not if the program does; return the widget."""
 
         def updated(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 act(event)
 
         handle.on_update(self._notifier.guard(updated))
+        return handle
 
     def button(
         self, label: str, act: Callable[[Any], None], icon: Any = None, **look: Any
@@ -138,8 +136,7 @@ class Panel:
         """Add a list of titles; `titles` has them by name; `act` gets the name of a chosen one."""
         names = {title: name for name, title in titles.items()}
         handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
-        self.on_update(handle, lambda event: act(names[event.target.value]))
-        return handle
+        return self.on_update(handle, lambda event: act(names[event.target.value]))
 
     def buttons(
         self, label: str, acts: Mapping[str, Callable[[], None]], hint: str | None = None

@@ -24,7 +24,6 @@ from app.strict import Array
 
 MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below the node of its frame
 _NONE = "(none)"
-_OPACITY = 0.45  # [-]
 _MIN_HALF = 0.002  # [m] smallest half extent of a body
 _MAX_OFFSET = 5.0  # [m] largest coordinate of a body in its frame, and largest half extent
 _DIGITS = 4  # [-] decimals of lengths [m] and angles [rad]
@@ -48,18 +47,16 @@ class EditPanel(Panel):
         self._drawn: dict[str, tuple[Shape, viser.MeshHandle]] = {}
         self._gizmos: tuple[str, tuple[viser.TransformControlsHandle, ...]] = (_NONE, ())
         self._sizing = False
-        self._q_m: Array | None = None  # (n_m,) [rad or m] joint positions of the shown arm
+        self._q_m = viewer.timeline.shown().q_m  # (n_m,) [rad or m] of the shown arm
         with gui.add_folder("Edit this robot", expand_by_default=False):
             self._text = gui.add_html("")
             hint = "The large gizmo moves and rotates the body, the small one resizes it."
             self._body = gui.add_dropdown("Body", (_NONE, *self._keys), hint=hint)
             with gui.add_folder("Monitored pairs", expand_by_default=False):
-                self._watched = {
-                    pair: gui.add_checkbox(words.spoken(pair, names), False)
-                    for pair in sorted(self._pairs)
-                }
-                for box in self._watched.values():
-                    self.on_update(box, lambda _: self._switch_pairs())
+                self._watched = {}
+                for pair in sorted(self._pairs):
+                    box = gui.add_checkbox(words.spoken(pair, names), False)
+                    self._watched[pair] = self.on_update(box, lambda _: self._switch_pairs())
             hint = "The shown posture. To change it, pull the arm, or use “Joint sliders” in Lab."
             ready, icon = "Use this posture as ready posture", viser.Icon.STRETCHING
             self.button(ready, lambda _: self._take_posture(), icon, hint=hint)
@@ -94,9 +91,8 @@ class EditPanel(Panel):
         self.changes = self.changes._replace(unwatched=reasons)
 
     def _take_posture(self) -> None:
-        if self._q_m is not None:
-            posture = tuple(round(float(q), _DIGITS) for q in self._q_m)
-            self.changes = self.changes._replace(ready=posture)
+        posture = tuple(round(float(q), _DIGITS) for q in self._q_m)
+        self.changes = self.changes._replace(ready=posture)
 
     def _save(self) -> None:
         name, own = self._name.value, self._robot.name
@@ -107,7 +103,6 @@ class EditPanel(Panel):
         shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _draw(self) -> None:
-        """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""
         chosen, changed = self._body.value, self.changes.shapes
         wanted = {
             key
@@ -120,7 +115,7 @@ class EditPanel(Panel):
             shape = self._shape(key)
             if key not in self._drawn or self._drawn[key][0] != shape:
                 node, mesh, T = f"{self._frame(key)}/mesh", shape_mesh(shape), shape.placement()
-                look = {"color": GHOSTS[0], "opacity": _OPACITY, "flat_shading": True}
+                look = {"color": GHOSTS[0], "opacity": 0.45, "flat_shading": True}
                 scene = self._viewer.client.scene
                 self._drawn[key] = shape, add_mesh(scene, node, mesh, T, **look)
         if self._gizmos[0] != chosen:
@@ -143,17 +138,11 @@ class EditPanel(Panel):
         """Add the gizmos of a body: one moves and rotates it; one at its corner resizes it."""
         scene, shape = self._viewer.client.scene, self._shape(key)
         node, (position, wxyz) = f"{self._frame(key)}/{MOVE}", to_viser(shape.placement())
-        whole = scene.add_transform_controls(
-            node, scale=0.22, depth_test=False, position=position, wxyz=wxyz
-        )
-        corner = scene.add_transform_controls(
-            f"{node}/{SIZE}",
-            scale=0.09,
-            disable_rotations=True,
-            disable_sliders=True,
-            depth_test=False,
-            position=half_extents(shape),
-        )
+        free: Any = {"depth_test": False, "position": position, "wxyz": wxyz}
+        whole = scene.add_transform_controls(node, scale=0.22, **free)
+        fixed: Any = {"disable_rotations": True, "disable_sliders": True, "depth_test": False}
+        fixed["position"] = half_extents(shape)
+        corner = scene.add_transform_controls(f"{node}/{SIZE}", scale=0.09, **fixed)
 
         def move(event: Any) -> None:
             p = np.clip(event.target.position, -_MAX_OFFSET, _MAX_OFFSET)
@@ -187,8 +176,7 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape, resized to `half_extents` of `half` (3,) [m].
 
-    The radius of a sphere becomes the entry of `half` that changes most. The radius of a cylinder
-    or a capsule becomes the entry for x or y that changes most.
+    A new radius is the entry of `half` that changes most; for a cylinder or capsule, only x and y.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]

@@ -20,7 +20,6 @@ from app.strict import Array
 
 _DEGREES = float(np.degrees(1.0))
 FARTHEST = 5.0  # [m] largest base coordinate
-_HEADING = "heading", 180.0, "°"
 
 
 class ExplorerPanel(Panel):
@@ -28,12 +27,11 @@ class ExplorerPanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        self.posture: Posture | None = None
-        """The posture that the page shows; None while the sliders are not in use."""
+        self.posture: Posture | None = None  # on the page; None while no slider is in use
         self._target: Array | None = None  # (3,) [m] new position of the end-effector, by the gizmo
         self._error = 0.0  # [m] distance of the end-effector from the last such position
-        self._paused, self._since = False, viewer.shared.loop.latest()
-        """Whether the pause has taken effect, and the newest snapshot when posing began."""
+        self._paused = False  # whether the pause has taken effect
+        self._since = viewer.shared.loop.latest()  # newest snapshot when posing began
         self._lock = RLock()  # a callback can change the posture while the page is drawn
         model = viewer.shared.model
         self._scale = np.array([1.0 if unit == "m" else _DEGREES for unit in model.joint_units])
@@ -41,8 +39,9 @@ class ExplorerPanel(Panel):
             self._text = self._gui.add_html("")
             self._begin = self.button("Pause and pose the arm", self._enter, viser.Icon.STRETCHING)
             self._sliders = [
-                self._slider(f"base {axis}", -most, most, 0.01 if unit == "m" else 0.5, unit)
-                for axis, most, unit in (("x", FARTHEST, "m"), ("y", FARTHEST, "m"), _HEADING)
+                self._slider("base x", -FARTHEST, FARTHEST, 0.01, "m"),
+                self._slider("base y", -FARTHEST, FARTHEST, 0.01, "m"),
+                self._slider("base heading", -180.0, 180.0, 0.5, "°"),
             ]
             for i, name in enumerate(model.description.arm.joints):
                 low, high = np.array([model.q_lower[i], model.q_upper[i]]) * self._scale[i]
@@ -104,15 +103,13 @@ class ExplorerPanel(Panel):
     def _slider(self, label: str, low: float, high: float, step: float, unit: str) -> Any:
         first = min(max(0.0, low), high)
         handle = self._gui.add_slider(f"{label} [{unit}]", low, high, step, first)
-        self.on_update(handle, lambda _: self._read())
-        return handle
+        return self.on_update(handle, lambda _: self._read())
 
     def _enter(self, _: Any) -> None:
         newest = self._shared.loop.latest()
         if newest.door is not None:
-            raise TargetError(
-                "the end-effector holds a door in this scenario; choose another scenario first"
-            )
+            reason = "the end-effector holds a door in this scenario"
+            raise TargetError(f"{reason}; choose another scenario first")
         self._shared.loop.send(Pause(True))
         self._viewer.timeline.go_live()
         self._paused, self._since = False, newest
@@ -138,7 +135,6 @@ class ExplorerPanel(Panel):
             self._show(on=False)
 
     def _read(self) -> None:
-        """Set the posture from the sliders, within their ranges; no effect without a posture."""
         with self._lock:
             if self.posture is None:
                 return

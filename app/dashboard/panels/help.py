@@ -1,12 +1,8 @@
 """Help: the tab with method and keys, and the card with introduction, demonstration and tour."""
 
-from collections.abc import Callable
 from threading import RLock
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import viser
-
-from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.scenarios import scenario_of
@@ -51,14 +47,11 @@ is shared, and the forces of all who pull add up.
 """
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
 TOUR = "Take the tour"
-SHOWN = "guiding-lateral"
-"""The scenario of the demonstration: the arm is pulled from the side towards the base."""
+SHOWN = "guiding-lateral"  # the demonstration: a pull from the side towards the base
 FARTHER = 1.5  # [-] factor on this scenario's path; the arm then almost reaches a resting base
 
 
-class Card(NamedTuple):
-    """Text and buttons of the card over the scene."""
-
+class Card(NamedTuple):  # text and buttons of the card over the scene
     title: str
     text: str
     buttons: tuple[str, ...]
@@ -84,9 +77,7 @@ CARDS = {
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(
-        "Demonstration",
-        f"{_BOTH} It repeats until you click or press a key.",
-        (WATCH, PULL, CLOSE),
+        "Demonstration", f"{_BOTH} It repeats until you click or press a key.", (WATCH, PULL, CLOSE)
     ),
     "pull": Card(
         "Pull the robot",
@@ -127,28 +118,7 @@ CARDS = {
 }
 """Cards by the guide's state. The first three have the same first buttons: a card can change while
 the viewer is about to click."""
-SEEN = "dbb-tour-seen"
-"""Key in the browser's storage after the first visit; later visits start without the guide."""
-
-
-class Shortcut(NamedTuple):
-    """An entry of the list of commands, which `Ctrl K` opens."""
-
-    label: str
-    key: Any  # the key that executes the command too, or None
-    action: Callable[[], None]
-
-
-def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
-    for shortcut in shortcuts:
-        command = gui.add_command(shortcut.label, hotkey=shortcut.key)
-        command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))
-
-
-def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
-    """Add the help text, with the keys of the shortcuts, to the GUI container that is open."""
-    keys = ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
-    gui.add_markdown(TEXT.format(keys=keys))
+SEEN = "dbb-tour-seen"  # key in the browser's storage after the first visit
 
 
 class Guide(Panel):
@@ -173,8 +143,7 @@ class Guide(Panel):
     def watch(self, state: str) -> None:
         """Show a card; play the demonstration on the robot, and without avoidance on a ghost.
 
-        Raises:
-            UnreachableError: The robot's description has no path for the scenario `SHOWN`.
+        Raises `UnreachableError` if the robot's description has no path for the scenario `SHOWN`.
         """
         with self._lock:
             scenario = scenario_of(self._shared.model.description, SHOWN)
@@ -213,8 +182,12 @@ class Guide(Panel):
             card = CARDS.get(self.state)
             if label not in (card.buttons if card else (WATCH, PULL)):
                 return
-            if label == SHOW:
-                self._show()
+            if label == SHOW and self.state == "tour 4":
+                self._viewer.timeline.step(-3.0)
+            elif label == SHOW and self.state != "tour 5":
+                self._viewer.play(SHOWN)
+            elif label == SHOW:
+                self.watch(self.state)
             elif label == WATCH:
                 self.watch("watch")
             elif label == NEXT:
@@ -222,19 +195,8 @@ class Guide(Panel):
             else:
                 self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
 
-    def _show(self) -> None:
-        if self.state == "tour 5":
-            self.watch(self.state)
-        elif self.state == "tour 4":
-            self._viewer.timeline.step(-3.0)
-        else:
-            self._viewer.play(SHOWN)
-
     def _end(self, *, anew: bool) -> None:
-        """End the guide's comparison; do nothing if a viewer has chosen another comparison.
-
-        With `anew`, also start a run without a scenario, unless a person holds the robot.
-        """
+        """End the guide's comparison; if `anew`, also restart, unless a person holds the robot."""
         loop, self._compares = self._shared.loop, False
         if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
             return  # a viewer has chosen another comparison

@@ -16,8 +16,7 @@ from app.dashboard.scene.colours import SERIES
 LENGTH = 20.0  # [s] length of the time axis
 AHEAD = 5.0  # [s] plotted time after a shown instant in the past
 SPACING = 0.08  # [s] period of drawn values, about one per pixel
-PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0
-"""[s] period of drawing: usually, with low detail, and while all curves are at rest."""
+PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] period: usual, low detail, all at rest
 RESTING, STILL = 12, 2e-3  # number of last values; their largest difference in a curve at rest
 LINE = 1.6  # [px] width
 _INSTANT = Curve("shown instant", lambda _: OFF, "#ff7a00", "the instant shown in the past")
@@ -131,10 +130,7 @@ class Plots(Panel):
 
 
 def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHandle:
-    """Create a plot without data; its options are constant, because a change would rebuild it.
-
-    A curve with its own scale, 0 to 1, marks the shown instant: it is 1 there, and `OFF` elsewhere.
-    """
+    """Create a plot without data; its options are constant, because a change would rebuild it."""
     lines, hidden = [], uplot.Series_Points(show=False)
     for curve in (*plan.curves, _INSTANT):
         scale = "instant" if curve is _INSTANT else "right" if curve.right else "y"

@@ -21,7 +21,7 @@ from app.strict import file_text
 
 FIND = "(detect)"  # choice for wheels that the program finds itself
 _WHEEL = "Joint of a driven wheel; of a rear wheel for a car-like base"
-_QUESTIONS = {
+_QUESTIONS = {  # label and hint by field of `Request`; "left" and "right" are `wheels`
     "file": ("URDF", "One of the URDF files in the zip"),
     "out": ("Name", "A letter, then letters, digits and _"),
     "base": ("Base link", "Root link of the base, z up"),
@@ -41,10 +41,7 @@ _QUESTIONS = {
         "Estimate masses from volumes if the URDF has none for the arm",
     ),
 }
-"""Label and hint by the field of `Request`; "left" and "right" are its field `wheels`."""
 _WHEELS = "“Left wheel” and “Right wheel”"
-_CHOICES = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}
-"""Choices before an upload, by question."""
 _REPORT = (
     "<style>.mantine-Modal-content:has(.dbb-report){{flex:0 0 min(62rem,92vw)!important}}</style>"
     '<iframe class="dbb-report" sandbox srcdoc="{}" title="report" '
@@ -62,20 +59,20 @@ class RobotPanel(Panel):
         self._entries: list[RobotEntry] = []
         hint = "Delivered robots and your own. “Use this robot” applies to all viewers."
         self._list = gui.add_dropdown("Robot", ("",), hint=hint)
-        self.about = gui.add_html("")
-        """Description of the chosen robot, and the reason why the last switch failed."""
+        self.about = gui.add_html("")  # the chosen robot, and why the last switch has failed
         hint = "The robot is prepared in the background; meanwhile, the present one is shown."
         self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=hint)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
-        self._renew_list()
-        self._choose(shared.model.description.name)
+        self._renew_list(shared.model.description.name)
         self.edit = EditPanel(viewer)
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
+        chosen, progress = self._chosen, self._switch.progress
+        name = chosen.name if chosen else ""
         if self._switch.entries is not self._entries:
-            self._renew_list()
-        chosen, progress = self._chosen(), self._switch.progress
+            self._renew_list(self._shared.robot_build.built or name)
+            chosen = self._chosen
         here = chosen is not None and chosen.name == self._shared.model.description.name
         ended = self._shared.loop.error is not None  # then the same robot can be restarted
         usable = chosen is not None and chosen.problem is None and (ended or not here)
@@ -86,12 +83,12 @@ class RobotPanel(Panel):
         self._report.visible = chosen is not None and chosen.report
 
     def _begin(self, _: viser.GuiEvent) -> None:
-        shared, chosen = self._shared, self._chosen()
+        shared, chosen = self._shared, self._chosen
         name = chosen.name if chosen else ""
         self._switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _show_report(self, event: viser.GuiEvent) -> None:
-        chosen, client = self._chosen(), event.client
+        chosen, client = self._chosen, event.client
         name = chosen.name if chosen else ""
         path = robot_folder(name) / "report.html"
         if client is None or path.is_symlink() or not path.is_file():
@@ -107,19 +104,17 @@ class RobotPanel(Panel):
             client.gui.add_html(report_html(page))
             self.button("Close", lambda _: modal.close())
 
+    @property
     def _chosen(self) -> RobotEntry | None:
         return next((each for each in self._entries if each.label == self._list.value), None)
 
-    def _choose(self, name: str) -> None:
+    def _renew_list(self, name: str) -> None:
+        """Offer the robots that the last search found; choose the robot `name` if it exists."""
+        self._entries = self._switch.entries
+        self._list.options = tuple(entry.label for entry in self._entries) or ("",)
         for entry in self._entries:
             if entry.name == name:
                 self._list.value = entry.label
-
-    def _renew_list(self) -> None:
-        chosen = self._chosen()
-        self._entries = self._switch.entries
-        self._list.options = tuple(entry.label for entry in self._entries) or ("",)
-        self._choose(self._shared.robot_build.built or (chosen.name if chosen else ""))
 
 
 class NewRobotPanel(Panel):
@@ -128,8 +123,7 @@ class NewRobotPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, build = self._gui, viewer.shared.robot_build
-        self._build, self._package = build, None
-        self._shown_urdf = ""
+        self._build, self._package, self._shown_urdf = build, None, ""
         about = (
             f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
             f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; "
@@ -162,11 +156,7 @@ class NewRobotPanel(Panel):
         self.uploads.disabled = progress is not None
 
     def request(self) -> Request:
-        """Return the request for a robot, from the fields that apply to the chosen base and zip.
-
-        Raises:
-            ConfigError: There is no upload, a field is invalid, or fields contradict each other.
-        """
+        """Return the request from the fields that apply; raises `ConfigError` if one is wrong."""
         package = self._package
         if package is None:
             raise ConfigError("upload a zip file first")
@@ -278,4 +268,5 @@ def _field(gui: viser.GuiApi, name: str) -> Any:
         return gui.add_text(label, "", hint=hint)
     if name == "assume_inertia":
         return gui.add_checkbox(label, False, hint=hint)
-    return gui.add_dropdown(label, _CHOICES.get(name, ("",)), hint=hint)
+    first = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}  # choices before an upload
+    return gui.add_dropdown(label, first.get(name, ("",)), hint=hint)

@@ -28,7 +28,7 @@ from app.dashboard.panels.tuning import changing_html
 from app.dashboard.panels.why import distance_bar, state_chip
 from app.dashboard.record import Course, pulled
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
-from app.dashboard.verdict import COLOURS, LATE, State, Verdict, is_slow
+from app.dashboard.verdict import COLOURS, LATE, Verdict, is_slow
 from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart, Speed
@@ -39,16 +39,15 @@ from app.simulation.trace.snapshot import Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice without a scenario
-TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
-"""Entries of the list of scenarios, by the scenarios' names."""
 OFF = "off"  # choice without another robot
+TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
-"""Entries of the lists of controllers, by the controllers' names."""
+"""Choices of a scenario and of a controller, by name."""
 INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
 _STARTS = "A scenario starts at once. A pull of the end-effector ends it."
-_SCORES = (
+_SCORES = (  # label with unit, field of `Score`, text of a value, function for the best or None
     ("smallest distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("end-effector error, now or final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
     ("end-effector error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
@@ -57,7 +56,6 @@ _SCORES = (
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
     ("torque jump [N m, N]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
-"""Label with unit, field of `Score`, text of a value, and function for the best value, or None."""
 
 
 class RunPanel(Panel):
@@ -82,14 +80,12 @@ class RunPanel(Panel):
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the readings from the shown one.
-
-        The list still shows a scenario that has ended: a choice of `FREE` must change the list.
-        """
+        """Update the choices from the newest snapshot, and the readings from the shown one."""
         newest, shown, verdict = moment
         course = self._shared.course
         self._pause.label = CONTINUE if newest.paused else PAUSE
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
+        # Also after the end of a scenario, because a choice of `FREE` must change the list.
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
         ended = course.name and not (course.running or newest.busy)
@@ -141,14 +137,11 @@ class ComparePanel(Panel):
         self._names: list[str] = []
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the scores from the shown one.
-
-        If the viewer removes one of two controllers, the other one stays in its own list.
-        """
+        """Update the choices from the newest snapshot, and the scores from the shown one."""
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
-            if names != self._chosen():
+            if names != self._chosen():  # otherwise the lists stay as the viewer has set them
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
         shown, last, outcomes = moment.shown, self._shared.course.name, ""
@@ -171,16 +164,12 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return the table of scores, the main robot first, with marks at the best values.
-
-    A robot with a contact or an overlap cannot have a best value.
-    """
+    """Return a table of scores; robots without contact or overlap have marks at best values."""
     if not scores:
         return small("No comparison is running.", FAINT)
-    colours = ["currentColor", *(css(colour) for colour in GHOSTS)]
     heads = (
         cell(f"{mark('●', colour)} {score.controller}", RIGHT, "font-weight:600", head=True)
-        for score, colour in zip(scores, colours, strict=False)
+        for score, colour in zip(scores, ("currentColor", *map(css, GHOSTS)), strict=False)
     )
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
     valid = [end == "no contact" for end in ends]
@@ -216,13 +205,10 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
-    """Return preparation, progress or result of the last scenario; empty before the first one.
-
-    `busy` is `Snapshot.busy`. The description `robot` has the scenario's usual options.
-    """
+    """Return preparation (`Snapshot.busy`), progress or result of the last scenario, if any."""
     if busy:
-        title = f"{words.sentence(busy)} …"
-        return banner("notice", title, "The simulation continues after this.")
+        text = "The simulation continues after this."
+        return banner("notice", f"{words.sentence(busy)} …", text)
     if not course.name:
         return ""
     about = f"{words.sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
@@ -258,53 +244,48 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
     pull += "" if math.isnan(bound) else f" (the arm can resist {bound:.0f} N)"
     *linear, w = snapshot.base_velocity
     speed = ", ".join(map(words.signed, linear))
-    contact: State = "contact" if verdict.touching else "clear"
-    rows: list[tuple[str, str, State]] = [
-        ("time", f"{snapshot.t:.1f} s", "clear"),
-        ("state", snapshot.busy or f"{state}, {snapshot.mode}", "clear"),
-        ("contact", verdict.touching or "none", contact),
-        ("pull", pull if snapshot.pulls else "none", "clear"),
-        ("end-effector error", millimetres(snapshot.ee_error), "clear"),
-        ("base velocity", f"{speed} m/s, {words.signed(w)} rad/s", "clear"),
+    rows = [
+        reading("time", f"{snapshot.t:.1f} s"),
+        reading("state", snapshot.busy or f"{state}, {snapshot.mode}"),
+        _warned("contact", verdict.touching or "none", bad=bool(verdict.touching)),
+        reading("pull", pull if snapshot.pulls else "none"),
+        reading("end-effector error", millimetres(snapshot.ee_error)),
+        reading("base velocity", f"{speed} m/s, {words.signed(w)} rad/s"),
     ]
     if snapshot.buffer.too_small:
-        lately = "lately: " if verdict.state == "clear" else ""
-        rows.insert(3, ("buffer", lately + needed_text(snapshot.buffer.needed), verdict.state))
-    return [_status_row(*each) for each in rows]
+        needed, state = needed_text(snapshot.buffer.needed), verdict.state
+        text = f"lately: {needed}" if state == "clear" else state_chip(state, needed)
+        rows.insert(3, reading("buffer", text))
+    return rows
 
 
 def machine_rows(snapshot: Snapshot) -> list[str]:
     late = min(snapshot.overruns / max(round(snapshot.t / DT), 1), 1.0)
-    rows = [
-        ("real-time factor", f"{snapshot.realtime_factor:.2f}", is_slow(snapshot)),
-        ("control step", f"{snapshot.step_time_us:.0f} µs", False),
-        ("late steps", f"{100.0 * late:.1f} %", late > LATE),
-        ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
-    ]
+    factor = f"{snapshot.realtime_factor:.2f}".replace("nan", "–")
+    step, failures = f"{snapshot.step_time_us:.0f} µs", snapshot.solver_failures
     return [
-        _status_row(name, text.replace("nan", "–"), "contact" if bad else "clear")
-        for name, text, bad in rows
+        _warned("real-time factor", factor, bad=is_slow(snapshot)),
+        reading("control step", step.replace("nan", "–")),
+        _warned("late steps", f"{100.0 * late:.1f} %", bad=late > LATE),
+        _warned("solver failures", f"{failures}", bad=failures > 0),
     ]
 
 
-def _status_row(label: str, value: str, state: State) -> str:
-    return reading(label, value if state == "clear" else state_chip(state, value))
+def _warned(name: str, value: str, *, bad: bool) -> str:
+    return reading(name, state_chip("contact", value) if bad else value)
 
 
-def pairs_html(
-    snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str] | None = None
-) -> str:
-    """Return a table of all pairs; `spoken` has words for them, by default their names."""
+def pairs_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
+    """Return a table of all pairs; `spoken` has words for their names."""
     distance = cell("distance [mm]", RIGHT, ONE_LINE, span=2)
     beta = cell("activation β", RIGHT, ONE_LINE, "padding-left:1em")
     head = row(cell(), cell("link pair"), distance, beta, style=FAINT)
-    known = spoken or {pair.name: pair.name for pair in snapshot.pairs}
-    order = list(known)  # also that of the colours in the plots
+    order = list(spoken)  # also that of the colours in the plots
     about = "signed distance d of its convex bodies, negative where they overlap; the mark is d_b ="
     rows = (
         row(
             cell(mark("●", SERIES[order.index(pair.name) % len(SERIES)])),
-            cell(known[pair.name], ONE_LINE),
+            cell(spoken[pair.name], ONE_LINE),
             cell(distance_bar(pair.d, snapshot.d_b, state), "width:26%;padding-left:.4em"),
             cell(_distance(pair.d), RIGHT),
             cell(f"{pair.beta:.2f}", RIGHT),

@@ -25,11 +25,8 @@ from app.simulation.trace.trace import Trace
 from app.strict import check_range
 from app.system import temporary_folder
 
-SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
-"""[px] smallest, largest and default size of a picture."""
+SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}  # [px] least, most and default size
 NamedFile = tuple[str, bytes]
-_CANCEL_EVERY = 0.1  # [s] period of checks for a cancellation
-_PATIENCE = 30.0  # [s] timeout of a picture by the browser
 
 
 class SavePanel(Panel):
@@ -78,10 +75,8 @@ class SavePanel(Panel):
                 self._job.check()
                 client.send_file_download(*file, save_immediately=True)
 
-        def pressed(_: Any) -> None:
-            self._job.start(label, "in progress", lambda: self._notifier.attempt(client, send))
-
-        self.button(label, pressed, icon, **look)
+        attempt = partial(self._notifier.attempt, client, send)
+        self.button(label, lambda _: self._job.start(label, "in progress", attempt), icon, **look)
 
     def _case(self, event: Any) -> None:
         case, last = self._shared.course.case, self._shared.course.last
@@ -106,9 +101,9 @@ class SavePanel(Panel):
     def _scene(self, width: int, height: int) -> Image.Image:
         """Return the scene as the viewer's browser draws it in a size [px]."""
         executor = ThreadPoolExecutor(1)
-        future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
+        future = executor.submit(scene_picture, self._viewer.client, height, width, 30.0)  # [s]
         executor.shutdown(wait=False)
-        while not wait([future], _CANCEL_EVERY).done:
+        while not wait([future], 0.1).done:  # [s]
             self._job.check()
         try:
             pixels = future.result()

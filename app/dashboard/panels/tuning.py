@@ -15,10 +15,8 @@ from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
 from app.simulation.trace.snapshot import Snapshot
 
-DECIMALS = 6  # [-] decimals of a number box
 MARK = "\N{NO-BREAK SPACE}•"  # after the label of a changed parameter
 FIRST_NAME = "tuning"
-_OPEN = "border"  # section whose folder is open at first
 
 
 class TuningPanel(Panel):
@@ -27,8 +25,7 @@ class TuningPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         tuning = self._tuning = viewer.shared.tuning
-        self.widgets: dict[str, ParameterWidget] = {}
-        """Widget of each parameter, by the parameter's path."""
+        self.widgets: dict[str, ParameterWidget] = {}  # by the parameter's path
         self._folders: list[tuple[Any, Any, str, tuple[str, ...]]] = []
         """Folder, reset button, title, and paths of the parameters of each section."""
         self.buttons(
@@ -41,7 +38,7 @@ class TuningPanel(Panel):
         self.on_update(self._all, lambda _: self._show_advanced())
         for section in sections():
             paths = tuple(each.path for each in section.tunables)
-            self._add_folder(section.title, paths, expand=section.name == _OPEN)
+            self._add_folder(section.title, paths, expand=section.name == "border")
         with self._gui.add_folder("File"):
             hint = "Name of the file, without .toml"
             self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
@@ -116,16 +113,12 @@ def file_name(name: str) -> str:
 
 
 class ParameterWidget(Panel):
-    """Widget of one parameter; for a range of several powers of ten, also a logarithmic slider.
-
-    A refused value changes nothing: its sender gets a message, and the widget is reset.
-    """
+    """Widget of one parameter; for a range of several powers of ten, also a logarithmic slider."""
 
     def __init__(self, viewer: Viewer, path: str) -> None:
         super().__init__(viewer)
         self.about = tunable(path)
-        self.is_marked = False
-        """Whether the value differs from its default; set before each update."""
+        self.is_marked = False  # whether the value differs from its default; set before each update
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
         self.handle, self.exponent = self._widgets(self._tuning.config.value(path))
         """The widget, and the slider of the value's decimal logarithm or None."""
@@ -141,8 +134,10 @@ class ParameterWidget(Panel):
 
     def _set(self, event: Any) -> None:
         sent, is_power = event.target.value, event.target is self.exponent
+        if is_power:  # the value is 10 to this power, or ±inf from ±300 on
+            sent = float(f"{10.0**sent:.3g}") if abs(sent) < 300 else sent * math.inf
         try:
-            self._tuning.set(self.about.path, _value_of(sent) if is_power else sent)
+            self._tuning.set(self.about.path, sent)
         finally:
             value = self._tuning.config.value(self.about.path)
             event.target.value = _power_of(value) if is_power else value
@@ -162,13 +157,8 @@ class ParameterWidget(Panel):
         else:
             step = slider_step(low, high)
             handle = gui.add_slider(title, low, high, step, float(value), hint=hint)
-        handle.precision = DECIMALS
+        handle.precision = 6
         return handle, exponent
-
-
-def _value_of(power: float) -> float:
-    """Return 10 to the power, with three digits; ±inf for a power from ±300 on, NaN for NaN."""
-    return float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
 
 
 def _power_of(value: float | str) -> float:

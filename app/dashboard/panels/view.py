@@ -15,8 +15,7 @@ class ViewPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._view = self._gui, viewer.view
-        self._widgets: dict[str, Any] = {}
-        """Widgets by the field of the view."""
+        self._widgets: dict[str, Any] = {}  # widgets by the field of the view
         with gui.add_folder(BORDER):
             for pair, quantity in self._view.borders.items():
                 hint = f"Reachable points at the buffer distance from the base: DBB of {pair}, (3)"
@@ -31,9 +30,10 @@ class ViewPanel(Panel):
             self._add(PAGE)
         with gui.add_folder("Plots", expand_by_default=False):
             titles = [plan.title for plan in viewer.shared.plans]
-            self._plots = {title: gui.add_checkbox(title, False) for title in titles}
-            for title, box in self._plots.items():
-                self.on_update(box, partial(self._plot, title))
+            self._plots = {
+                title: self.on_update(gui.add_checkbox(title, False), partial(self._plot, title))
+                for title in titles
+            }
 
     def update(self, moment: Moment) -> None:
         for field, widget in self._widgets.items():
@@ -52,8 +52,7 @@ class ViewPanel(Panel):
                 widget: Any = self._gui.add_checkbox(about["label"], **look)
             else:
                 widget = self._gui.add_dropdown(about["label"], LABELS, **look)
-            self._widgets[each.name] = widget
-            self.on_update(widget, partial(self._assign, each.name))
+            self._widgets[each.name] = self.on_update(widget, partial(self._assign, each.name))
 
     def _assign(self, field: str, event: Any) -> None:
         setattr(self._view, field, event.target.value)

@@ -5,19 +5,11 @@ from collections.abc import Mapping, Sequence
 
 from app.control.explanation import Explanation, Level, LevelName, NearPair
 from app.dashboard import phrases as words
-from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, small, table
+from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, row, small, table, tag
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
-from app.dashboard.verdict import (
-    COLOURS,
-    State,
-    Verdict,
-    base_cannot_help,
-    contacts,
-    is_slow,
-    pushes_links_apart,
-)
+from app.dashboard.verdict import COLOURS, STEEP, State, Verdict, contacts, is_slow, links_repel
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
@@ -36,7 +28,6 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
 )
 """Label, hint, and names of the possible levels of each row."""
-_BEHIND = -0.5  # [-] x of a normal; above it, the near body is in front of the base or beside it
 
 
 class WhyPanel(Panel):
@@ -63,12 +54,21 @@ class WhyPanel(Panel):
 
 def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     """Return verdict, cause of the motion in a sentence, and rows: force, base motion, limits."""
-    colour = css(verdict.colour)
+    why, colour = snapshot.explanation, css(COLOURS[verdict.state])
+    x, y = _total(why, "f", 2) if why else (0.0, 0.0)
+    size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
+    force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
+    limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
+    more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
+    rows = (
+        _row("Force on the base", "sum of the forces (14) at the acting points", force),
+        _row("Base motion", "true velocity of the base", words.speeds(snapshot.base_velocity)),
+        _row("Limited by", "limits that are active in this control step", limit + more),
+    )
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
         f'min-height:5.6em;font-size:.85em;line-height:1.4">{state_chip(verdict.state)}'
-        f"<br>{sentence(snapshot)}</div>"
-        f'<div style="{_BODY}">{table(_first_rows(snapshot))}</div>'
+        f'<br>{sentence(snapshot)}</div><div style="{_BODY}">{table(rows)}</div>'
     )
 
 
@@ -81,31 +81,12 @@ def details_html(snapshot: Snapshot) -> str:
         return small("Avoidance does not act: no link pair is inside its buffer.")
     tables = (
         _table("Nearest active pair", _near_rows(snapshot, why, why.bearing))
-        + _table("Force on the base", _force_rows(why), _columns(why.axes))
+        + _table("Force on the base", _force_rows(why), why.axes)
         + _table("Acting point p_act", _score_rows(why))
         + _table("Task error, by priority", _level_rows(why.levels))
         + _table("Active limits", _bound_rows(why))
     )
     return f'<div style="{_BODY}">{tables}</div>'
-
-
-def _first_rows(snapshot: Snapshot) -> list[str]:
-    why = snapshot.explanation
-    x, y = _push(why)
-    size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
-    force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
-    limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
-    more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
-    return [
-        _row("Force on the base", "sum of the forces (14) at the acting points", force),
-        _row("Base motion", "true velocity of the base", words.speeds(snapshot.base_velocity)),
-        _row("Limited by", "limits that are active in this control step", limit + more),
-    ]
-
-
-def _push(why: Explanation | None) -> list[float]:
-    """Return the sum (2,) [N] of the forces (14), in the base's frame; 0 without explanation."""
-    return _total(why, "f", 2) if why else [0.0, 0.0]
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
@@ -132,7 +113,9 @@ def distance_bar(d: float, d_b: float, state: State) -> str:
 
 def state_chip(state: State, text: str = "") -> str:
     """Return a text, by default the state, on the colour of a state, legible in both themes."""
-    return chip(text or state.capitalize(), css(COLOURS[state]), ink(COLOURS[state]))
+    ground, look = COLOURS[state], "border-radius:4px;padding:.1em .5em"
+    text = text or state.capitalize()
+    return tag("b", text, f"background:{css(ground)};color:{ink(ground)}", look)
 
 
 def sentence(snapshot: Snapshot) -> str:
@@ -152,17 +135,20 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
     pair = why.bearing
     if pair is None:
         return _nothing_near(snapshot, why)
-    if why.controller == "none":
-        return f"{_cause(pair, why, snapshot.d_b)}, but avoidance is off: nothing gives way."
     if why.controller == "barrier":
         return _barrier(snapshot, why, pair)
+    cause = _cause(pair, why, snapshot.d_b)
+    if why.controller == "none":
+        return f"{cause}, but avoidance is off: nothing gives way."
     if not pair.mobile:
-        return _links(snapshot, why, pair)
+        apart = ", so the arm pushes the two links apart" if links_repel(pair) else ""
+        tracks = why.mode == "tracking"
+        effect = f"; {_task_effect(why)}" if tracks else _off_target(snapshot)
+        return f"{cause}{apart}; the base is not involved{effect}."
     if why.controller == "repulsive":
-        cause, effect = _cause(pair, why, snapshot.d_b), _task_effect(why, limited=True)
         text = f"{cause}, so this method pushes the arm away and does not move the base"
-        return f"{text}; {effect}{_off_target(snapshot)}."
-    return _gives_way(snapshot, why, pair)
+        return f"{text}; {_task_effect(why, limited=True)}{_off_target(snapshot)}."
+    return _gives_way(snapshot, why, pair, cause)
 
 
 def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
@@ -180,10 +166,13 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     return f"{text}; the base {moves} and comes to rest."
 
 
-def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
+def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str) -> str:
     """Describe dbb and hqp: the base gives way; with dbb, the arm can keep a minimum distance."""
-    cause, also = _cause(pair, why, snapshot.d_b), _also(why)
-    if base_cannot_help(pair):
+    also = ""
+    if apart := next(filter(links_repel, why.near), None):  # the most active one
+        a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
+        also = f" {b.capitalize()} and {a} are also pushed apart."
+    if pair.above >= STEEP:  # base motion cannot help
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.limited:
@@ -193,12 +182,11 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
             rest = f"; the arm itself comes no nearer than {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
-    (x, y), (forward, left, _) = _push(why), planar(why.axes, snapshot.base_velocity)
+    (x, y), (forward, left, _) = _total(why, "f", 2), planar(why.axes, snapshot.base_velocity)
     opposed = x * forward + y * left < -0.5 * math.hypot(x, y) * math.hypot(forward, left)
     moved = f", {'but' if opposed else 'so'} {moves}" if moves else "; the base stays where it is"
-    if pair.limited:
-        return f"{cause}{moved}, and the arm itself limits the approach.{also}"
-    return f"{cause}{moved}; {_task_effect(why)}.{also}"
+    limits = ", and the arm itself limits the approach"
+    return f"{cause}{moved}{limits if pair.limited else f'; {_task_effect(why)}'}.{also}"
 
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
@@ -214,15 +202,6 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {effect}."
 
 
-def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    cause = _cause(pair, why, snapshot.d_b)
-    apart = ", so the arm pushes the two links apart" if pushes_links_apart(pair) else ""
-    text = f"{cause}{apart}; the base is not involved"
-    if why.mode == "tracking":
-        return f"{text}; {_task_effect(why)}."
-    return f"{text}{_off_target(snapshot)}."
-
-
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
     """Return overlap or distance of a pair as text; with a distance also d_b [m], if not None."""
     b = _the(pair.b, why).capitalize()
@@ -235,7 +214,7 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
     """Describe the base's motion; at rest, the motion that is commanded next; None without both."""
-    ahead = pair.n[0] > _BEHIND
+    ahead = pair.n[0] > -0.5  # in front of the base or beside it
     moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
@@ -247,7 +226,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
     """Describe the effect on person or task; `limited`: the controller limits the approach."""
     if why.mode == "guiding":
-        if limited or any(pair.limited or pushes_links_apart(pair) for pair in why.near):
+        if limited or any(pair.limited or links_repel(pair) for pair in why.near):
             return "the arm resists further guiding"
         if any(bound.kind == "position" for bound in why.bounds):
             return "the arm can be guided within its joint limits"
@@ -266,15 +245,6 @@ def _off_target(snapshot: Snapshot) -> str:
     return "" if snapshot.ee_error < 0.01 or contacts(snapshot) else text
 
 
-def _also(why: Explanation) -> str:
-    """Return a sentence about the most active pair of arm links, if they are pushed apart."""
-    pair = next(filter(pushes_links_apart, why.near), None)
-    if pair is None:
-        return ""
-    a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
-    return f" {b.capitalize()} and {a} are also pushed apart."
-
-
 def _the(name: str, why: Explanation) -> str:
     return f"the {words.body(name, why.chain)}"
 
@@ -291,17 +261,9 @@ def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str
     ]
 
 
-def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
-    """Return titles and widths of the columns in the table of forces; widths never change."""
-    heads = (
-        f"{acceleration_symbol(axis)}<br>[{'rad/s²' if axis.angular else 'm/s²'}]" for axis in axes
-    )
-    return [("force<br>[N]", "12%"), *((head, f"{44 / len(axes):.0f}%") for head in heads)]
-
-
 def _force_rows(why: Explanation) -> list[str]:
     """Return rows: direction, two parts and sum of the force, and accelerations of the base."""
-    n_b, f = len(why.axes), _push(why)
+    n_b, f = len(why.axes), _total(why, "f", 2)
     away, turn = (
         (_total(why, part, 2), _total(why, f"{part}_acceleration", n_b))
         for part in ("away", "turn")
@@ -361,7 +323,12 @@ def _bound_rows(why: Explanation) -> list[str]:
     return [row(cell(text, ONE_LINE)) for text in texts]
 
 
-def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] = ()) -> str:
+def _table(title: str, rows: Sequence[str], axes: Sequence[Axis] = ()) -> str:
+    """Return a table; for the base's `axes`, with columns of the force and of the accelerations."""
+    columns = [("force<br>[N]", "12%")] if axes else []
+    for axis in axes:
+        unit = "rad/s²" if axis.angular else "m/s²"
+        columns.append((f"{acceleration_symbol(axis)}<br>[{unit}]", f"{44 / len(axes):.0f}%"))
     heads = (cell(column, f"width:{width}", RIGHT, FAINT, ONE_LINE) for column, width in columns)
     head = row(cell(title, "font-weight:600", ONE_LINE), *heads)
     return table((head, *rows), "border-spacing:0;margin-bottom:.4em", tight=True)

@@ -16,25 +16,20 @@ from app.config import BorderConfig
 from app.dashboard import phrases as words
 from app.dashboard.markup import minus
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, in_world
-from app.dashboard.scene.colours import ACTING, Rgb, viridis
+from app.dashboard.scene.colours import ACTING, viridis
 from app.dashboard.scene.layers import draw_acceleration
-from app.dashboard.scene.legend import QUANTITIES, Legend, measure_of, title_of
+from app.dashboard.scene.legend import Legend, measure_of, title_of
 from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
-MAX_POINTS = 20_000
-"""[-] drawn points of a border; more points only hide the scene and slow down the browser."""
+MAX_POINTS = 20_000  # [-] of a drawn border; more points only hide the scene and cost time
 LIGHT_POINTS = 4000  # [-] the same on a page with low detail
-_KEPT = 32  # [-] cached borders
 POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
 LIGHT_SIZE = 0.006  # [m] with `LIGHT_POINTS`
-_GRAIN = 0.002  # [m] resolution of the slice's height
 _EVERY = 3  # [-] every third point of a contour is drawn
-_ON_DARK: Rgb = (255, 255, 255)
-_ON_LIGHT: Rgb = (20, 24, 30)
 _INSIDE = 0.5  # [-] assumed distance of the arm from the base for a `_Probe`, relative to d_b
 _NEAR = 8.0  # [px] largest distance of a point from the pointer
 _SMALL = 1e-4  # [m] step of a numerical gradient
@@ -61,8 +56,7 @@ class Borders:
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
         self.body = MobileBody(model)
-        self.top = float(self.body.upper[2])
-        """[m] height of the base's top; the border above it is drawn on demand only."""
+        self.top = float(self.body.upper[2])  # [m] height of the base's top
         self._model, self._clouds = model, clouds
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
@@ -78,7 +72,7 @@ class Borders:
         """
         key = pair, quantity, border.d_b, border.eps, None if whole else self.top
         if key not in self._kept:
-            if len(self._kept) >= _KEPT:
+            if len(self._kept) >= 32:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = self._colour(*key)
         return self._kept[key]
@@ -96,8 +90,8 @@ class Borders:
         if not len(points):
             return None
         field = self.fields[pair]
-        functions = field.singularity, field.reachability, field.score
-        values = dict(zip(QUANTITIES, functions, strict=True))[quantity](points)
+        measure = "singularity" if quantity == "determinant" else quantity
+        values = getattr(field, measure)(points)
         keep = subsample(len(points), MAX_POINTS)
         low, high = float(values.min()), float(values.max())
         u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)
@@ -106,10 +100,7 @@ class Borders:
         return ColouredCloud(points[keep], viridis(u), legend)
 
     def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:
-        """Return the `_Probe` of the point p (3,) [m] of a pair's border, in the base's frame.
-
-        The arm is assumed between p and l_m, at the distance `_INSIDE` d_b from l_m.
-        """
+        """Return the `_Probe` of the point p (3,) [m] of a pair's border, in the base's frame."""
         field, base, config = self.fields[pair], self._model.description.base, snapshot.config
         ends = self.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
         n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
@@ -153,37 +144,32 @@ class DrawnBorders:
         self._probed: tuple[object, _Probe | None] = (), None
         self._slice: tuple[object, list[Array]] = (), []
         self.pointer: tuple[float, ...] = ()
-        """[px] position of the pointer, to the right and up from the scene's centre; empty if the
-        pointer is elsewhere."""
+        """[px] pointer, to the right and up from the scene's centre; empty if it is elsewhere."""
 
     @property
     def legends(self) -> list[Legend]:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each changed border; return whether there is any, and thus a new `legends`.
-
-        This takes milliseconds: call it outside of `atomic`, which delays all messages.
-        """
+        """Draw each changed border, outside of `atomic`: it is slow; return whether any changed."""
         changed = False
         for pair, quantity in view.borders.items():
             request = (quantity, view.whole_border, view.light, border.d_b, border.eps)
             before = self._drawn.get(pair, _Drawn())
-            if before.request != request:
-                drawn = self._draw(pair, quantity, view, border)
-                if before.node is not None and drawn.node is None:
-                    before.node.remove()
-                self._drawn[pair] = drawn._replace(request=request)
-                changed = True
+            if before.request == request:
+                continue
+            changed, found, drawn = True, None, _Drawn()
+            if quantity != HIDDEN:
+                found = self._borders.coloured(pair, quantity, border, whole=view.whole_border)
+            if found is not None:
+                drawn = self._draw(pair, found, light=view.light)
+            elif before.node is not None:
+                before.node.remove()
+            self._drawn[pair] = drawn._replace(request=request)
         return changed
 
-    def _draw(self, pair: str, quantity: str, view: View, config: BorderConfig) -> _Drawn:
-        if quantity == HIDDEN:
-            return _Drawn()
-        found = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
-        if found is None:
-            return _Drawn()
-        most, size = (LIGHT_POINTS, LIGHT_SIZE) if view.light else (MAX_POINTS, POINT_SIZE)
+    def _draw(self, pair: str, found: ColouredCloud, *, light: bool) -> _Drawn:
+        most, size = (LIGHT_POINTS, LIGHT_SIZE) if light else (MAX_POINTS, POINT_SIZE)
         keep = subsample(len(found.points), most)
         legend = found.legend._replace(drawn=len(keep))
         cloud = ColouredCloud(found.points[keep], found.colours[keep], legend)
@@ -221,13 +207,14 @@ class DrawnBorders:
         if not mobile:
             return
         z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
-        key = (round(z / _GRAIN), snapshot.border.d_b)
+        key = (round(z / 0.002), snapshot.border.d_b)  # [m] resolution
         if key != self._slice[0]:
             curves = self._borders.surface(snapshot.border).curves(z)
             thin = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
             self._slice = key, thin
+        colour = (255, 255, 255) if dark else (20, 24, 30)
         if self._slice[1]:
-            canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
+            canvas.lines(f"{ROOT}/slice", self._slice[1], colour, 2.5)
 
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
         """Return the probe of the frontmost drawn point within `_NEAR` of `pointer`, or None."""
@@ -236,9 +223,8 @@ class DrawnBorders:
             if cloud is None:
                 continue
             points = in_world(snapshot.base_pose, cloud.points)
-            u, v, depth = lens.axes @ (points - lens.eye).T
-            scale = lens.focal / np.maximum(depth, 1e-3)
-            off = np.hypot(scale * u - pointer[0], scale * v - pointer[1])
+            u, v, depth = lens.pixel(points)
+            off = np.hypot(u - pointer[0], v - pointer[1])
             depth[(depth <= 0.0) | (off > _NEAR)] = np.inf
             if depth.min() < nearest:
                 nearest, found = depth.min(), (pair, cloud.points[depth.argmin()])

@@ -17,24 +17,16 @@ from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; less distortion than viser's 75°
-_MARGIN = 0.10  # [-] empty share of the free part of the picture, both sides together
-_ASPECTS = (0.4, 4.0)  # [-] limits of a reported aspect ratio
 _MOST_COVERED = 0.8, 0.55  # [-] limits of the shares that are covered in all and from below
 UP = np.array([0.0, 0.0, 1.0])
 _LEAST_STEP = 1e-3  # [m] smaller steps of the camera are invisible
-_SAME = 0.02  # [m] within this distance from its set position, a camera counts as unmoved
-_ECHO = 0.3  # [s] after this time, a browser's reports include the set position
 _PATIENCE = 6.0  # [s] timeout of the browser's confirmation
-_LEAST_SHARE = 0.05  # [-] of the picture's height; a smaller robot counts as unseen
 _MOVED = 0.2  # [m] motion of an unseen base after which a following camera moves
-_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
-"""(8, 3) corners of a cube."""
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)  # of a cube
 _AROUND = 0.12 * _CORNERS  # [m] space to show around the end-effector
 _NEAR_EE = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
 _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the picture
-_OPEN = np.deg2rad(90.0)  # [rad] opening of a door that the picture includes
-_OVER_DOOR = 0.15  # [m] height of the angle's label above the door
 
 
 class Window(NamedTuple):
@@ -46,13 +38,10 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Create a window from the browser's sizes [px] and covered shares [-], clipped to limits.
-
-        Impossible values give `ANY_WINDOW`; a browser's sizes are 0 at first.
-        """
+        """Clip the browser's sizes [px] and covered shares [-]; `ANY_WINDOW` for wrong ones."""
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
-        aspect = float(np.clip(width / height, *_ASPECTS))
+        aspect = float(np.clip(width / height, 0.4, 4.0))
         covered = min(float(below), _MOST_COVERED[1])
         return cls(aspect, covered, min(float(above), _MOST_COVERED[0] - covered))
 
@@ -66,16 +55,15 @@ ANY_WINDOW = Window()  # default of an unknown window
 
 
 class Preset(NamedTuple):
-    """A view: the direction of the camera, in the base's frame, and its target."""
+    """A view; `away` is in the base's frame, but for a door in the closed door's frame."""
 
     away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
-    """Target: the whole robot, the end-effector alone, the end-effector and the closest points of
-    the nearest pair, or robot and door, with `away` in the closed door's frame. Without a door,
-    "door" is the whole robot."""
+    """Target: the whole robot; the end-effector alone; the end-effector and the closest points of
+    the nearest pair; or robot and door. Without a door, "door" is the whole robot."""
 
 
-PRESETS = {
+PRESETS = {  # by name
     "iso": Preset(np.array([1.5, 1.8, 1.0])),
     # Not exactly from above, because the camera's up direction must not be parallel to the view.
     "top": Preset(np.array([-0.01, 0.0, 3.3])),
@@ -85,22 +73,19 @@ PRESETS = {
     "pair": Preset(np.array([0.9, 1.2, 0.7]), "pair"),
     "door": Preset(np.array([-1.3, -0.8, 1.5]), "door"),
 }
-"""Views by name."""
 
 
 class Camera:
     """Moves the camera of one client.
 
-    The browser reports each new position after a delay, together with the viewer's own changes. So
-    a new step waits until the last position is confirmed: otherwise one of the changes is lost.
+    A new step waits until the browser confirms the last position: its reports are late and include
+    the viewer's own changes, which would be lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
-        self.extent: Array = np.zeros((1, 3))
-        """(N, 3) [m] points of the robot to show, in the base's frame."""
-        self.wanted = ""
-        """Preset, a key of `PRESETS`, that the next call of `settle` uses; callbacks assign it."""
+        self.extent: Array = np.zeros((1, 3))  # (N, 3) [m] points to show, in the base's frame
+        self.wanted = ""  # preset that the next call of `settle` uses
         self._preset = "iso"  # the preset that was used last
         self._eye = np.full(3, np.inf)  # [m] the preset's position, moved along with the base
         self._fitted: Window | None = None  # the preset's window; None if a viewer moved the camera
@@ -156,14 +141,13 @@ class Camera:
     def preset(self) -> str:
         """The key of the preset in use; empty once the viewer has moved the camera."""
         away = np.linalg.norm(self._client.camera.position - self._eye)
-        return self._preset if self._waits() or away < _SAME else ""
+        return self._preset if self._waits() or away < 0.02 else ""  # [m]
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
         """Use the wanted preset, if any; fit the last preset again if the window has changed.
 
-        The window changes because the panels narrow the scene only after the first picture, and a
-        drawer opens later. The camera is not fitted while the viewer is `busy` with a pull, or if
-        the viewer has moved it.
+        The panels narrow the scene only after the first picture, and a drawer opens later. The
+        camera is not fitted during a pull (`busy`), or if the viewer has moved the camera.
         """
         wanted, self.wanted = self.wanted, ""
         if wanted:
@@ -240,7 +224,7 @@ class Camera:
         self._arrived = self._arrived or there
         # A slow browser reports its old position for seconds: the new one has not arrived yet.
         late = _near(camera.position, self._from)
-        if there or (monotonic() > self._set_at + _ECHO and not late):
+        if there or (monotonic() > self._set_at + 0.3 and not late):  # [s] for the answer
             self._set = None
 
 
@@ -258,14 +242,10 @@ def placed(
 ) -> tuple[Array, Array]:
     """Return eye and target (3,) [m] of a preset in the world.
 
-    The picture shows the preset's target (`Preset.of`) in all snapshots. The direction is relative
-    to the heading of the base in the middle snapshot, or to the closed door for the preset "door".
-
-    Args:
-        preset: The view.
-        shown: The snapshots, at least one.
-        extent: (N, 3) [m] points of the robot in its ready posture, in the base's frame.
-        window: The part of the page with the scene.
+    The picture shows the preset's target (`Preset.of`) in all snapshots, at least one. The
+    direction is relative to the heading of the base in the middle snapshot, or to the closed door
+    for the preset "door". `extent` has points (N, 3) [m] of the robot in its ready posture, in the
+    base's frame.
     """
     about = shown[len(shown) // 2]
     away = pin.utils.rotate("z", about.base_pose[2]) @ preset.away
@@ -287,9 +267,9 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
         seen = [p + _NEAR_PAIR for p in (nearest.p_a, nearest.p_b)] + seen[len(robots) :]
     elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
-        top = height + _OVER_DOOR
+        top = height + 0.15  # [m] with the label above the door
         corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, top)]
-        poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
+        poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(np.deg2rad(90.0)))
         seen.append(np.array([T.act(np.array(c)) for T in poses for c in corners]))
     return np.vstack([*seen, ee + SCALE * np.eye(3)])  # includes the gizmo's tips
 
@@ -306,7 +286,7 @@ def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
     lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
     pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
-    return lens.has(pixel) and size >= _LEAST_SHARE * np.tan(FIELD_OF_VIEW / 2) * pixel[2]
+    return lens.has(pixel) and size >= 0.05 * np.tan(FIELD_OF_VIEW / 2) * pixel[2]
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
@@ -330,22 +310,17 @@ def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None
 
 
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
-    """Return the nearest camera that shows all points, centred in the picture's free part.
+    """Return the nearest camera that shows all points (N, 3) [m] in the picture's free part.
 
-    Args:
-        points: (N, 3) [m] points.
-        away: (3,) direction from the points to the camera, not vertical.
-        window: The part of the page with the scene.
-
-    Returns:
-        Eye (3,) [m], and target (3,) [m] on the optical axis, at the middle of the points' depths.
+    `away` (3,) is the direction from the points to the camera, not vertical. Returns the eye (3,)
+    [m], and a target (3,) [m] on the optical axis at the middle of the points' depths.
     """
     axes = _axes(-away)
     across, depth = np.vsplit(axes @ points.T, [2])
     low, high = (
         np.tan(FIELD_OF_VIEW / 2) * np.array([(-window.aspect, window.aspect), window.edges]).T
     )
-    spare = _MARGIN / 2 * (high - low)
+    spare = 0.05 * (high - low)  # a margin on each side
     low, high = low + spare, high - spare
     # A camera at coordinate u_0 and depth w_0 shows a point at (u - u_0)/(w - w_0). This is between
     # `low` and `high`: in each direction, all points give two half-planes of (u_0, w_0).

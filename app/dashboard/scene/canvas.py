@@ -14,20 +14,13 @@ from app.strict import Array
 
 Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right", "bottom-center"]
 
-ROOT = "/robot"
-"""Scene node that moves with the base: its origin is on the floor at the base's position, and its x
-axis points forward."""
-METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force's arrow: 0.1 m is 40 N
-METRES_PER_ACCELERATION = 0.2  # [s²] length of an acceleration's arrow: 0.2 m is 1 m/s²
+ROOT = "/robot"  # scene node at the base's position on the floor; its x axis points forward
 HEAD_LENGTH = 0.035  # [m] of an arrow's head
-ANCHORS: tuple[Anchor, ...] = get_args(Anchor)
-"""Points of a label that may be at its position, the preferred one first."""
+ANCHORS: tuple[Anchor, ...] = get_args(Anchor)  # of a label, the preferred one first
 FONT_SCALE = 0.85  # [-] size of labels, whose characters are then 12 px high
 LINE, CHARACTER = 15.0, 5.6  # [px] height of a label's line, width of a character
 _BEFORE = {"left": 0.0, "center": 0.5, "right": 1.0}  # [-] part of a label left of its position
 _SMALL, _LARGEST = 800.0, 1.6  # [px] height above which labels are larger; [-] largest factor
-_ROOM = 4.0  # [px] space that a label needs around a new spot; this hysteresis avoids jumps
-_SOON = 0.5  # [s] longest simulated time between two pictures of one motion
 _FARTHEST = 8  # [lines] largest shift of a label
 
 
@@ -40,16 +33,16 @@ class Lens(NamedTuple):
     free: tuple[float, float, float, float]
     """[px] left, lower, right and upper edge of the uncovered part, in coordinates of `pixel`."""
 
-    def pixel(self, place: Array) -> tuple[float, float, float]:
-        """Return [px] right of the centre, [px] above it, and depth [m] of a place (3,) [m]."""
-        u, v, depth = map(float, self.axes @ (place - self.eye))
-        scale = self.focal / max(depth, 1e-3)
+    def pixel(self, places: Array) -> tuple[Any, Any, Any]:
+        """Return [px] right of the centre, [px] above it, and depth [m] of places (..., 3) [m]."""
+        u, v, depth = self.axes @ (places - self.eye).T
+        scale = self.focal / np.maximum(depth, 1e-3)
         return scale * u, scale * v, depth
 
     def has(self, pixel: tuple[float, float, float]) -> bool:
         """Whether a point from `pixel` is in front of the camera and in the uncovered part."""
         (u, v, depth), (left, low, right, high) = pixel, self.free
-        return depth > 0.0 and left < u < right and low < v < high
+        return bool(depth > 0.0 and left < u < right and low < v < high)
 
 
 class Spot(NamedTuple):
@@ -67,13 +60,10 @@ def set_apart(
 ) -> dict[str, Spot]:
     """Choose spots for labels so that they do not overlap; earlier labels choose first.
 
-    A label for which no spot is free gets the first spot, and overlaps others.
-
-    Args:
-        labels: Coordinates [px] to the right and up, and text, by the label's name.
-        before: Spots in the previous picture; a label leaves a free spot only for a nearer one.
-        free: [px] left, lower, right and upper edge of the area for labels.
-        scale: [-] size of the labels, relative to `FONT_SCALE`.
+    A label for which no spot is free gets the first spot, and overlaps others. It leaves its free
+    spot in `before`, the previous picture, only for a nearer one. `labels` has coordinates [px] to
+    the right and up, and the text. `free` has the left, lower, right and upper edge [px] of the
+    area for labels. `scale` [-] is the size of the labels, relative to `FONT_SCALE`.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, scale * LINE * k) for k in lines for anchor in ANCHORS]
@@ -84,7 +74,7 @@ def set_apart(
         wide = scale * CHARACTER * (max(map(len, rows)) + 1)
         tall = scale * LINE * len(rows)
         for k, spot in enumerate((*spots, spots[0])):
-            room = 0.0 if spot == before.get(name) else _ROOM
+            room = 0.0 if spot == before.get(name) else 4.0  # [px] avoids jumps
             left = u - wide * _BEFORE[spot.anchor.partition("-")[2]]
             low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
             inside = left >= free[0] and low >= free[1]
@@ -106,14 +96,12 @@ def set_apart(
 class Canvas:
     """Shows the objects that were drawn in the last picture, and hides all others.
 
-    A scene node is sent when it is drawn for the first time; later, viser sends only changes. An
-    object such as `parent/object` is in the frame of its parent node, but labels are in the world.
+    An object `parent/object` is in the frame of its parent node, but labels are in the world.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
-        self.labels = True
-        """Whether labels are drawn. A browser renders their texts later than the picture."""
+        self.labels = True  # whether labels are drawn; a browser renders them after the picture
         self._handles: dict[str, Any] = {}
         self._drawn: set[str] = set()
         self._texts = True
@@ -125,10 +113,9 @@ class Canvas:
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
         """Show only objects drawn in this context; change texts of old labels only if `texts`.
 
-        With a lens, labels overlap only if there is no free spot. They prefer their last spots
-        while the simulated time `t` [s] advances in short steps.
+        Labels prefer their last spots while the simulated time `t` [s] advances in short steps.
         """
-        if not 0.0 < t - self._t < _SOON:
+        if not 0.0 < t - self._t < 0.5:  # [s] otherwise this is another motion
             self._spots = {}
         self._drawn, self._texts, self._places, self._t = set(), texts, {}, t
         yield

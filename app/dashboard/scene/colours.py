@@ -8,21 +8,12 @@ from app.strict import Array
 Rgb = tuple[int, int, int]
 
 BRAND: Rgb = (24, 104, 176)  # of buttons, whose text is white: the contrast is 5.9 to 1
-BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}
-"""Background of the scene on a dark and on a light page."""
-
-_VIRIDIS = "440154 482475 414487 355f8d 2a788e 21918c 22a884 44bf70 7ad151 bddf26 fde725"
+BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}  # True: a dark page
+VIRIDIS = "440154 482475 414487 355f8d 2a788e 21918c 22a884 44bf70 7ad151 bddf26 fde725"
 """Evenly spaced colours of matplotlib's public-domain map "viridis", low to high."""
-
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
 """Colours of curves and link pairs, in their order; distinct on white and on black."""
-
 BETA = "#8e6bd8"  # activation β
-CLEAR: Rgb = (128, 138, 150)  # a pair outside its buffer
-NEAR: Rgb = (235, 205, 70)  # a pair inside its buffer, without a reaction
-YIELDS: Rgb = (240, 150, 40)  # a pair for which the base gives way
-RESISTS: Rgb = (224, 84, 36)  # a pair that only the arm keeps apart
-CONTACT: Rgb = (226, 16, 56)  # contact or overlap
 PERSON: Rgb = (32, 150, 230)  # actions of a person
 ACTING: Rgb = (222, 49, 140)  # the acting point and its force
 ACCELERATION: Rgb = (60, 190, 90)  # commanded acceleration of the base
@@ -33,14 +24,9 @@ GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))  # robots of other c
 
 def viridis(u: Array) -> Array:
     """Return colours (N, 3) uint8 of values (N,), which are clipped to [0, 1]."""
-    colours = np.frombuffer(bytes.fromhex(_VIRIDIS), np.uint8).reshape(-1, 3)
+    colours = np.frombuffer(bytes.fromhex(VIRIDIS), np.uint8).reshape(-1, 3)
     at = np.linspace(0.0, 1.0, len(colours))  # `interp` clips to its ends
     return np.stack([np.interp(u, at, channel) for channel in colours.T], axis=-1).astype(np.uint8)
-
-
-def viridis_css() -> str:
-    """Return the colours of the map for a CSS gradient, from low to high values."""
-    return f"#{_VIRIDIS.replace(' ', ', #')}"
 
 
 def css(colour: Rgb) -> str:

@@ -5,15 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from app.dashboard.scene import colours
-from app.dashboard.scene.canvas import (
-    HEAD_LENGTH,
-    METRES_PER_ACCELERATION,
-    METRES_PER_NEWTON,
-    ROOT,
-    Canvas,
-    in_world,
-)
+from app.dashboard.scene.canvas import HEAD_LENGTH, ROOT, Canvas, in_world
 from app.dashboard.scene.colours import Rgb, linear
+from app.dashboard.scene.legend import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.dashboard.verdict import COLOURS, Verdict
 from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
@@ -26,17 +20,10 @@ from app.strict import Array
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acting points
 _LOOKS = ("solid", "violet", "teal")  # names for the robot and for the colours `colours.GHOSTS`
 SAME = 0.01  # [m or rad] links of a ghost with smaller differences from the robot are hidden
-LEAST_STRETCH = 0.002  # [m] shorter lines of pulls are not drawn
 _LEAST_FORCE = 0.5  # [N] weaker forces are not drawn
-_FORCE_LIFT = 0.08  # [m] height of a force's arrow above the base's top
-_P_N: Rgb = (240, 240, 245)
-_P_T: Rgb = (32, 190, 200)
 
 _LEAST_ACCELERATION = 0.02  # [m/s²], [rad/s²] smaller values are not drawn
-_RADIANS_PER_ACCELERATION = 0.4  # [s²] arc of ω̇: 0.4 rad is 1 rad/s²
 _MOST_ARC = np.deg2rad(300.0)  # [rad] largest arc
-_RADIUS = 0.22  # [m] radius of the arc
-_MOTION_LIFT = 0.06  # [m] height of acceleration arrows above the base's top
 _ARC_POINTS = 24
 
 _HANDLE: Rgb = (70, 76, 84)
@@ -45,17 +32,12 @@ _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "board": ((225, 228, 232), None),
     "handle": (_HANDLE, None),
 }
-_DOOR_LIFT = 0.05  # [m] height of the angle's arcs above the door
-_DOOR_ARC = 0.30  # [m] radius of these arcs
 
 
 def draw_distances(
     canvas: Canvas, snapshot: Snapshot, verdict: Verdict, view: View, spoken: Mapping[str, str]
 ) -> None:
-    """Draw a line between the closest points of each pair, thick inside the buffer, and labels.
-
-    `view.labels` selects the labels, and `spoken` has the pairs' names in words.
-    """
+    """Draw lines between closest points, thick inside the buffer, and the labels of `view`."""
     d_b, pairs = snapshot.d_b, snapshot.pairs
     shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
     for kind, inside, pixels in (("outside", False, 1.5), ("inside", True, 4.0)):
@@ -73,8 +55,8 @@ def draw_distances(
             canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.labels == "all" and pair.d < d_b:
             node = f"/distances/{pair.name}"
-            canvas.point(f"{node}/p_a", pair.p_a, colours.NEAR, 0.009)
-            canvas.point(f"{node}/p_b", pair.p_b, colours.NEAR, 0.009)
+            canvas.point(f"{node}/p_a", pair.p_a, COLOURS["near"], 0.009)
+            canvas.point(f"{node}/p_b", pair.p_b, COLOURS["near"], 0.009)
             if pair is nearest:  # labels of all pairs would overlap
                 canvas.label(f"{node}/p_a_label", pair.p_a, "p_a")
                 canvas.label(f"{node}/p_b_label", pair.p_b, "p_b")
@@ -98,8 +80,8 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         if size < _LEAST_FORCE:
             continue
         node = f"/acting/{reading.name}"
-        canvas.point(f"{node}/p_n", reading.p_n, _P_N, 0.011)
-        canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
+        canvas.point(f"{node}/p_n", reading.p_n, (240, 240, 245), 0.011)
+        canvas.point(f"{node}/p_t", reading.p_t, (32, 190, 200), 0.011)
         canvas.point(f"{node}/p_act", reading.p_act, colours.ACTING, 0.011)
         if view.labels == "all":
             canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
@@ -107,7 +89,7 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         # The arrow ends at p_act, because the base would hide an arrow that starts there. Below the
         # base's top, the arm would hide it: then it is above the top.
         x, y, z = reading.p_act
-        end = np.array([x, y, max(z, top + _FORCE_LIFT)])
+        end = np.array([x, y, max(z, top + 0.08)])  # [m]
         start = end - METRES_PER_NEWTON * reading.f
         canvas.arrow(f"{node}/force", start, end, colours.ACTING)
         canvas.lines(f"{node}/stem", [np.array([reading.p_act, end])], colours.ACTING, 2.0)
@@ -128,20 +110,17 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) above the base's `top` [m], in the frame of the scene node.
-
-    The linear part is a straight arrow, the angular part ω̇ an arc with a head.
-    """
+    """Draw an acceleration (n_b,) above the base's `top` [m], in the frame of the scene node."""
     forward, left, w = planar(axes, acceleration)
-    over = np.array([0.0, 0.0, top + _MOTION_LIFT])
+    over = np.array([0.0, 0.0, top + 0.06])  # [m]
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
         along = METRES_PER_ACCELERATION * np.array([forward, left, 0.0])
         canvas.arrow(f"{node}/v", over, over + along, colours.ACCELERATION)
     if abs(w) > _LEAST_ACCELERATION:
-        angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
+        angle = float(np.clip(0.4 * w, -_MOST_ARC, _MOST_ARC))  # 0.4 rad is 1 rad/s²
         along = np.linspace(0.0, angle, _ARC_POINTS)
         circle = np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
-        points = over + _RADIUS * circle
+        points = over + 0.22 * circle  # [m] radius
         canvas.lines(f"{node}/w_arc", [points], colours.ACCELERATION, 4.0)
         ahead = points[-1] - points[-2]  # the arrow is as long as its head
         tip = points[-1] + HEAD_LENGTH / max(float(np.linalg.norm(ahead)), 1e-9) * ahead
@@ -152,7 +131,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
     """Draw a line from each pulled point to its target, and the force as a label."""
     for i, pull in enumerate(snapshot.pulls):
         ends = np.array([pull.point, pull.target])
-        if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
+        if np.linalg.norm(ends[1] - ends[0]) > 0.002:  # [m]
             canvas.lines(f"/pull/{i}", [ends], colours.PERSON, 3.0)
             force = float(np.linalg.norm(pull.force))
             if force >= _LEAST_FORCE:
@@ -160,10 +139,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """If a ghost is apart from the robot, label all robots with their method and clearance.
-
-    A label is at the position `at` (3,) [m] in the frame of the robot's base.
-    """
+    """Label all robots if a ghost is apart; `at` (3,) [m] is a label's place in a base's frame."""
     base, q_m = snapshot.base_pose, snapshot.q_m
     apart = [np.append(ghost.base_pose - base, ghost.q_m - q_m) for ghost in snapshot.ghosts]
     if all(np.abs(each).max() < SAME for each in apart):
@@ -188,11 +164,12 @@ def draw_door(canvas: Canvas, view: DoorView) -> None:
     for name, (size, T) in drawn_parts(door, view.angle).items():
         colour, opacity = _DOOR_COLOURS[name]
         canvas.box(f"/door/{name}", T, size, colour, opacity)
-    top = np.array([0.0, 0.0, door.bottom + door.height + _DOOR_LIFT])
+    top = np.array([0.0, 0.0, door.bottom + door.height + 0.05])  # [m]
     hinge, closed = door.pose(0.0).translation, door.pose(0.0)
     canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], colours.ACTING, 4.0)
-    radius = np.array([0.0, -door.side * _DOOR_ARC, 0.0])
-    for name, angle, colour in (("goal", OPENED, _HANDLE), ("open", view.angle, colours.YIELDS)):
+    radius = np.array([0.0, -door.side * 0.30, 0.0])  # [m]
+    arcs = (("goal", OPENED, _HANDLE), ("open", view.angle, COLOURS["giving way"]))
+    for name, angle, colour in arcs:
         arc_points = [hinge + top, closed.act(top + radius)]
         arc_points += [door.pose(a).act(top + radius) for a in np.linspace(0, angle, _ARC_POINTS)]
         canvas.lines(f"/door/{name}", [np.array([*arc_points, hinge + top])], colour, 3.0)

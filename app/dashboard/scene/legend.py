@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, table
 from app.dashboard.scene import colours
-from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
-from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
+from app.dashboard.scene.colours import BETA, GHOSTS, VIRIDIS, Rgb, css
 from app.dashboard.verdict import COLOURS, State
 
-QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")
-"""Quantities for the colour of a border."""
+METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force's arrow: 0.1 m is 40 N
+METRES_PER_ACCELERATION = 0.2  # [s²] length of an acceleration's arrow: 0.2 m is 1 m/s²
+QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")  # that colour a border
 
 
 class BaseMeasure(NamedTuple):
@@ -78,13 +78,15 @@ def key_html(d_b: float) -> str:
     }
     acting = _signs("●", colours.ACTING) + _signs("→", colours.ACTING)
     accelerates = _signs("→", colours.ACCELERATION)
-    beta = f'<span style="color:{BETA}">▮</span>'
     rows = [
         *((_signs("―", COLOURS[state]), text) for state, text in states.items()),
         (acting, f"acting point and force on the base (0.1 m: {force:.0f} N)"),
         (_signs("→", colours.PERSON), f"force of the person (0.1 m: {force:.0f} N)"),
         (accelerates, f"commanded base acceleration (0.2 m: {push:.0f} m/s²), ω̇ as an arc"),
-        (beta, "timeline, from above: activation β; marks are events (hover for their names)"),
+        (
+            f'<span style="color:{BETA}">▮</span>',
+            "timeline, from above: activation β; marks are events (hover for their names)",
+        ),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
         (_signs("―", colours.TRAIL_BASE, colours.TRAIL_EE), "trails of base and end-effector"),
         ("<b>―</b>", "border at the height of the arm's point nearest to the base"),
@@ -100,7 +102,8 @@ def _bar_html(legend: Legend) -> str:
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
     unit = factor + legend.unit
     unit = f' <span style="{ONE_LINE}">[{unit}]</span>' if unit else ""
-    gradient = f"background:linear-gradient(to right,{viridis_css()})"
+    shades = ", ".join(f"#{shade}" for shade in VIRIDIS.split())
+    gradient = f"background:linear-gradient(to right,{shades})"
     return small(
         f"<b>{legend.title}{unit}</b>"
         f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
@@ -117,10 +120,7 @@ def _signs(sign: str, *each: Rgb) -> str:
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
-    """Return the numbers of a bar from `low` to `high`: ends and middle, with up to three digits.
-
-    The second result is their common factor, such as `10<sup>−3</sup> `; empty for 1.
-    """
+    """Return the numbers at a bar's ends and middle, and their common factor as HTML, or ""."""
     largest = max(abs(low), abs(high))
     order = 0 if largest == 0 else math.floor(math.log10(largest))
     power = 0 if -1 <= order <= 3 else 3 * (order // 3)

@@ -25,17 +25,14 @@ logger = logging.getLogger(__name__)
 MAX_FACES = 2500  # [-] aim of the decimation; a link of the Panda has 12,000 to 22,000 faces
 MOST_FACES = 4 * MAX_FACES  # [-] accepted faces of a decimated mesh
 AGGRESSIONS = (3, 5, 7)
-"""Settings of the decimation, in the order of trial. The first setting with at most `MOST_FACES`
-faces is used; if there is none, the last one is used. Higher settings remove parts of meshes that
-consist of many parts, such as UR5's tubes. Lower settings leave such meshes too large."""
-LIGHT_FACES = 400
-"""[-] aim of the decimation for a page with low detail, for each joint and colour."""
+"""Settings of the decimation: the first one with at most `MOST_FACES` faces is used, or the last.
+Higher settings remove parts of meshes that consist of many parts, such as UR5's tubes."""
+LIGHT_FACES = 400  # [-] aim of the decimation for a page with low detail, for each joint and colour
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
 GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
 BODY: Rgb = (64, 156, 224)  # colour of convex bodies
 _DARKEST = 110  # [-] smallest value of the brightest channel: black is invisible on a dark page
 _BELOW = np.array([0.0, 0.0, 0.12])  # [m] from the top of the arm down to the label's point
-_AT_TOP = 0.01  # [m] points within this distance below the highest one are at the top
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] space for a border around the base
 
 
@@ -56,11 +53,7 @@ class Visual(NamedTuple):
 
 
 class LinkPoses:
-    """Kinematics of the whole URDF, including the wheels, relative to its root.
-
-    In the controller's model, wheels are locked and the root is a planar joint. Here wheels turn,
-    and the root is fixed: the scene moves its node.
-    """
+    """Kinematics of the whole URDF, relative to its root; unlike in `RobotModel`, wheels turn."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.model = pin.buildModelFromXML(bare_urdf(robot.description))
@@ -77,22 +70,16 @@ class RobotParts:
     """Kinematics, visual meshes and convex bodies of a robot, loaded once for all viewers."""
 
     def __init__(self, robot: RobotModel, *, apart: bool = False) -> None:
-        """Load all parts.
+        """Load all parts; raises `AssetError` if the URDF or the mesh of a convex body is missing.
 
         With `apart`, or for a user's own robot, a separate process reads large meshes. Its start
         takes a second; its end frees memory that the library for simplification does not return.
-
-        Raises:
-            AssetError: The robot's URDF or the mesh of a convex body is missing.
         """
         self.kinematics = LinkPoses(robot)  # not thread-safe, for the drawing thread
-        self.bodies = _bodies(robot, self.kinematics.model)
-        """Convex bodies of the distance computation."""
+        self.bodies = _bodies(robot, self.kinematics.model)  # of the distance computation
         self.title = robot.description.title
-        """Title of the robot, with a note if it is drawn by its convex bodies."""
         try:
             self.visuals = _visuals(robot, apart)
-            """Visual meshes, or the convex bodies if a mesh is missing or cannot be read."""
         except (AssetError, RobotFileError) as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [
@@ -103,7 +90,7 @@ class RobotParts:
         self.extent = self._extent(robot.description)
         """(N, 3) [m] corners of the parts that a camera must show, in the base's frame: the links
         in the ready posture, and a part of the border around the base."""
-        top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
+        top = self.extent[:, 2] > self.extent[:, 2].max() - 0.01  # [m]
         self.crown = self.extent[top].mean(axis=0) - _BELOW
         """(3,) [m] position of the robot's label in the base's frame, slightly below the top."""
 
@@ -130,7 +117,6 @@ class RobotParts:
 
 
 def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
-    """Return the shapes of all convex bodies, in the frames of their joints in `model`."""
     bodies = []
     for body in robot.description.bodies:
         frame = model.frames[model.getFrameId(body.frame)]
@@ -154,11 +140,8 @@ def _visuals(robot: RobotModel, apart: bool) -> list[Visual]:
 def load_visuals(description: RobotDescription) -> list[Visual]:
     """Load the visual meshes of the URDF, decimated, in the URDF's colours, brightened if too dark.
 
-    `joint` of each result is the index of a joint in `LinkPoses.model`.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
-        RobotFileError: A shape of the URDF is invalid, or a mesh cannot be read.
+    `joint` of each result is the index of a joint in `LinkPoses.model`. Raises `AssetError` if the
+    URDF or a mesh is missing, `RobotFileError` if a shape is invalid or a mesh cannot be read.
     """
     urdf = resolved_urdf(description)
     tree, model = ElementTree.fromstring(urdf), pin.buildModelFromXML(urdf)
@@ -186,10 +169,7 @@ def load_visuals(description: RobotDescription) -> list[Visual]:
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a mesh with duplicate vertices at sharp edges, decimated if over `MAX_FACES` faces.
-
-    Without duplicates, the edges of a box would look round: the browser averages normals there.
-    """
+    """Return a mesh to draw: decimated if over `MAX_FACES` faces, and with sharp edges."""
     if len(mesh.faces) > MAX_FACES:
         whole = mesh.copy()
         whole.merge_vertices(merge_tex=True, merge_norm=True)  # else no triangles are connected
@@ -197,6 +177,7 @@ def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
             mesh = whole.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
             if len(mesh.faces) <= MOST_FACES:
                 break
+    # With common vertices, the edges of a box look round, because the browser averages normals.
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,12 +21,9 @@ from app.dashboard.view import View
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants.door import BODY as DOOR
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
-BODY_OPACITY = 0.28  # [-]
-GHOST_OPACITY = 0.30  # [-]
-_TRACK_LIFT = 0.004  # [m] height of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "end-effector": TRAIL_EE}
 
 
@@ -40,26 +38,21 @@ class SceneData:
         parts: RobotParts | None = None,
     ) -> None:
         first = loop.latest()
-        self.loop, self.model, self.clouds = loop, model, clouds
-        """Source of the snapshots; the robot; P_i of each pair of L_m, by the pair's name."""
-        self.of_door = f"{model.body_names[0]}-{DOOR}"
-        """Name of the pair of base and door, which exists in scenarios with a door."""
+        self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
+        self.of_door = f"{model.body_names[0]}-{DOOR}"  # pair that exists if there is a door
         pairs = [pair for pair in first.pairs if pair.name != self.of_door]
         self.pairs = [pair.name for pair in pairs]
-        self.mobile = [pair.name for pair in pairs if pair.mobile]
-        """Names of all link pairs without a door, as in the snapshots; and of those of L_m."""
+        self.mobile = [pair.name for pair in pairs if pair.mobile]  # pairs of L_m
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {
-            "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], _TRACK_LIFT)),
+            "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], 0.004)),  # [m]
             "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
-        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]
-        """All objects that collect the snapshots, in order of time."""
-        self.last = -1.0
-        """[s] time of the newest collected snapshot; −1 if there is none."""
+        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get all snapshots
+        self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._newest = first
 
     def update(self) -> None:
@@ -81,37 +74,28 @@ class RobotScene:
     """A robot in a scene: its meshes are sent once, below frames that move."""
 
     def __init__(
-        self,
-        scene: viser.SceneApi,
-        parts: RobotParts,
-        root: str = ROOT,
-        *,
-        ghost: Rgb | None = None,
-        light: bool = False,
+        self, scene: viser.SceneApi, parts: RobotParts, ghost: int | None = None, *, light: bool
     ) -> None:
-        """Send all meshes, below the node `root`, which moves with the base.
-
-        A robot with a `ghost` colour is translucent and has no convex bodies. With `light`, the
-        visual meshes have few faces.
-        """
-        self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
-        self.root = scene.add_frame(root, show_axes=False)
+        """Send all meshes; the robot number `ghost` is translucent and has no convex bodies."""
+        self._parts, self._scene = parts, scene
+        self._ghost = None if ghost is None else GHOSTS[ghost % len(GHOSTS)]
+        self._path = ROOT if ghost is None else f"/ghost_{ghost}"
+        self.root = scene.add_frame(self._path, show_axes=False)
         bodies = parts.bodies if ghost is None else []
         moving = sorted({visual.joint for visual in (*parts.visuals, *bodies)})
         self._frames = {
             joint: scene.add_frame(self._node(joint), show_axes=False) for joint in moving
         }
-        self.links: list[tuple[int, viser.MeshHandle]] = []
-        """Joint and handle of each visual mesh; a new list after `dress`."""
+        self.links: list[tuple[int, viser.MeshHandle]] = []  # joint and handle of each visual mesh
         self.dress(light=light)
-        self._bodies = [self._add(body, body.colour, BODY_OPACITY) for body in bodies]
+        self._bodies = [self._add(body, body.colour, 0.28) for body in bodies]
         self.show(meshes=True, bodies=False)
 
     def dress(self, *, light: bool) -> None:
-        """Replace the visual meshes by those with few faces (`light`) or by the full ones."""
+        """Replace `links` by meshes with few faces (`light`) or by the full meshes."""
         for _, handle in self.links:
             handle.remove()
-        opacity = None if self._ghost is None else GHOST_OPACITY
+        opacity = None if self._ghost is None else 0.30
         self.links = [
             (visual.joint, self._add(visual, self._ghost or visual.colour, opacity, light))
             for visual in (self._parts.light_visuals if light else self._parts.visuals)
@@ -123,14 +107,11 @@ class RobotScene:
         for handle in self._bodies:
             handle.visible = bodies
 
-    def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
-        """Move the frames; viser sends only frames that have moved.
-
-        `base_pose` (3,) is x, y [m] and heading [rad] in the world.
-        """
-        x, y, phi = base_pose
+    def update(self, robot: Snapshot | GhostReading) -> None:
+        """Move the frames to the posture of a robot."""
+        x, y, phi = robot.base_pose
         root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
-        poses = self._parts.kinematics.update(q_m, wheel_angles)
+        poses = self._parts.kinematics.update(robot.q_m, robot.wheel_angles)
         self._placed = root, poses
         self.root.position, self.root.wxyz = to_viser(root)
         for joint, frame in self._frames.items():
@@ -180,11 +161,10 @@ class Scene:
         self._light_up()
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
-        """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
+        """Draw a snapshot; update texts of labels, and trails, only if `texts`.
 
         Returns the verdict, which determines the colours of the lines. The lens determines the
-        positions of labels and the point under the pointer. The border's points are drawn by
-        `border.update`, outside of `atomic`, because this takes milliseconds.
+        positions of labels and the point under the pointer. The borders' points are not drawn here.
         """
         view = self._view
         dark, light = view.dark, view.light  # the viewer can change them meanwhile
@@ -194,7 +174,7 @@ class Scene:
             self._dark, self._light = dark, light
             self._light_up()
         self.robot.show(meshes=view.meshes, bodies=view.bodies)
-        self.robot.update(snapshot.base_pose, snapshot.q_m, snapshot.wheel_angles)
+        self.robot.update(snapshot)
         self._draw_ghosts(snapshot)
         if texts and view.trails:
             self._trails = {name: t.until(snapshot.t) for name, t in self._data.tracks.items()}
@@ -205,16 +185,12 @@ class Scene:
         return verdict
 
     def _light_up(self) -> None:
-        """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black.
-
-        There are no reflections: with software rendering, they double the time per pixel.
-        """
+        """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black."""
         scene, light = self._scene, self._light
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
-        scene.configure_environment_map(None)
-        scene.add_light_hemisphere(
-            "/lights/sky", sky_color=(255, 255, 255), ground_color=(120, 125, 135), intensity=1.2
-        )
+        scene.configure_environment_map(None)  # reflections double the time of software rendering
+        sky: Any = {"sky_color": (255, 255, 255), "ground_color": (120, 125, 135)}
+        scene.add_light_hemisphere("/lights/sky", intensity=1.2, **sky)
         dark = self._dark
         scene.add_grid(
             "/floor",
@@ -251,13 +227,11 @@ class Scene:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
-        """Move the ghosts; hide absent ghosts, and links that coincide with the robot's."""
         scene, parts, light = self._scene, self._data.parts, self._light
         for i in range(len(self._ghosts), len(snapshot.ghosts)):
-            colour = GHOSTS[i % len(GHOSTS)]
-            self._ghosts.append(RobotScene(scene, parts, f"/ghost_{i}", ghost=colour, light=light))
+            self._ghosts.append(RobotScene(scene, parts, i, light=light))
         for robot, ghost in zip_longest(self._ghosts, snapshot.ghosts):
             robot.root.visible = ghost is not None
             if ghost is not None:
-                robot.update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
+                robot.update(ghost)
                 robot.hide_links_near(self.robot)
