@@ -23,7 +23,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
-from app.simulation.plants.door import DoorView, OpenDoor
+from app.simulation.plants.door import NO_DOOR, DoorView, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, PointLoad
 from app.strict import Array, Vector3
 
@@ -39,37 +39,37 @@ class Step(NamedTuple):
     t: float
     """[s] simulated time at the start of the step."""
     measurement: Measurement
-    """The readings that the controller received."""
+    """Readings that the controller received."""
     control: ControlStep
-    """All quantities of the control step; the next step overwrites them."""
+    """Quantities of the control step; the next step overwrites them."""
     base_command: Array
-    """(n_b,) [m/s or rad/s] present base command of the controller, before delay and slip."""
+    """(n_b,) [m/s or rad/s] velocity command for the base, before delay and slip."""
     hand_target: Array | None
     """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
     hand_force: Array
-    """(3,) [N] force of all people on the end-effector, in the world; if `door` is not None,
-    the end-effector's force on the door."""
+    """(3,) [N] force of all people on the end-effector, in the world; while a scenario opens a
+    door, the force of the end-effector on the door."""
     ee_error: float
     """[m] true distance of the end-effector from the target of the (first) person who holds it;
-    without such a person, from its reference; 0 if there is neither."""
+    without this person, from the reference; 0 if there is neither."""
     contacts: Contacts
     duration: float
     """[s] real time of the controller's computation."""
     truth: Measurement
-    """The readings without sensor errors."""
+    """Readings without sensor errors."""
     state: RobotState
-    """The true state of the robot; the next step overwrites it."""
+    """True state of the robot; the next step overwrites it."""
     distances: Array
-    """(n_p,) [m] true signed distances of the control step's pairs."""
+    """(n_p,) [m] true signed distances of all link pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
     door: DoorView | None = None
-    """State of the door while a scenario opens it, otherwise None."""
+    """The door that the end-effector holds; None in a session without a door."""
     pulls: tuple[PullReading, ...] = ()
-    """All people who hold the robot; empty if `Session.step` had the argument `forces`."""
+    """Pulls of all people; empty if `Session.step` had the argument `forces`."""
     person: PersonForces = PersonForces(np.zeros(3))
     reference: Reference | None = None
-    """The tracked reference, or None while a person guides the arm."""
+    """The tracked reference; None while a person guides the arm."""
     ee_speed: float = 0.0
     """[m/s] true speed of the end-effector."""
 
@@ -83,9 +83,14 @@ class Step(NamedTuple):
         """[µs] real time of the controller's computation."""
         return 1e6 * self.duration
 
+    @property
+    def door_numbers(self) -> Array:
+        """(7,) The numbers of `DoorView`; NaN without a door."""
+        return NO_DOOR if self.door is None else self.door.numbers
+
 
 def check_avoidance(model: RobotModel, data: BorderData) -> None:
-    """Raise a DescriptionError if L_m is empty: no link pair consists of base and arm."""
+    """Raise a DescriptionError if L_m is empty: no link pair has the base."""
     if not data.pairs.mobile:
         raise DescriptionError(
             f"{model.description.name}: no monitored part of the arm can meet the base, so no "
@@ -109,11 +114,11 @@ class Session:
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Set up the session at rest in the robot's ready posture.
+        """Start at rest in the robot's ready posture.
 
-        `model` is the robot of the controller, and by default also of the plant. If `model` has a
-        held object as an additional body, `plant` is the robot without this object. `seed` is the
-        seed of all random numbers. The end-effector holds the `door`, if there is one.
+        `model` is the robot of the controller. If it has a held object as an additional body,
+        `plant` is the robot without this object. `seed` is the seed of all random numbers. The
+        end-effector holds the `door`, if there is one.
 
         This raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
@@ -122,10 +127,9 @@ class Session:
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         self._stated = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
-        """The control loop, with the same interface as in a robot's own loop."""
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
-        self._own_state = RobotState(model)  # the true state, if the sensors have errors
+        self._own_state = RobotState(model)  # for sensors with errors
         self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
@@ -136,7 +140,7 @@ class Session:
         """Put the robot at rest, without people, and set the time to zero.
 
         `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
-        [rad] of the base, by default at the origin. An invalid posture raises a TargetError.
+        [rad] of the base, by default zero. An invalid posture raises a TargetError.
         """
         check_posture(self.model, q_m)
         self.t = 0.0  # [s] simulated time
@@ -168,9 +172,9 @@ class Session:
         self.reset(q_m, base_pose)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on; `disturbance.stated_period` does not change.
+        """Use other parameters from the next step on, except `disturbance.stated_period`.
 
-        If the control period is too long for a gain, this raises a ConfigError, without a change.
+        If the control period is too long for a gain, this raises a ConfigError before any change.
         """
         self.loop.configure(config)
         self.config = config
@@ -181,7 +185,6 @@ class Session:
 
     @property
     def controller(self) -> Controller:
-        """The controller of the session."""
         return self.loop.controller
 
     @property
@@ -205,9 +208,9 @@ class Session:
     ) -> Step:
         """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
 
-        The first four arguments are the fields of `StepInput`. If `forces` are specified, they
-        replace the forces of `pull` and `holds`, and `Step.pulls` is empty; `Step.ee_error` still
-        refers to the target of the person at the end-effector.
+        The first four arguments are the fields of `StepInput`. `forces`, if specified, replace the
+        forces of `pull` and `holds`, and `Step.pulls` is then empty; `Step.ee_error` still refers
+        to the target of the person at the end-effector.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -228,15 +231,19 @@ class Session:
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
+        hand_force, contacts = person.hand if door is None else door.force, self.physics.contacts()
+        if (held := self.physics.door) is not None:
+            door = door or DoorView(held.door, held.angle(), np.zeros(3))
+            door = door._replace(contact=contacts.door_base)
         step = Step(
             self.t,
             measurement,
             control,
             command,
             target,
-            person.hand if door is None else door.force,
+            hand_force,
             error,
-            self.physics.contacts(),
+            contacts,
             duration,
             truth,
             state,
@@ -254,7 +261,7 @@ class Session:
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
         """The loads with a mass; a key has name, mass [kg], centre [m] and time of beginning [s].
 
-        A load with an unchanged key remains the same object, which stores its last velocity.
+        An unchanged load remains the same object, which stores its last velocity.
         """
         load, disturbance = config.payload, config.disturbance
         loads = (
@@ -270,11 +277,10 @@ class Session:
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
-        """The robot's true state, and the distances (n_p,) [m] of all pairs.
+        """The robot's true state, and the true distances (n_p,) [m] of all pairs.
 
-        Without sensor errors, both are taken from the controller, which saves a second computation.
-        With the default parameters, the controller's values deviate from the truth by less than
-        0.1 mm.
+        Without sensor errors, both are the controller's, to save time; with the default parameters,
+        these deviate from the truth by less than 0.1 mm.
         """
         if sensed is truth:
             self.state = self.controller.state
@@ -284,7 +290,6 @@ class Session:
         return self.state, np.array(self._distances.distances())
 
     def close(self) -> None:
-        """Release the plant."""
         self.physics.close()
 
     def _disturb(self, config: DisturbanceConfig) -> None:
@@ -293,14 +298,10 @@ class Session:
 
 
 class Disturbances:
-    """The disturbances of the signals between the controller and the robot.
-
-    `Session` causes the other disturbances: the error of the arm's masses in the controller's
-    model, the unknown load, and the control period that the controller assumes (`stated_period`).
-    """
+    """The disturbances of the signals between controller and robot; `Session` causes the others."""
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Start in the state after `reset`; `dt` [s] is the control step."""
+        """Start; `dt` [s] is the control step, `seed` the seed of all random numbers."""
         self._dt, self._seed = dt, seed
         self._commands: deque[Array] = deque()
         self._sent: deque[Measurement] = deque()
@@ -333,23 +334,20 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """The readings that the controller receives in a control step.
+        """The readings that the controller receives in a control step: new, late or repeated.
 
-        Without disturbances, these are the true values. With noise, `VelocityTracking` computes the
-        joint velocities from the noisy positions, as on a robot that has only encoders. The base's
-        sensors have no noise.
+        With noise, `VelocityTracking` computes the joint velocities from the noisy positions, as on
+        a robot that has only encoders. The base's sensors have no noise.
         """
+        sent = truth
         if self._encoder_noise == 0.0:
             self._tracking = None
-            return self._arrived(truth)
-        noise = self._encoder_noise * self._rng.standard_normal(len(truth.q_m))
-        q_m = truth.q_m + noise
-        if self._tracking is None:
-            self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
-        return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
-
-    def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings that reach the controller: new, late or repeated; stamped if configured."""
+        else:
+            noise = self._encoder_noise * self._rng.standard_normal(len(truth.q_m))
+            q_m = truth.q_m + noise
+            if self._tracking is None:
+                self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
+            sent = truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m))
         step, self._steps = self._steps, self._steps + 1
         if not self._stamped:
             return self._transmitted(sent, step)
@@ -368,10 +366,7 @@ class Disturbances:
         return self._seen
 
     def arriving(self, command: Array) -> Array:
-        """The base command (n_b,) [m/s or rad/s] after delay and slip; 0 until the first arrives.
-
-        `command` (n_b,) is the controller's command in this control step.
-        """
+        """Base command (n_b,) [m/s or rad/s] after delay and slip; 0 before the first arrives."""
         commands = self._commands
         commands.append(command)
         late = commands[0] if len(commands) == commands.maxlen else np.zeros_like(command)
@@ -406,7 +401,7 @@ class VelocityTracking:
 
 
 def check_posture(model: RobotModel, q_m: Array) -> None:
-    """Check the joint positions `q_m` of a start: a plant would push a joint back to its limit.
+    """Check the joint positions `q_m` (n_m,) [rad or m] of a start.
 
     A wrong number of joints, or a joint beyond its limits, raises a TargetError.
     """

@@ -1,4 +1,4 @@
-"""The geometry of a refrigerator and its door, and the door as a body of the arm (§4.2.3)."""
+"""The geometry of a refrigerator's door, and a door as a body of the arm (§4.2.3)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -31,8 +31,8 @@ _SINKING = 1e-5  # [m] depth of the resting cabinet in the floor
 class Door:
     """A vertical board on a hinge.
 
-    The door's frame turns with the door. The frame's origin is on the floor under the hinge's axis.
-    z is up. If the door is closed, x points into the refrigerator; y is to the left, seen along x.
+    The door's frame turns with the door. Its origin is on the floor under the hinge's axis; z is
+    up. If the door is closed, x points into the refrigerator; y is to the left, seen along x.
     """
 
     hinge: Literal["left", "right"]
@@ -46,13 +46,10 @@ class Door:
     friction: float
     """[N m] dry friction of the hinge."""
     height: float = 1.70
-    """[m] height of the board."""
     thickness: float = 0.06
-    """[m] thickness of the board."""
     bottom: float = 0.05
     """[m] height of the board's lower edge above the floor."""
     mass: float = 8.0
-    """[kg] mass of the board."""
     handle_inset: float = 0.06
     """[m] distance from the handle to the free edge."""
     handle_reach: float = 0.05
@@ -67,12 +64,10 @@ class Door:
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """[m] thickness, width and height."""
         return self.thickness, self.width, self.height
 
     @property
     def handle_radius(self) -> float:
-        """[m] distance from the hinge's axis to the handle."""
         return math.hypot(self.width - self.handle_inset, self.thickness / 2 + self.handle_reach)
 
     @property
@@ -115,7 +110,7 @@ class Door:
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the board's corners, for the pose T of the door's frame."""
+        """The hyper-ellipsoid through the board's corners; T is the pose of the door's frame."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
@@ -130,7 +125,7 @@ class Door:
 
 
 class DoorView(NamedTuple):
-    """A door that the end-effector holds; after the scenario, both radial values are NaN."""
+    """The state of a door that the end-effector holds."""
 
     door: Door
     """The door's constant geometry; `door.pose(angle)` is T_world_door."""
@@ -139,11 +134,21 @@ class DoorView(NamedTuple):
     force: Array
     """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
     radial_force: float = math.nan
-    """[N] component of the force towards the true position of the hinge."""
+    """[N] component of the force towards the true position of the hinge; NaN after the scenario."""
     radial_error: float = math.nan
-    """[rad] error of the estimated radial direction, positive counter-clockwise."""
+    """[rad] error of the estimated radial direction, positive counter-clockwise; NaN after the
+    scenario."""
     contact: bool = False
-    """Whether the door touches the base; always False in a `Step`, whose `contacts` has it."""
+    """Whether the door touches the base."""
+
+    @property
+    def numbers(self) -> Array:
+        """(7,) The fields after `door`; a contact is 1."""
+        return np.array([self.angle, *self.force, *self[3:]])
+
+
+NO_DOOR = np.full(7, math.nan)
+"""`DoorView.numbers` without a door."""
 
 
 class OpenDoor(NamedTuple):

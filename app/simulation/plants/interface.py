@@ -10,6 +10,7 @@ from typing_extensions import Self
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from app.simulation.plants.door import Door
 from app.strict import Array
 
 
@@ -55,6 +56,8 @@ class Push(NamedTuple):
 class HeldDoor(ABC):
     """A door in a plant, which the end-effector holds after the plant's reset."""
 
+    door: Door
+
     @abstractmethod
     def angle(self) -> float:
         """[rad] present opening angle."""
@@ -70,7 +73,7 @@ class Physics(ABC):
     dt: float
     """[s] duration of one step."""
     door: HeldDoor | None
-    """The door that the end-effector holds; None in a plant without a door."""
+    """The door that the end-effector holds, or None."""
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:

@@ -32,7 +32,7 @@ _CASTS: dict[Kind, Callable[[Any], Any]] = {"float": float, "int": int, "bool": 
 
 
 class TraceMeta(Strict):
-    """Constant data of a run, which also determine the names of the columns."""
+    """Constant data of a run; they also determine the names of the columns."""
 
     format: Literal[2] = 2
     """[-] version of the file format; files of other versions cannot be read."""
@@ -54,7 +54,6 @@ class TraceMeta(Strict):
     mobile_pairs: tuple[str, ...]
     """Names of the pairs with the base (L_m)."""
     scenario: str = ""
-    """Name of the scenario; empty without a scenario."""
     physics: str = ""
     """Name of the plant; empty if unknown."""
     seed: int | None = Field(default=None, ge=0)
@@ -163,13 +162,9 @@ class Quantity(NamedTuple):
     single: bool = False
     """Whether the quantity is one number or text."""
     paths: tuple[str, ...] = ()
-    """Attributes of a control step, such as `truth.q_m`, with the numbers and float arrays that are
-    recorded at each control step."""
-    row: Take | None = None
-    """Computation of the numbers in the table that are not attributes of a control step; None for a
-    quantity with `paths`, and for one that is recorded at snapshots only. In a session with a door,
-    it is called at each control step, otherwise at 50 Hz: the cells of the other steps are then
-    empty."""
+    """Attributes of `Step`, such as `truth.q_m`, with the numbers and float arrays that are
+    recorded at each control step. If there are none, the columns that are `often` are computed by
+    `take`, at 50 Hz, and are NaN in between."""
 
 
 def number(
@@ -179,20 +174,13 @@ def number(
     *,
     often: bool = True,
     optional: bool = False,
-    row: Take | None = None,
 ) -> Quantity:
     """A quantity of one number or text.
 
-    `source` is the name of the value's attribute of `Step`, as in `Quantity.paths`, or the value's
-    computation, as in `Quantity.take`. If `often`, the value is recorded at each control step;
-    then a quantity without an attribute requires `row`, or a ValueError is raised. If not `often`,
-    the value is recorded only at snapshots. If `optional`, the value can be None.
+    `source` is the value's attribute of `Step`, as in `Quantity.paths`, or its computation, as in
+    `Quantity.take`. If not `often`, the value is recorded only at snapshots. If `optional`, the
+    value can be None.
     """
-    if often and row is None and not isinstance(source, str):
-        raise ValueError(
-            f"{name}: `source` must be an attribute of `Step`, such as a property, because the "
-            "value is recorded at each control step; otherwise use `drawn`, or set `row`"
-        )
     column, cast = Column(name, kind, optional, often), _CASTS[kind]
 
     def value(cells: Sequence[Any], _: TraceMeta) -> Any:
@@ -202,7 +190,7 @@ def number(
         return (NAN if value is None else value,)
 
     take, paths = _source(source, cast)
-    return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths, row=row)
+    return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths)
 
 
 def numbers(

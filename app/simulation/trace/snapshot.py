@@ -1,8 +1,7 @@
 """The quantities of a run: one declaration for each, with columns, units and computation.
 
-A `Snapshot` has all quantities at one instant, for display; a `Trace` has their columns over time.
-A new quantity is one more field here, at the end and with a default value, because older log files
-do not have it.
+A `Snapshot` has all quantities at one instant, a `Trace` has their columns over time. A new
+quantity is one more field at the end of `Snapshot`, with a default value for older log files.
 """
 
 import json
@@ -23,13 +22,13 @@ from app.config import BorderConfig, Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound, steady_torques
-from app.control.quantities import STEP, ControlStep
+from app.control.quantities import STEP
 from app.robot.state import RobotState
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import PullReading
-from app.simulation.plants.door import Door, DoorView
-from app.simulation.session import DT, Session, Step
+from app.simulation.plants.door import NO_DOOR, Door, DoorView
+from app.simulation.session import Session, Step
 from app.simulation.trace.columns import (
     NAN,
     Cell,
@@ -60,7 +59,7 @@ class PairReading(NamedTuple):
     name: str
     """Name of the pair, such as `lm-lEE`."""
     mobile: bool
-    """Whether one of the two bodies is the base (a pair of L_m)."""
+    """Whether one body is the base (a pair of L_m)."""
     d: float
     """[m] true signed distance."""
     beta: float
@@ -145,14 +144,10 @@ def _pairs() -> Quantity:
         return [*(Column(name, often=True) for name in often), *map(Column, points)]
 
     def take(session: Session, step: Step) -> tuple[PairReading, ...]:
-        base = session.model.body_names[0]
-        w = step.control
+        base, w = session.model.body_names[0], step.control
         numbers = step.distances.tolist(), w.beta.tolist()
-        of_pair = zip(w.pairs, *numbers, w.p_a, w.p_b, strict=False)
-        return tuple(
-            PairReading(pair.name, pair.a == base, d, beta, frozen(p_a), frozen(p_b))
-            for pair, d, beta, p_a, p_b in of_pair
-        )
+        values = zip(w.pairs, *numbers, map(frozen, w.p_a), map(frozen, w.p_b), strict=False)
+        return tuple(PairReading(pair.name, pair.a == base, *rest) for pair, *rest in values)
 
     def cells(pairs: Sequence[PairReading], _: TraceMeta) -> Sequence[Cell]:
         of_pairs = list(zip(*pairs, strict=True))[2:]  # without name and kind
@@ -177,11 +172,16 @@ def _acting() -> Quantity:
         return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
 
     def take(session: Session, step: Step) -> tuple[ActingReading, ...]:
-        w = step.control
-        if not w.B[0] > 0.0:
-            return ()
-        acting = [i for i in range(w.n_mob) if not np.isnan(w.p_act[i, 0])]
-        return tuple(_acting_reading(session.state, w, i) for i in acting)
+        state, w = session.state, step.control
+        return tuple(
+            ActingReading(
+                w.pairs[i].name,
+                *(frozen(state.to_world(p[i])) for p in (w.p_n, w.p_t, w.p_act)),
+                frozen(state.R_world_base @ w.f[i]),
+            )
+            for i in range(w.n_mob)
+            if w.B[0] > 0.0 and not np.isnan(w.p_act[i, 0])
+        )
 
     def cells(acting: Sequence[ActingReading], meta: TraceMeta) -> Sequence[Cell]:
         points = {name: points for name, *points in acting}
@@ -218,7 +218,7 @@ def _buffer() -> Quantity:
 
 
 def _door() -> Quantity:
-    """Make the quantity `door`: its geometry as JSON (empty without a door), and its state."""
+    """Make the quantity `door`: its geometry as JSON (empty without a door), and its numbers."""
     names = [f"door_force_{axis}_n" for axis in "xyz"]
     names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (
@@ -227,20 +227,12 @@ def _door() -> Quantity:
         Column("door_contact", "bool", True, True),
     )
 
-    def take(session: Session, step: Step) -> DoorView | None:
-        if session.door is None:
-            return None
-        held = session.physics.door
-        assert held is not None, "a plant with a door"
-        view = step.door or DoorView(session.door.door, held.angle(), np.zeros(3))
-        return view._replace(force=frozen(view.force), contact=step.contacts.door_base)
+    def take(_: Session, step: Step) -> DoorView | None:
+        return step.door and step.door._replace(force=frozen(step.door.force))
 
-    nothing = (NAN,) * (len(columns) - 1)
-
-    def cells_of(view: DoorView | None) -> Sequence[Cell]:
-        if view is None:
-            return ("", *nothing)
-        return (_door_text(view.door), view.angle, *view.force.tolist(), *view[3:])
+    def cells(view: DoorView | None, _: TraceMeta) -> Sequence[Cell]:
+        text, numbers = (_door_text(view.door), view.numbers) if view else ("", NO_DOOR)
+        return (text, *numbers.tolist())
 
     def value(cells: Sequence[Any], _: TraceMeta) -> DoorView | None:
         text, angle, x, y, z, *radial, contact = cells
@@ -248,28 +240,16 @@ def _door() -> Quantity:
             return None
         return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
 
-    def row(session: Session, step: Step) -> Sequence[Any]:
-        return cells_of(take(session, step))[1:]  # without the text
-
-    return Quantity(lambda _: columns, lambda view, _: cells_of(view), value, take, row=row)
-
-
-def _force_bound() -> Quantity:
-    """Make the quantity `force_bound`, which is computed at 50 Hz."""
-
-    def row(session: Session, step: Step) -> Sequence[float]:
-        return (NAN if round(step.t / DT) % EVERY else _smallest_force_bound(session, step),)
-
-    return number("force_bound_n", "float", _smallest_force_bound, row=row)
+    return Quantity(lambda _: columns, cells, value, take, paths=("door_numbers",))
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
     """[N] largest force of a person that the arm can resist.
 
-    It is the smallest result of `force_bound` for the pairs inside their buffers and for the force
-    on the end-effector, which has no distance in which the arm must stop. It is NaN without such a
-    pair and force, if no person holds the robot, and in a step with the fallback command, which
-    does not respect limits.
+    It is the smallest `force_bound` of the pairs inside their buffers and of the force on the
+    end-effector, which has no distance in which the arm must stop. It is NaN if there is no such
+    pair and no such force, if no person holds the robot, and in a step with the fallback command,
+    which does not respect limits.
     """
     if not (step.pulls and step.control.solved):
         return NAN
@@ -303,12 +283,12 @@ _least_bound_once = direct(_least_bound)
 class Snapshot:
     """The whole simulation at one instant.
 
-    Most fields are quantities with one or several columns in a trace. A quantity that `number` or
-    `numbers` declares is recorded at each control step; `drawn` and `drawn_numbers` declare
-    quantities that are recorded only at snapshots. A declaration names the attribute of `Step` with
-    the value, or computes the value from the session s after the step and the step o; otherwise the
-    publisher of the snapshot sets the value. Of the fields without columns, files store only
-    `physics` and `seed`.
+    Fields with a declaration are quantities, with one or several columns in a trace. The
+    declarations `number` and `numbers` are recorded at each control step, `drawn` and
+    `drawn_numbers` only at snapshots. A declaration names the attribute of `Step` with the value,
+    or computes the value from the session s after the step and the step o; if it does neither, the
+    caller of `make_snapshot` sets the value. Of the other fields, files store only `physics` and
+    `seed`.
     """
 
     t: Annotated[float, number("t_s", "float", "t")]
@@ -413,7 +393,7 @@ class Snapshot:
     """Number of people who hold the robot."""
     duration_us: Annotated[float, number("duration_us", "float", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
-    force_bound: Annotated[float, _force_bound()] = NAN
+    force_bound: Annotated[float, number("force_bound_n", "float", _smallest_force_bound)] = NAN
     """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
     physics: str = ""
     """Name of the plant; empty if unknown."""
@@ -483,9 +463,9 @@ def make_snapshot(
 ) -> Snapshot:
     """Make a snapshot in separate, read-only memory, from the last step and the session after it.
 
-    The `pacer` has the real-time statistics. A run without a clock has no pacer; its snapshots are
-    reproducible except for `duration_us`. If `explained`, the snapshot has the explanation of the
-    motion, which no file stores. `fields` are values of further fields of `Snapshot`.
+    The `pacer` has the real-time statistics; without one, snapshots of equal runs are equal except
+    for `duration_us`. `explained` states whether the snapshot has the explanation of the motion,
+    which no file stores. `fields` are values of further fields of `Snapshot`.
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     computed = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
@@ -500,12 +480,6 @@ def make_snapshot(
         explanation=explain(*why) if explained else None,
         **{"paused": False, **fields},
     )
-
-
-def _acting_reading(state: RobotState, w: ControlStep, i: int) -> ActingReading:
-    points = (state.to_world(p[i]) for p in (w.p_n, w.p_t, w.p_act))
-    force = state.R_world_base @ w.f[i]
-    return ActingReading(w.pairs[i].name, *map(frozen, (*points, force)))
 
 
 def _frozen_pull(pull: PullReading) -> PullReading:

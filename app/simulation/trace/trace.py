@@ -50,7 +50,7 @@ _PUSHED = 0.01  # [m/s²] smallest acceleration away from the target that counts
 
 
 class Trace:
-    """A run over time: a table with quantities of each recorded step, and snapshots."""
+    """A run over time: a table with a row for each recorded step, and snapshots."""
 
     def __init__(
         self,
@@ -59,10 +59,9 @@ class Trace:
         snapshots: Sequence[Snapshot] = (),
         names: Sequence[str] = tuple(QUANTITIES),
     ) -> None:
-        """Combine the parts of a trace.
+        """`table` (N, C) has rows in order of time, and the columns of the quantities `names`.
 
-        `table` (N, C) has a row for each recorded step in order of time, and the columns of the
-        quantities `names`; each snapshot belongs to one of the rows.
+        Each snapshot belongs to one of the rows.
         """
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
@@ -78,7 +77,6 @@ class Trace:
             elif end > begin:
                 self._slices[name] = begin
         self.index = {column.name: k for k, column in enumerate(self.columns)}
-        """Index of each column in the table, by its name."""
 
     @property
     def controllers(self) -> tuple[str, ...]:
@@ -89,8 +87,7 @@ class Trace:
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
         """Make a trace with a row for each snapshot; the first one determines `meta`.
 
-        If there are no snapshots, if their times do not increase, or if their pairs differ, this
-        raises a LogError.
+        No snapshots, times that do not increase, or different pairs raise a LogError.
         """
         if not snapshots:
             raise LogError("there are no snapshots for a log")
@@ -120,7 +117,7 @@ class Trace:
     def of(self, quantity: str) -> Array:
         """(N,) or (N, k) values of a quantity, a field of `Snapshot`, in each row of the table.
 
-        If the table does not have the quantity, as in an older log, this raises a LogError.
+        A quantity that the table does not have, as in an older log, raises a LogError.
         """
         if quantity not in self._slices:
             raise LogError(f"the log does not have {quantity!r}")
@@ -211,9 +208,7 @@ class Recorder:
         if len(session.loop.reported) > len(self._faults):
             self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
         seldom = round(step.t / DT) % EVERY == 0
-        computed = self._nothing
-        if seldom or session.door is not None:
-            computed = [x for row in self._computed for x in row(session, step)]
+        computed = [f(session, step) for f in self._computed] if seldom else self._nothing
         control: Any = step.control.memory.take(self._places)
         numbers = self._packed(*self._numbers(step), *computed)
         self._rows += b"".join((control, *self._arrays(step), numbers))
@@ -256,9 +251,10 @@ class Recorder:
                 kind = 0 if path in own else 1 if isinstance(value, np.ndarray) else 2
                 paths[kind].append(path)
                 kinds += [kind] * np.size(value)
-            if quantity.row is not None:
-                self._computed.append(quantity.row)
-                kinds += [3] * len(quantity.row(session, step))
+            often = any(column.often for column in quantity.columns(self._meta))
+            if often and not quantity.paths and quantity.take is not None:
+                self._computed.append(quantity.take)
+                kinds.append(3)
         self._places = np.concatenate([own[path] for path in paths[0]])
         self._arrays, self._numbers = attrgetter(*paths[1]), attrgetter(*paths[2])
         self._packed = Struct(f"{kinds.count(2) + kinds.count(3)}d").pack
