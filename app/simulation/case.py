@@ -31,10 +31,8 @@ class RunSpec(NamedTuple):
     scenario: Scenario
     config: Config
     controller: str = "dbb"
-    physics: str | None = None
-    """Name of the plant; None for the default one."""
-    seed: int = 0
-    """Seed of all random numbers."""
+    physics: str | None = None  # name of the plant; None for the default one
+    seed: int = 0  # seed of all random numbers
 
 
 class RunCase(Strict):

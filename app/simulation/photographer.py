@@ -27,20 +27,13 @@ _LIGHT = (2.0, -2.5, 5.0)  # [m] vector to the light at yaw 0; it turns with the
 class Camera(NamedTuple):
     """Viewpoint, field of view and size of a picture."""
 
-    target: Array
-    """(3,) [m] point in the world at the centre of the picture."""
-    distance: float
-    """[m] distance from the target."""
-    yaw: float
-    """[rad] horizontal angle from the world's x axis to the direction from target to camera."""
-    pitch: float
-    """[rad] elevation of the camera, seen from the target."""
-    width: int = 480
-    """[px] width of the picture."""
-    height: int = 480
-    """[px] height of the picture."""
-    fov: float = 0.35
-    """[rad] vertical field of view; with a small one, vertical edges look almost parallel."""
+    target: Array  # (3,) [m] point in the world at the centre of the picture
+    distance: float  # [m] distance from the target
+    yaw: float  # [rad] angle from the world's x axis to the direction from target to camera
+    pitch: float  # [rad] elevation of the camera, seen from the target
+    width: int = 480  # [px] width of the picture
+    height: int = 480  # [px] height of the picture
+    fov: float = 0.35  # [rad] vertical; in a small one, vertical edges look almost parallel
 
     @property
     def eye(self) -> Array:
@@ -82,20 +75,16 @@ class Camera(NamedTuple):
 class Solid(NamedTuple):
     """An additional body in the picture."""
 
-    mesh: trimesh.Trimesh
-    """Surface of the body, in the world."""
+    mesh: trimesh.Trimesh  # surface of the body, in the world
     rgba: Rgba
 
 
 class Picture(NamedTuple):
     """A picture, with the data that a caller needs to draw further elements over it."""
 
-    rgb: Array
-    """(height, width, 3) colours, uint8."""
-    floor: Array
-    """(height, width) whether each pixel shows no body, so that it is floor or background."""
-    to_clip: Array
-    """(4, 4) transform from the world to the clip space."""
+    rgb: Array  # (height, width, 3) colours, uint8
+    floor: Array  # (height, width) whether a pixel shows no body, but floor or background
+    to_clip: Array  # (4, 4) transform from the world to the clip space
 
     def pixels(self, points: Array) -> Array:
         """(N, 2) [px] column and row of points (N, 3) [m] in the world."""

@@ -36,42 +36,24 @@ SCENARIO_PERSON = -1  # number of a scenario's person
 class Step(NamedTuple):
     """The results of one control step."""
 
-    t: float
-    """[s] simulated time at the start of the step."""
-    measurement: Measurement
-    """Readings that the controller received."""
-    control: ControlStep
-    """Quantities of the control step; the next step overwrites them."""
-    base_command: Array
-    """(n_b,) [m/s or rad/s] velocity command for the base, before delay and slip."""
-    hand_target: Array | None
-    """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
-    hand_force: Array
-    """(3,) [N] force of all people on the end-effector, in the world; while a scenario opens a
-    door, the force of the end-effector on the door."""
-    ee_error: float
-    """[m] true distance of the end-effector from the target of the (first) person who holds it;
-    without this person, from the reference; 0 if there is neither."""
+    t: float  # [s] simulated time at the start of the step
+    measurement: Measurement  # readings that the controller received
+    control: ControlStep  # quantities of the control step; the next step overwrites them
+    base_command: Array  # (n_b,) [m/s or rad/s] command for the base, before delay and slip
+    hand_target: Array | None  # (3,) [m] of the (first) person at the end-effector, in the world
+    hand_force: Array  # (3,) [N] as `Snapshot.hand_force`
+    ee_error: float  # [m] as `Snapshot.ee_error`
     contacts: Contacts
-    duration: float
-    """[s] real time of the controller's computation."""
-    truth: Measurement
-    """Readings without sensor errors."""
-    state: RobotState
-    """True state of the robot; the next step overwrites it."""
-    distances: Array
-    """(n_p,) [m] true signed distances of all link pairs."""
-    buffer: BufferReading
-    """Whether d_b is sufficient for the arm's approach speed."""
-    door: DoorView | None = None
-    """The door that the end-effector holds; None in a session without a door."""
-    pulls: tuple[PullReading, ...] = ()
-    """Pulls of all people; empty if `Session.step` had the argument `forces`."""
+    duration: float  # [s] real time of the controller's computation
+    truth: Measurement  # readings without sensor errors
+    state: RobotState  # true state of the robot; the next step overwrites it
+    distances: Array  # (n_p,) [m] true signed distances of all link pairs
+    buffer: BufferReading  # whether d_b is sufficient for the arm's approach speed
+    door: DoorView | None = None  # the door that the end-effector holds
+    pulls: tuple[PullReading, ...] = ()  # of all people; empty if `forces` were specified
     person: PersonForces = PersonForces(np.zeros(3))
-    reference: Reference | None = None
-    """The tracked reference; None while a person guides the arm."""
-    ee_speed: float = 0.0
-    """[m/s] true speed of the end-effector."""
+    reference: Reference | None = None  # the tracked reference; None while a person guides the arm
+    ee_speed: float = 0.0  # [m/s] true speed of the end-effector
 
     @property
     def people(self) -> int:
@@ -150,8 +132,7 @@ class Session:
         self._people = People(self.model, self.config.hand, DT)
         self._wheel_angles = [0.0] * len(self._base.wheels)
         self.controller.state.update(self.physics.measure())
-        self.state = self.controller.state
-        """The true state of the robot at the last step."""
+        self.state = self.controller.state  # the true state of the robot at the last step
         self._watch.reset()
         self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)

@@ -30,22 +30,18 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start the free motion, with the arm at the joint positions `q_start` (n_m,) [rad or m].
+        """Start the free motion at the joint positions `q_start` (n_m,) [rad or m].
 
-        `free` is the main robot's session. Its plant and seed also apply to all scenarios, and so
-        do its parameters until `configure` changes them.
+        The plant and the seed of `free`, the main robot's session, also apply to all scenarios, and
+        so do its parameters until `configure` changes them.
         """
         self._free = free
         self._led = Runner(free, None)
-        self.scenario: Scenario | None = None
-        """The scenario of the last start, or None if that start had no scenario."""
-        self.ends: float | None = None
-        """[s] time at which the present scenario ends; None during free motion."""
+        self.scenario: Scenario | None = None  # scenario of the last start
+        self.ends: float | None = None  # [s] end of the present scenario; None in free motion
         self._config = free.config
-        self.ghosts: list[Runner] = []
-        """Compared robots: each has the main robot's input and its own controller."""
-        self.comparison = Compare()
-        """The last `Compare` that started or ended a comparison."""
+        self.ghosts: list[Runner] = []  # compared robots, with the main robot's input
+        self.comparison = Compare()  # the last `Compare` that started or ended a comparison
         self._holds: dict[int, Hold] = {}
         self._case: RunCase | None = None  # of the scenario of the last start
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
@@ -160,7 +156,6 @@ class Ensemble:
         return tuple(runner.score() for runner in compared)
 
     def close(self) -> None:
-        """Release all plants."""
         self._replace_ghosts([])
         self._free.close()
         if self.main is not self._free:
@@ -184,7 +179,7 @@ class Ensemble:
     ) -> None:
         """Start main robot and ghosts at a setting; a DbbError leaves the present run unchanged.
 
-        Without `comparison`, the controllers of the present comparison are compared again.
+        By default, the controllers of the present comparison are compared again.
         """
         comparison = comparison or self.comparison
         config = scenario.adapted(self._config) if scenario else self._config
@@ -233,9 +228,9 @@ class Runner:
     """One robot of the ensemble: its session, its driver and its results (`Score`)."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
-        """Use a session at its start, and the driver of its scenario; None without a scenario."""
-        self.session, self._driver, self.scored = session, driver, False
-        """`scored` states whether the robot takes part in a comparison."""
+        """Use a session at its start, and the driver of its scenario, if any."""
+        self.session, self._driver = session, driver
+        self.scored = False  # whether the robot takes part in a comparison
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._complete = False
         self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
@@ -270,11 +265,10 @@ class Runner:
         )
 
     def score(self) -> Score:
-        """The score of the steps that have counted until now; see `scored` and `let_go`."""
+        """The score of the steps in a comparison, until the end of the scenario's motion."""
         return self._score._replace(controller=self.session.controller.name)
 
     def _count(self, step: Step) -> None:
-        """Add the results of a step to the score."""
         score, w = self._score, step.control
         now = step.truth.base_pose[:2], w.a_base_cmd.copy(), w.u_cmd.copy()
         before, self._before = self._before or now, now

@@ -1,7 +1,7 @@
 """Live loop: a thread that runs a session in real time, executes commands and publishes snapshots.
 
-The dashboard uses only `LoopHandle`: it sends commands and reads immutable snapshots, and shares no
-other data with the loop. Therefore the loop can also run in another process (`ProcessLoop`).
+The dashboard uses only `LoopHandle`, so that the loop can also run in another process
+(`ProcessLoop`).
 """
 
 import threading
@@ -28,13 +28,11 @@ _IDLE = 0.25  # [s] time between two heartbeats during a pause
 class LoopHandle:
     """The dashboard's interface to the simulation: a mailbox, and the published snapshots."""
 
-    error: BaseException | None = None
-    """The error that ended the loop, if any."""
-    links: tuple[str, ...] = ()
-    """Names of the arm's frames that people can pull, known after the start."""
+    error: BaseException | None = None  # the error that ended the loop, if any
+    links: tuple[str, ...] = ()  # names of the arm's frames that people can pull
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
-        """Start without commands and snapshots; `stored` is the largest number of snapshots."""
+        """Start without commands; `stored` is the largest number of stored snapshots."""
         self._mailbox, self._history = commands.Mailbox(), History(stored)
         self._ready = threading.Event()
         self._begun = False
@@ -66,20 +64,15 @@ class LoopHandle:
     def send(self, command: commands.Command) -> None:
         """Send a command, which the loop executes before one of the next control steps.
 
-        The command can replace a waiting one, such as an older pull of the same person. `Mailbox`
-        has the rules, and `Mailbox.put` the errors.
+        `Mailbox` states whether the command replaces a waiting one, `Mailbox.put` the errors.
         """
         self._mailbox.put(command, self.links)
 
     def latest(self) -> Snapshot:
-        """The newest snapshot."""
         return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
-        """Snapshots of the present run with t > `after` [s], oldest first.
-
-        By default at most the newest 3000 snapshots are stored, those of 60 simulated seconds.
-        """
+        """Stored snapshots of the present run with t > `after` [s], oldest first."""
         return [stored.snapshot for stored in self.stored(after)]
 
     def stored(self, after: float = -1.0) -> list[Stored]:
@@ -95,9 +88,8 @@ class SimulationLoop(LoopHandle):
     ) -> None:
         """Prepare the loop; `begin` or `start` starts it.
 
-        `make_session` is called once, in the loop's own thread, which then owns the session. The
-        arm is at `q_start` (n_m,) [rad or m] when the loop starts, and after a `Reset` without a
-        posture.
+        `make_session` is called once, in the loop's own thread. The arm is at `q_start` (n_m,)
+        [rad or m] at the start, and after a `Reset` without a posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)

@@ -21,10 +21,8 @@ class Pacer:
     def __init__(self, period: float, speed: float = 1.0) -> None:
         """Start the schedule now; `period` [s] is the simulated duration of a step."""
         self._period = period
-        self.speed = speed
-        """[-] desired ratio of simulated to real time; `restart` must follow a change."""
-        self.overruns = 0
-        """Number of steps that took longer than the period, or started after their period's end."""
+        self.speed = speed  # [-] desired ratio of simulated to real time; `restart` applies it
+        self.overruns = 0  # number of steps that took too long, or started after their period
         self._marks: deque[float] = deque()  # [s] ends of the steps in the window
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self.restart()
@@ -72,11 +70,10 @@ class Pacer:
 
 @contextmanager
 def gc_frozen() -> Iterator[None]:
-    """Exclude existing objects from garbage collection during the `with`.
+    """Exclude existing objects from garbage collection during the outermost `with`.
 
-    The collector takes milliseconds to scan the many objects of a robot's border. A nested call has
-    no effect. Afterwards the collector includes all objects again; otherwise it would never delete
-    solvers in reference cycles, which would be reported as leaks.
+    The collector takes milliseconds to scan the many objects of a robot's border. Afterwards the
+    collector includes all objects again, to delete solvers in reference cycles.
     """
     outermost = gc.get_freeze_count() == 0
     if outermost:

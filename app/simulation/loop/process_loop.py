@@ -38,11 +38,10 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 def loop_child() -> Child:
     """Start a process that waits for a session to simulate.
 
-    Its imports take one or two seconds; therefore a caller can start the process early, and pass it
-    to a `ProcessLoop` later. The process receives a function that makes the session, and the
-    arm's start posture; then it receives commands. It sends the outcome of the start (the names of
-    the frames at which people can hold the arm), then snapshots, and None as a heartbeat while
-    there are no new ones. After a failure it sends an outcome with an error.
+    Its imports take one or two seconds; a caller can start the process early, and pass it to a
+    `ProcessLoop` later. The process receives a function that makes the session, and the arm's start
+    posture, then commands. It sends the outcome of the start (the names of the frames at which
+    people can hold the arm), then snapshots, None as a heartbeat, and the outcome of a failure.
     """
     return Child(_run_loop)
 

@@ -217,7 +217,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
 
     A link is merged if it has no collision shape, or can touch the same parts as its parent: the
     same body covers both, or none does, and `nested` pairs both with the same links. The
-    end-effector's link is never merged, because pulls are expressed in the frame of this link.
+    end-effector's link is not merged, because pulls are expressed in its frame.
     """
     nested = description.nested
     touched = {

@@ -16,7 +16,7 @@ import numpy as np
 
 from app.errors import AssetError, ConfigError
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs
-from app.simulation.plants.interface import NO_CONTACTS, Contacts
+from app.simulation.plants.interface import Contacts
 from app.strict import Array
 from app.system import decimal_points, flush_c_output
 
@@ -25,10 +25,9 @@ from app.system import decimal_points, flush_c_output
 def silence(*descriptors: int) -> Iterator[None]:
     """Discard output to file descriptors of the whole process during the `with`, also from C code.
 
-    Descriptor 1 is standard output, 2 is standard error. The output buffers are flushed at both
-    ends, because discarded output would otherwise appear later.
+    Descriptor 1 is standard output, 2 is standard error.
     """
-    _flush()
+    _flush()  # at both ends, because buffered output would otherwise be lost or appear later
     kept = {fd: os.dup(fd) for fd in descriptors}
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -106,8 +105,7 @@ class BulletWorld:
             raise AssetError(f"pybullet cannot load the robot: {error}") from None
         client = self.client
         plane = client.createCollisionShape(pybullet.GEOM_PLANE)
-        self.floor = client.createMultiBody(0, plane)
-        """Index of the floor's body, the plane z = 0."""
+        self.floor = client.createMultiBody(0, plane)  # index of the floor's body, the plane z = 0
         self.links, self.joints = {client.getBodyInfo(self.robot)[0].decode(): -1}, {}
         """Index of each link and joint by its name; the root link has the index -1."""
         for i in range(client.getNumJoints(self.robot)):
@@ -162,8 +160,7 @@ class BulletWorld:
 
     def contacts(self) -> Contacts:
         """Contacts in the last step."""
-        if not (found := self.client.getContactPoints(self.robot)):
-            return NO_CONTACTS
+        found = self.client.getContactPoints(self.robot)
         groups = (self._contact_of.get(c[1:5]) for c in found if touches(c))
         return Contacts.of(filter(None, groups))
 
@@ -177,10 +174,7 @@ class BulletWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] length of each ray from `begins` to `ends` (n, 3) [m] up to the first hit.
-
-        It is infinite without a hit.
-        """
+        """(n,) [m] lengths of rays from `begins` to `ends` (n, 3) [m] up to the first hit, or ∞."""
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares

@@ -35,27 +35,18 @@ class Door:
     up. If the door is closed, x points into the refrigerator; y is to the left, seen along x.
     """
 
-    hinge: Literal["left", "right"]
-    """Side of the hinge for a person in front of the closed door."""
-    hinge_position: tuple[float, float]
-    """[m] x and y of the hinge's axis in the world."""
-    yaw: float
-    """[rad] direction of the closed door's x axis in the world."""
-    width: float
-    """[m] distance from the hinge's axis to the free edge."""
-    friction: float
-    """[N m] dry friction of the hinge."""
+    hinge: Literal["left", "right"]  # side of the hinge for a person in front of the closed door
+    hinge_position: tuple[float, float]  # [m] x and y of the hinge's axis in the world
+    yaw: float  # [rad] direction of the closed door's x axis in the world
+    width: float  # [m] distance from the hinge's axis to the free edge
+    friction: float  # [N m] dry friction of the hinge
     height: float = 1.70
     thickness: float = 0.06
-    bottom: float = 0.05
-    """[m] height of the board's lower edge above the floor."""
+    bottom: float = 0.05  # [m] height of the board's lower edge above the floor
     mass: float = 8.0
-    handle_inset: float = 0.06
-    """[m] distance from the handle to the free edge."""
-    handle_reach: float = 0.05
-    """[m] distance from the door's face to the handle."""
-    handle_height: float = 1.10
-    """[m] height of the handle above the floor."""
+    handle_inset: float = 0.06  # [m] distance from the handle to the free edge
+    handle_reach: float = 0.05  # [m] distance from the door's face to the handle
+    handle_height: float = 1.10  # [m] height of the handle above the floor
 
     @property
     def side(self) -> float:
@@ -125,21 +116,14 @@ class Door:
 
 
 class DoorView(NamedTuple):
-    """The state of a door that the end-effector holds."""
+    """A door that the end-effector holds; after the scenario, both radial values are NaN."""
 
-    door: Door
-    """The door's constant geometry; `door.pose(angle)` is T_world_door."""
-    angle: float
-    """[rad] opening angle."""
-    force: Array
-    """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
-    radial_force: float = math.nan
-    """[N] component of the force towards the true position of the hinge; NaN after the scenario."""
-    radial_error: float = math.nan
-    """[rad] error of the estimated radial direction, positive counter-clockwise; NaN after the
-    scenario."""
-    contact: bool = False
-    """Whether the door touches the base."""
+    door: Door  # the door's constant geometry; `door.pose(angle)` is T_world_door
+    angle: float  # [rad] opening angle
+    force: Array  # (3,) [N] of the end-effector on the door, in the world; 0 after the scenario
+    radial_force: float = math.nan  # [N] component of `force` towards the true hinge
+    radial_error: float = math.nan  # [rad] of the estimated direction, counter-clockwise
+    contact: bool = False  # whether the door touches the base
 
     @property
     def numbers(self) -> Array:
@@ -147,16 +131,14 @@ class DoorView(NamedTuple):
         return np.array([self.angle, *self.force, *self[3:]])
 
 
-NO_DOOR = np.full(7, math.nan)
-"""`DoorView.numbers` without a door."""
+NO_DOOR = np.full(7, math.nan)  # `DoorView.numbers` without a door
 
 
 class OpenDoor(NamedTuple):
     """A door with its initial opening angle."""
 
     door: Door
-    angle: float
-    """[rad] opening angle at the plant's reset."""
+    angle: float  # [rad] opening angle at the plant's reset
 
 
 class Cabinet:
@@ -164,10 +146,8 @@ class Cabinet:
 
     def __init__(self, door: Door) -> None:
         height = door.bottom + door.height
-        self.size = _DEPTH, door.width, height
-        """[m] depth, width and height."""
-        self.inertia = pin.Inertia.FromBox(_MASS, *self.size)
-        """Inertia of the box, in the frame of its centre."""
+        self.size = _DEPTH, door.width, height  # [m] depth, width and height
+        self.inertia = pin.Inertia.FromBox(_MASS, *self.size)  # in the frame of the centre
         back = door.thickness / 2 + _GAP + _DEPTH / 2
         self.T_world = door.pose(0.0) * pin.SE3(
             np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
@@ -175,8 +155,7 @@ class Cabinet:
         """Pose of the box's centre in the world."""
         self.T_hinge = self.T_world.inverse() * door.pose(0.0)
         """Pose of the closed door's frame in the frame of the box's centre."""
-        self.T_centre = pin.SE3(np.eye(3), door.centre)
-        """Pose of the board's centre in the door's frame."""
+        self.T_centre = pin.SE3(np.eye(3), door.centre)  # pose of the board in the door's frame
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
         """Inertia of the door, in the door's frame."""
 

@@ -33,8 +33,7 @@ class Difference(NamedTuple):
     picture."""
     depth: float
     """[m] depth of the deepest contact of a kind that only one engine reports in a posture."""
-    contacts: int
-    """Number of contacts that both engines report, at most one of each kind in each posture."""
+    contacts: int  # that both engines report, at most one of each kind in each posture
     postures: int
 
 

@@ -39,26 +39,22 @@ _PRIMITIVES = {
 
 
 class RobotSpec:
-    """A robot's specification."""
-
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
     ) -> None:
         """Specify the robot and the floor; `dt` [s] is the duration of one step.
 
         `free_root` is the inertia of a free root; the plant then adds bodies with the rest of the
-        base's mass. Without it, motors along x, y and yaw move the root.
+        base's mass. Without `free_root`, motors along x, y and yaw move the root.
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
         self.pairs: dict[frozenset[str], str | None] = {}
         """The field of `Contacts`, or None, for each pair of geoms that can touch, by name."""
-        self.motors: list[str] = []
-        """Names of the joints that have a motor."""
+        self.motors: list[str] = []  # names of the joints that have a motor
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))
         self.shapes, pairs, self.mobile = collision_shapes(model)
-        """The robot's shapes, and the names of the parts of l_m."""
         bodies = self._add_joints(free_root)
         self.root = bodies[1]
         self._geoms = {FLOOR: [FLOOR]}
@@ -78,8 +74,8 @@ class RobotSpec:
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
         """Add a body at the pose T in a parent body, and return the new body.
 
-        The inertia is written into the compiled model later, because MuJoCo's compiler refuses
-        inertias that other libraries accept, such as a link without mass that carries other links.
+        `compile` sets the inertia, because MuJoCo's compiler refuses inertias that other libraries
+        accept, such as that of a link without mass that carries other links.
         """
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -149,7 +145,7 @@ class RobotSpec:
     ) -> None:
         """Let each geom of one list touch each geom of another list.
 
-        `group` is the field of `Contacts` that reports such a contact, or None. `friction` [-] is
+        `group` is the field of `Contacts` that reports their contact, or None. `friction` [-] is
         the coefficient; `firmness` has the time constant [s] and the damping ratio [-]; `contact`
         has further options of MuJoCo.
         """

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import itemgetter
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -32,9 +31,7 @@ class Planar(Physics):
         self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
         base = model.description.base
-        self._drive = Drive(base, dt)
-        self._axes = base.T.argmax(axis=0).tolist()  # each axis's index in the twist (v_x, v_y, ω)
-        self._along = itemgetter(*self._axes)
+        self._drive, self._T = Drive(base, dt), base.T
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -47,16 +44,14 @@ class Planar(Physics):
         self._heading = heading = pose.item(2)
         c, s = math.cos(heading), math.sin(heading)
         x, y, w = v
-        velocity = np.array(self._along((c * x + s * y, c * y - s * x, w)), ndmin=1)
+        velocity = np.array([c * x + s * y, c * y - s * x, w]) @ self._T
         return Measurement(pose, velocity, q_m, qd_m, self._drive.state)
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
         heading = self.world.read()[0].item(2) if self._heading is None else self._heading
-        twist = [0.0, 0.0, 0.0]
-        for axis, value in zip(self._axes, self._drive.step(base_velocity), strict=True):
-            twist[axis] = value
+        twist = (self._T @ self._drive.step(base_velocity)).tolist()
         self.world.step(u_a, world_twist(twist, heading, self.dt), hand_force, pushes)
         self._heading = None
 

@@ -42,8 +42,7 @@ _LINES = (
         1.0,
     ),
 )
-LINES = {scenario.name: scenario for scenario in _LINES}
-"""Scenarios with a straight path of the end-effector."""
+LINES = {scenario.name: scenario for scenario in _LINES}  # scenarios with a straight path
 
 SCENARIOS: dict[str, Scenario] = {
     **LINES,
@@ -51,11 +50,9 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
-"""Scenarios with a path towards the side or the front of the base; each needs the robot's own line
-or a start from the user."""
+"""Scenarios towards the side or the front of the base, which need a robot's own line or start."""
 _FREE = "guiding-front"  # scenario whose start is also the start of the free motion
-_SAME_LINE = {"tracking": "guiding-lateral"}
-"""If the robot has no line for the first scenario, its line for the second one is used."""
+_SAME_LINE = {"tracking": "guiding-lateral"}  # used if the robot has no line for the first
 
 
 def scenario_by_name(name: str) -> Scenario:
@@ -95,8 +92,8 @@ def free_start(
     """The arm's joint positions (n_m,) [rad or m] at the start of the free motion.
 
     `start` (3,) [m] is the position of the end-effector in the world, with the base at the origin;
-    None means the start of the robot's own line for `guiding-front`, or the ready posture if there
-    is no such line. If the search finds no posture, this raises an UnreachableError.
+    by default the start of the robot's own line for `guiding-front`, or the ready posture if there
+    is no line. If the search finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start

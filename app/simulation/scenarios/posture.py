@@ -29,21 +29,16 @@ better; otherwise zero, a negative number, or the reason."""
 class Target(NamedTuple):
     """A position of the end-effector, and optionally a direction."""
 
-    p: Array
-    """(3,) [m] position of the end-effector's origin, in the world."""
-    z: Array | None = None
-    """(3,) unit vector of the end-effector's z axis, or None for any direction."""
+    p: Array  # (3,) [m] position of the end-effector's origin, in the world
+    z: Array | None = None  # (3,) unit vector of the end-effector's z axis; None: any
 
 
 class Found(NamedTuple):
     """The best of the tried postures."""
 
-    q_m: Array | None
-    """(n_m,) [rad or m] joint positions, or None if no posture is valid."""
-    quality: float
-    """[-] quality of the posture, 0 without a posture."""
-    flaws: Counter[str]
-    """Number of failed tries for each reason."""
+    q_m: Array | None  # (n_m,) [rad or m] joint positions, or None if no posture is valid
+    quality: float  # [-] quality of the posture, 0 without a posture
+    flaws: Counter[str]  # number of failed tries for each reason
 
 
 class PostureSearch:
@@ -57,7 +52,6 @@ class PostureSearch:
         self.middle = (model.q_upper + model.q_lower) / 2
         """(n_m,) [rad or m] length and middle of each joint's range."""
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
-        """Displayed names of the pairs, in the order of `distances`."""
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor, self._floor_data = _with_floor(model)
         self._base_pose = np.zeros(3)
@@ -89,8 +83,8 @@ class PostureSearch:
     ) -> Found:
         """Find the posture with the highest quality.
 
-        `guesses` are (n_m,) each: with a target, the starting points of the search; without a
-        target, the postures to judge. Before `judge` is called, the arm is placed into the posture.
+        `guesses` (n_m,) are the starting points of the search for the `target`; without a target,
+        the postures to judge. Before `judge` is called, the arm is placed into the posture.
         `enough` [-] is the quality at which the search ends.
         """
         best = Found(None, 0.0, Counter())

@@ -36,8 +36,7 @@ _AHEAD = np.radians(np.arange(3, 94, 3))  # [rad] further door angles that are c
 _CORRECTIONS = 4  # [-] Newton steps for each door angle
 _TO_START = 0.5  # [-] share of the return to the starting posture in each step
 
-OUT_OF_REACH = "out of the arm's reach"
-"""The reason of a failed try in which the end-effector did not reach its position."""
+OUT_OF_REACH = "out of the arm's reach"  # the reason if the end-effector misses its position
 
 
 class StartSolver:
@@ -45,8 +44,8 @@ class StartSolver:
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its position limits.
-    Any direction of the end-effector is accepted if the arm cannot choose this direction freely,
-    and the search finds no posture as above from which the arm can follow the whole path.
+    If the arm cannot choose the direction of the end-effector freely, and cannot follow the whole
+    path from a posture as above, any direction is accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -73,9 +72,8 @@ class StartSolver:
 
         `along` has further positions (3,) [m], a path. The best posture is the one from which the
         arm follows most of the path, while the base is at rest and the orientation of the
-        end-effector is constant. Among postures that are equal in this, or without a path, the one
-        with the largest margins is best. The arm need not reach the end of the path, because the
-        base can move during a run.
+        end-effector is constant; among equal ones, the one with the largest margins. The arm need
+        not reach the end of the path, because the base can move during a run.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -132,8 +130,8 @@ class StartSolver:
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether a search finds a posture with the end-effector at `p_ee` (3,) [m].
 
-        The end-effector can have any direction; distances of pairs and floor are not checked. With
-        few `tries` from random starting points, the search can miss the posture.
+        The end-effector can have any direction; distances are not checked. With few `tries` from
+        random starting points, the search can miss the posture.
         """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
@@ -173,9 +171,8 @@ class StartSolver:
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
         """[-] number of positions that the arm reaches on the path, plus the margins up to there.
 
-        The positions are tried in their order, with the base at rest, until the first failure. The
-        margins are the smallest joint margin, at most 0.15, and the smallest manipulability, at
-        most 0.1.
+        The positions are tried in order, until the first failure. The margins are the smallest
+        joint margin, at most 0.15, and the smallest manipulability, at most 0.1.
         """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
@@ -227,8 +224,8 @@ def find_grasp(
 
     The end-effector is horizontal and points into the door; every pair is outside its buffer. From
     the best posture, the arm can follow the door over the largest range of further angles while the
-    base moves back. Among postures with the same range, the one with the largest margins (joint
-    limits, manipulability, buffers) is best. The result is cached.
+    base moves back; among equal ones, it has the largest margins (joint limits, manipulability,
+    buffers). The result is cached.
 
     `base_pose` (3,) has x, y [m] and heading [rad] of the base, `angle` [rad] is the opening angle
     of the door. If the search finds no posture, this raises an UnreachableError.
@@ -286,8 +283,8 @@ class _GraspSearch:
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
         """[-] number of further door angles that the arm can reach, plus the smallest `_room`.
 
-        `room` is the `_room` of the starting posture. As in the controller, the arm stays near this
-        posture in the task's null space.
+        `room` is the `_room` of the starting posture, near which the arm stays in the task's null
+        space.
         """
         q_m, followed = q_start, 0
         for turned in _AHEAD:

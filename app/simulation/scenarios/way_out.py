@@ -48,7 +48,7 @@ class WayOutScenario(Scenario):
         A case is drawn first, because some cases are rare among random postures: a pair and, for a
         pair of arm and base, whether the arm is above the base or beside it. Then random postures
         are tried until one belongs to the case; if all fail, another case is drawn. If all cases
-        fail, this raises an UnreachableError. It also raises the error of `check_avoidance`.
+        fail, this raises an UnreachableError, as `check_avoidance` raises its error.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch

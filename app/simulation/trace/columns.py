@@ -139,28 +139,22 @@ def column_names(template: str, meta: TraceMeta) -> list[str]:
 class Column(NamedTuple):
     """A column of a trace."""
 
-    name: str
-    """Name, which ends in the unit, if any."""
+    name: str  # name, which ends in the unit, if any
     kind: Kind = "float"
-    optional: bool = False
-    """Whether a cell can be empty; in memory, an empty cell is NaN."""
-    often: bool = False
-    """Whether the column has a number at each control step, not only at snapshots."""
+    optional: bool = False  # whether a cell can be empty; in memory, an empty cell is NaN
+    often: bool = False  # whether it has a number at each control step
 
 
 class Quantity(NamedTuple):
     """A quantity of a run."""
 
     columns: Callable[[TraceMeta], Sequence[Column]]
-    cells: Callable[[Any, TraceMeta], Sequence[Cell]]
-    """Conversion of a snapshot's value to cells."""
-    value: Callable[[Sequence[Any], TraceMeta], Any]
-    """Conversion of cells to a snapshot's value."""
+    cells: Callable[[Any, TraceMeta], Sequence[Cell]]  # conversion of a snapshot's value to cells
+    value: Callable[[Sequence[Any], TraceMeta], Any]  # conversion of cells to a snapshot's value
     take: Take | None = None
     """Computation of the value from a control step and the session after the step; None if the
     publisher of the snapshot sets the value."""
-    single: bool = False
-    """Whether the quantity is one number or text."""
+    single: bool = False  # whether the quantity is one number or text
     paths: tuple[str, ...] = ()
     """Attributes of `Step`, such as `truth.q_m`, with the numbers and float arrays that are
     recorded at each control step. If there are none, the columns that are `often` are computed by

@@ -373,5 +373,5 @@ def extremes(run: Trace) -> dict[str, Any]:
         "duration_s": float(run.t[-1] - run.t[0]),
         "base_speed_max_mps": float(np.hypot.reduce(speeds[:, ~run.angular], axis=1).max()),
         "base_turn_max_radps": largest(speeds[:, run.angular]),
-        "effort_max": dict(zip(run.names("u_a"), efforts.tolist(), strict=True)),
+        "effort_max": dict(zip(run.groups["u_a"], efforts.tolist(), strict=True)),
     }

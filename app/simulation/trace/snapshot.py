@@ -56,70 +56,47 @@ _DOOR = TypeAdapter(Door)
 class PairReading(NamedTuple):
     """One link pair at one instant; the points are those of the controller, in the world."""
 
-    name: str
-    """Name of the pair, such as `lm-lEE`."""
-    mobile: bool
-    """Whether one body is the base (a pair of L_m)."""
-    d: float
-    """[m] true signed distance."""
-    beta: float
-    """[-] activation β."""
-    p_a: Array
-    """(3,) [m] closest point on the link nearer to the base."""
-    p_b: Array
-    """(3,) [m] closest point on the link farther from the base."""
+    name: str  # name of the pair, such as `lm-lEE`
+    mobile: bool  # whether one body is the base (a pair of L_m)
+    d: float  # [m] true signed distance
+    beta: float  # [-] activation β
+    p_a: Array  # (3,) [m] closest point on the link nearer to the base
+    p_b: Array  # (3,) [m] closest point on the link farther from the base
 
 
 class ActingReading(NamedTuple):
     """The acting point of one active pair with the base; positions and force are in the world."""
 
     name: str
-    p_n: Array
-    """(3,) [m] point of the border nearest to p_b, at the height of p_b."""
-    p_t: Array
-    """(3,) [m] p_n moved along the tangent, (12)."""
-    p_act: Array
-    """(3,) [m] acting point: the point of the border nearest to p_t."""
-    f: Array
-    """(3,) [N] force f_m,i of (14)."""
+    p_n: Array  # (3,) [m] point of the border nearest to p_b, at the height of p_b
+    p_t: Array  # (3,) [m] p_n moved along the tangent, (12)
+    p_act: Array  # (3,) [m] acting point: the point of the border nearest to p_t
+    f: Array  # (3,) [N] force f_m,i of (14)
 
 
 class GhostReading(NamedTuple):
     """A compared robot at one instant."""
 
     controller: str
-    base_pose: Array
-    """(3,) x, y [m] and heading φ [rad] of the base."""
-    q_m: Array
-    """(n_m,) [rad or m] joint positions of the arm."""
-    wheel_angles: Array
-    """(n_w,) [rad] angles of the base's wheels, for drawing."""
-    p_ee: Array
-    """(3,) [m] position of the end-effector in the world."""
-    clearance: float
-    """[m] present smallest distance of the pairs with the base."""
+    base_pose: Array  # (3,) x, y [m] and heading φ [rad] of the base
+    q_m: Array  # (n_m,) [rad or m] joint positions of the arm
+    wheel_angles: Array  # (n_w,) [rad] angles of the base's wheels, for drawing
+    p_ee: Array  # (3,) [m] position of the end-effector in the world
+    clearance: float  # [m] present smallest distance of the pairs with the base
 
 
 class Score(NamedTuple):
     """Results of a robot in a comparison; steps after its scenario's motion do not count."""
 
     controller: str
-    clearance: float
-    """[m] smallest distance of any pair with the base."""
-    error: float
-    """[m] last distance of the end-effector from its target, as `Snapshot.ee_error`."""
-    error_max: float
-    """[m] largest distance of the end-effector from its target."""
-    base_path: float
-    """[m] length of the path of the base's centre."""
-    acceleration_jump: float
-    """[m/s²] largest change of a commanded linear acceleration of the base in one step."""
-    angular_jump: float
-    """[rad/s²] largest change of the commanded angular acceleration of the base in one step."""
-    torque_jump: float
-    """[N m or N] largest change of a joint's torque or force in one step."""
-    contacts: int
-    """Number of control steps with a contact of any kind (`Contacts`)."""
+    clearance: float  # [m] smallest distance of any pair with the base
+    error: float  # [m] last distance of the end-effector from its target, as `Snapshot.ee_error`
+    error_max: float  # [m] largest distance of the end-effector from its target
+    base_path: float  # [m] length of the path of the base's centre
+    acceleration_jump: float  # [m/s²] largest change of a commanded base acceleration in a step
+    angular_jump: float  # [rad/s²] the same for the commanded angular acceleration
+    torque_jump: float  # [N m or N] largest change of a joint's torque or force in one step
+    contacts: int  # number of control steps with a contact of any kind (`Contacts`)
 
     @property
     def text(self) -> str:
@@ -130,8 +107,7 @@ class Score(NamedTuple):
 class Refusal(NamedTuple):
     """The failure of a command; the run continues."""
 
-    number: int
-    """Number of the refusal since the start of the loop, from 1 on."""
+    number: int  # number of the refusal since the start of the loop, from 1 on
     message: str
 
 

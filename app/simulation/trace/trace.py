@@ -65,17 +65,14 @@ class Trace:
         """
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
-        self.columns: list[Column] = []
-        """The columns of the table, in order: those with a number at each control step."""
+        self.columns: list[Column] = []  # of the table, in order
         self._slices: dict[str, slice | int] = {}
         for name in names:
-            begin = len(self.columns)
-            self.columns += (column for column in QUANTITIES[name].columns(meta) if column.often)
-            end = len(self.columns)
-            if not QUANTITIES[name].single:
-                self._slices[name] = slice(begin, end)
-            elif end > begin:
-                self._slices[name] = begin
+            often = [column for column in QUANTITIES[name].columns(meta) if column.often]
+            begin, end = len(self.columns), len(self.columns) + len(often)
+            if often:
+                self._slices[name] = begin if QUANTITIES[name].single else slice(begin, end)
+            self.columns += often
         self.index = {column.name: k for k, column in enumerate(self.columns)}
 
     @property
@@ -123,18 +120,12 @@ class Trace:
             raise LogError(f"the log does not have {quantity!r}")
         return self.table[:, self._slices[quantity]]
 
-    def names(self, quantity: str) -> list[str]:
-        """Names of the columns of a quantity with several columns."""
-        place = self._slices[quantity]
-        assert isinstance(place, slice)
-        return [column.name for column in self.columns[place]]
-
     @property
     def groups(self) -> dict[str, list[str]]:
         """Names of the columns of each quantity in the table, by quantity, without the time."""
         every = np.array([column.name for column in self.columns])
-        found = {name: every[at] for name, at in self._slices.items() if name != "t"}
-        return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
+        places = {name: place for name, place in self._slices.items() if name != "t"}
+        return {name: np.atleast_1d(every[place]).tolist() for name, place in places.items()}
 
     @property
     def t(self) -> Array:
@@ -353,18 +344,12 @@ def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
 class Stuck(NamedTuple):
     """Position of an end-effector that is not at its target, and the reasons."""
 
-    t_s: float
-    """[s] simulated time."""
-    ee_error_m: float
-    """[m] distance of the end-effector from its target."""
-    ee_m: tuple[float, ...]
-    """(3,) [m] position of the end-effector, in the world."""
-    target_m: tuple[float, ...]
-    """(3,) [m] target, in the world."""
-    reasons: tuple[Reason, ...]
-    """All reasons that apply, or "unknown"."""
-    joints: tuple[str, ...]
-    """Names of the joints at their position limits."""
+    t_s: float  # [s] simulated time
+    ee_error_m: float  # [m] distance of the end-effector from its target
+    ee_m: tuple[float, ...]  # (3,) [m] position of the end-effector, in the world
+    target_m: tuple[float, ...]  # (3,) [m] target, in the world
+    reasons: tuple[Reason, ...]  # all reasons that apply, or "unknown"
+    joints: tuple[str, ...]  # names of the joints at their position limits
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
