@@ -38,15 +38,12 @@ class RunSpec(NamedTuple):
 class RunCase(Strict):
     """The contents of a case file: `dbb run`, `dbb serve` and other commands repeat its run."""
 
-    dbb_case: Literal[1] = 1
-    """Version of the file format."""
+    dbb_case: Literal[1] = 1  # Version of the file format
     version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
     """Version of the program that wrote the file."""
     robot: str
-    played: str
-    """Name of the scenario."""
-    options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)
-    """All options of the scenario."""
+    played: str  # name of the scenario
+    options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)  # all options of the scenario
     controller: str
     physics: str
     seed: int = Field(default=0, ge=0, le=MAX_SEEDS)

@@ -198,11 +198,11 @@ def _push_mass(
 ) -> None:
     """Move the mass m of the hand for one step of m ẍ = F - G, by the implicit Euler rule.
 
-    F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x. The force G = k (x - p_ee) +
-    c (ẋ - v_ee) of the grip, with stiffness k and damping c, acts on the robot. Both forces are
-    evaluated at the end of the step, for a held point with constant velocity. K' and k in series
-    have the stiffness K of `PersonHand`. The rule is stable for every mass, spring and damper. `x`
-    [m] and `x_dot` [m/s] (3,) are changed in place; the result `force` (3,) [N] is G.
+    F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x. G = k (x - p_ee) + c (ẋ - v_ee)
+    is the force of the grip, with stiffness k and damping c, on the robot. Both forces are those at
+    the end of the step, for a held point with constant velocity. K' and k in series have the
+    stiffness K of `PersonHand`. The rule is stable for every mass, spring and damper. `x` and
+    `x_dot` (3,) are changed in place; the result `force` (3,) is G.
     """
     stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)

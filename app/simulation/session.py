@@ -240,9 +240,9 @@ class Session:
         return step
 
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
-        """The loads with a mass; a key has name, mass [kg], centre [m] and time of beginning [s].
+        """The loads by name, mass [kg], centre [m] and beginning [s], without loads of zero mass.
 
-        An unchanged load remains the same object, which stores its last velocity.
+        A load with an unchanged key remains the same object, because it stores its last velocity.
         """
         load, disturbance = config.payload, config.disturbance
         loads = (
@@ -260,8 +260,8 @@ class Session:
     ) -> tuple[RobotState, Array]:
         """The robot's true state, and the true distances (n_p,) [m] of all pairs.
 
-        Without sensor errors, both are the controller's, to save time; with the default parameters,
-        these deviate from the truth by less than 0.1 mm.
+        Without sensor errors, both are the controller's, which deviate by less than 0.1 mm with the
+        default parameters.
         """
         if sensed is truth:
             self.state = self.controller.state
@@ -294,15 +294,14 @@ class Disturbances:
 
         If a delay increases, the oldest known command or reading is repeated until the next is due.
         """
-        self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
-        self._slip, self._stamped = config.slip, config.time_stamps == "yes"
+        self._config = config
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)
         self._commands = deque(known[:1] * (late + 1 - len(known)) + known, late + 1)
         self._sensor_late = round(config.sensor_delay / self._dt)
         self._sent = deque(self._sent, self._sensor_late + 1)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
-        self._punctual = self._sensor_late == 0 and self._sensor_every == 1 and self._dropped == 0.0
+        self._punctual = (self._sensor_late, self._sensor_every, config.dropped) == (0, 1, 0.0)
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
@@ -321,16 +320,16 @@ class Disturbances:
         a robot that has only encoders. The base's sensors have no noise.
         """
         sent = truth
-        if self._encoder_noise == 0.0:
+        if self._config.encoder_noise == 0.0:
             self._tracking = None
         else:
-            noise = self._encoder_noise * self._rng.standard_normal(len(truth.q_m))
+            noise = self._config.encoder_noise * self._rng.standard_normal(len(truth.q_m))
             q_m = truth.q_m + noise
             if self._tracking is None:
                 self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
             sent = truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m))
         step, self._steps = self._steps, self._steps + 1
-        if not self._stamped:
+        if self._config.time_stamps == "no":
             return self._transmitted(sent, step)
         now = step * self._dt
         return self._transmitted(sent._replace(time=now), step)._replace(now=now)
@@ -341,7 +340,7 @@ class Disturbances:
             self._seen = sent
             return sent
         due = step % self._sensor_every == 0
-        lost = self._dropped > 0.0 and self._rng.random() < self._dropped
+        lost = self._config.dropped > 0.0 and self._rng.random() < self._config.dropped
         if self._seen is None or (due and not lost):
             self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
         return self._seen
@@ -351,7 +350,7 @@ class Disturbances:
         commands = self._commands
         commands.append(command)
         late = commands[0] if len(commands) == commands.maxlen else np.zeros_like(command)
-        return late if self._slip == 0.0 else (1.0 - self._slip) * late
+        return late if self._config.slip == 0.0 else (1.0 - self._config.slip) * late
 
 
 class VelocityTracking:

@@ -158,11 +158,10 @@ class Compare(Command):
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
-    A `Pull` or `Release` replaces a waiting `Pull` or `Release` of the same person. A `Beginning`
-    replaces a waiting `Beginning`, except that a `Restart` is dropped instead. Each other command
-    replaces a waiting command of the same class. An `Adjustment` takes the place of the replaced
-    command, so that a `Beginning` later in the queue uses the newest value. All other commands go
-    to the end of the queue.
+    A `Pull` or `Release` replaces one of the same person. A `Beginning` replaces a waiting
+    `Beginning`, but a `Restart` is dropped instead. Each other command replaces a waiting command
+    of the same class. An `Adjustment` takes the place of the replaced command, so that a later
+    `Beginning` uses the newest value. All other commands go to the end of the queue.
     """
 
     def __init__(self) -> None:

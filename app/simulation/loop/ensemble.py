@@ -144,7 +144,7 @@ class Ensemble:
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
         holds = tuple(self._holds.values())
-        step = self._led.step(holds)
+        step = self._led.step(holds, scored=bool(self.ghosts))
         same_force = self.comparison.same == "force"
         for ghost in self.ghosts:
             ghost.step(holds, step.person if same_force else None)
@@ -177,9 +177,9 @@ class Ensemble:
     def _enter(
         self, setting: Setting, scenario: Scenario | None, comparison: Compare | None = None
     ) -> None:
-        """Start main robot and ghosts at a setting; a DbbError leaves the present run unchanged.
+        """Start all robots at a setting, by default with the present comparison's controllers.
 
-        By default, the controllers of the present comparison are compared again.
+        A DbbError leaves the present run unchanged.
         """
         comparison = comparison or self.comparison
         config = scenario.adapted(self._config) if scenario else self._config
@@ -214,14 +214,12 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        """Replace the ghosts, close their unused sessions, and set `scored` of all robots."""
+        """Replace the ghosts, and close their unused sessions."""
         kept = {id(ghost.session) for ghost in ghosts}
         ended = [ghost.session for ghost in self.ghosts if id(ghost.session) not in kept]
         self.ghosts = ghosts
         for session in ended:
             session.close()
-        for runner in (self._led, *ghosts):
-            runner.scored = bool(ghosts)
 
 
 class Runner:
@@ -230,7 +228,6 @@ class Runner:
     def __init__(self, session: Session, driver: Driver | None) -> None:
         """Use a session at its start, and the driver of its scenario, if any."""
         self.session, self._driver = session, driver
-        self.scored = False  # whether the robot takes part in a comparison
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._complete = False
         self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
@@ -242,11 +239,16 @@ class Runner:
         self._complete = self._complete or self._driver is not None
         self._driver = None
 
-    def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """Execute one `Session.step` with the scenario's input and the users' `holds`."""
+    def step(
+        self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
+    ) -> Step:
+        """Execute one `Session.step` with the scenario's input and the users' `holds`.
+
+        If `scored`, the step counts in a comparison, until the end of the scenario's motion.
+        """
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
-        if self.scored:
+        if scored:
             self._clearance = step.distances[: step.control.n_mob].min().item()
             if not self._complete:
                 self._count(step)

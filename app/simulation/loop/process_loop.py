@@ -36,12 +36,11 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 
 
 def loop_child() -> Child:
-    """Start a process that waits for a session to simulate.
+    """Start a process that waits for a session to simulate; its imports take one or two seconds.
 
-    Its imports take one or two seconds; a caller can start the process early, and pass it to a
-    `ProcessLoop` later. The process receives a function that makes the session, and the arm's start
-    posture, then commands. It sends the outcome of the start (the names of the frames at which
-    people can hold the arm), then snapshots, None as a heartbeat, and the outcome of a failure.
+    The process receives a function that makes the session, and the arm's start posture, then
+    commands. It sends the outcome of the start (the names of the frames at which people can hold
+    the arm), then snapshots, None as a heartbeat, and the outcome of a failure.
     """
     return Child(_run_loop)
 
@@ -150,7 +149,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
     """Forward commands and snapshots until the loop fails; then send the loop's exception.
 
-    If the parent has ended, or has closed its end of a pipe, this raises an EOFError or OSError.
+    If the parent has ended, or has closed a pipe, this raises an EOFError or OSError.
     """
     posted, beat = None, monotonic()
     while loop.error is None:

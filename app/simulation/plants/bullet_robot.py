@@ -215,9 +215,8 @@ def _plant_urdf(description: RobotDescription) -> str:
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     """Merge links on fixed joints into their parents, because pybullet loads at most 128 links.
 
-    A link is merged if it has no collision shape, or can touch the same parts as its parent: the
-    same body covers both, or none does, and `nested` pairs both with the same links. The
-    end-effector's link is not merged, because pulls are expressed in its frame.
+    A link is merged if it has no collision shape, or if the same body, or none, covers link and
+    parent, and `nested` pairs both with the same links. The end-effector's link is not merged.
     """
     nested = description.nested
     touched = {

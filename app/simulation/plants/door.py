@@ -178,10 +178,8 @@ def with_door(
 
     The body is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
     grasp is rigid. `T_ee_door` is the door's pose in the end-effector's frame. The door has the
-    reachability coefficients of the last body that has any, and no sampled border: the acting point
-    is found on the exact offset surface of l_m.
-
-    If no body has reachability coefficients, this raises a DescriptionError.
+    reachability coefficients of the last body that has any; if there is none, this raises a
+    DescriptionError. Its acting point is found on the exact offset surface of l_m, without samples.
     """
     description = model.description
     link = description.arm.end_effector_link

@@ -83,8 +83,7 @@ class Physics(ABC):
 
         The arm's torques `u_a` (n_m,) [N m or N] are constant during the step. The drive follows
         the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
-        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin; the `pushes`
-        act on other points of the arm.
+        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin.
         """
 
     @abstractmethod

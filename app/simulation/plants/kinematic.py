@@ -60,10 +60,13 @@ class Kinematic(Physics):
         state.update(self.measure())
         before, now = self._drive.velocity, self._drive.step(base_velocity)
         qdd_b = model.J_m_inv @ np.array([b - a for a, b in zip(before, now, strict=True)]) / dt
-        torques = np.asarray(u_a, dtype=float) + self._felt(hand_force, pushes)
-        self._move_arm(
-            state.M[n_b:, n_b:].copy(), torques - state.h[n_b:] - state.M[n_b:, :n_b] @ qdd_b
-        )
+        felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)  # J_aᵀ f of all forces
+        for push in pushes:
+            joint = model.pin.getJointId(push.joint)
+            J = state.point_jacobian(joint, state.data.oMi[joint].act(push.p))
+            felt = felt + J[:, n_b:].T @ push.force
+        b = np.asarray(u_a, dtype=float) + felt - state.h[n_b:] - state.M[n_b:, :n_b] @ qdd_b
+        self._move_arm(state.M[n_b:, n_b:].copy(), b)
         twist = world_twist((self._T @ now).tolist(), self._base_pose.item(2), dt)
         self._base_pose += np.array(twist) * dt
         self._stepped = True
@@ -77,10 +80,10 @@ class Kinematic(Physics):
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))
 
     def _move_arm(self, A: Array, b: Array) -> None:
-        """Integrate A q̈_a = b over one step, with A (n_m, n_m) and b (n_m,), which are overwritten.
+        """Integrate A q̈_a = b over one step; A (n_m, n_m) and b (n_m,) are overwritten.
 
-        The joints have ideal stops: each joint that would leave its range in this step moves to its
-        nearer limit. If an input is not finite, q and q̇ become NaN.
+        A joint that would leave its range moves to its nearer limit. If an input is not finite, q
+        and q̇ become NaN.
         """
         q, qd, dt = self._q, self._qd, self.dt
         lower, upper = self._model.q_lower, self._model.q_upper
@@ -100,16 +103,6 @@ class Kinematic(Physics):
             stopped |= beyond
         qd += qdd * dt
         q += qd * dt
-
-    def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
-        """(n_m,) [N m or N] Σ J_aᵀ f, the joint torques of the forces on the arm."""
-        state, n_b = self._state, self._model.n_b
-        felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)
-        for push in pushes:
-            joint = self._model.pin.getJointId(push.joint)
-            p_world = state.data.oMi[joint].act(push.p)
-            felt = felt + state.point_jacobian(joint, p_world)[:, n_b:].T @ push.force
-        return felt
 
 
 def _contact_geometry(model: RobotModel) -> tuple[pin.GeometryModel, list[str]]:

@@ -51,9 +51,9 @@ def radial_update(
 
     If the estimated tangent t̂ deviates by the angle e from the true tangent, the door stops the
     radial part of the motion along t̂. In the steady state at full speed, the force's PI regulator
-    then has the output R with α_f R = -s v_d tan e. The rate is λ s (v/v_d) α_f R / v_d; the error
-    thus decreases by ė = -λ tan e. `regulated` is R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N] with
-    the radial force f_r, `progress` is v/v_d along t̂, `sense` is s, ±1.
+    R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N], with the radial force f_r, then satisfies
+    α_f R = -s v_d tan e. The rate is λ s (v/v_d) α_f R / v_d; the error thus decreases by
+    ė = -λ tan e. `regulated` is R, `progress` is v/v_d along t̂, `sense` is s, ±1.
     """
     return gains.learning_rate * sense * progress * gains.compliance * regulated / gains.speed
 

@@ -169,10 +169,9 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] number of positions that the arm reaches on the path, plus the margins up to there.
+        """[-] number of positions that the arm reaches on the path, in order, plus the margins.
 
-        The positions are tried in order, until the first failure. The margins are the smallest
-        joint margin, at most 0.15, and the smallest manipulability, at most 0.1.
+        These are the smallest joint margin, up to 0.15, and the smallest manipulability, up to 0.1.
         """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
@@ -283,8 +282,7 @@ class _GraspSearch:
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
         """[-] number of further door angles that the arm can reach, plus the smallest `_room`.
 
-        `room` is the `_room` of the starting posture, near which the arm stays in the task's null
-        space.
+        `room` is that of the posture `q_start`, near which the arm stays in the null space.
         """
         q_m, followed = q_start, 0
         for turned in _AHEAD:
@@ -318,8 +316,8 @@ class _GraspSearch:
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float | str:
         """[-] margins of a posture, below one; or the reason why the posture is invalid.
 
-        The end-effector must be at `target` within the `tolerance` [m and rad], each pair at least
-        `least` [m] outside its buffer (inside, if negative), and no joint near its limit.
+        The end-effector must be at `target` within the `tolerance` [m and rad], and each pair at
+        least `least` [m] outside its buffer (inside, if negative).
         """
         search = self._search
         search.place(q_m)

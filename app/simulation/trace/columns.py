@@ -34,11 +34,9 @@ _CASTS: dict[Kind, Callable[[Any], Any]] = {"float": float, "int": int, "bool": 
 class TraceMeta(Strict):
     """Constant data of a run; they also determine the names of the columns."""
 
-    format: Literal[2] = 2
-    """[-] version of the file format; files of other versions cannot be read."""
+    format: Literal[2] = 2  # [-] version of the file format; files of other versions cannot be read
     robot: str
-    joints: tuple[str, ...]
-    """Names of the arm's joints, in the order of q_m."""
+    joints: tuple[str, ...]  # names of the arm's joints, in the order of q_m
     joint_units: tuple[Literal["rad", "m"], ...]
     joint_speeds: tuple[Positive, ...] = ()
     """(n_m,) [rad/s or m/s] speed limits of the joints; empty if unknown."""
@@ -47,19 +45,14 @@ class TraceMeta(Strict):
     velocities: tuple[str, ...] = ("v_mps", "w_radps")
     """Names of the base's velocities in the columns, in the order of the base's axes."""
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
-    wheels: tuple[str, ...] = ("right", "left")
-    """Names of the angles of the base's wheels."""
-    pairs: tuple[str, ...]
-    """Names of all link pairs, in the order of the distances."""
-    mobile_pairs: tuple[str, ...]
-    """Names of the pairs with the base (L_m)."""
+    wheels: tuple[str, ...] = ("right", "left")  # names of the angles of the base's wheels
+    pairs: tuple[str, ...]  # names of all link pairs, in the order of the distances
+    mobile_pairs: tuple[str, ...]  # names of the pairs with the base (L_m)
     scenario: str = ""
-    physics: str = ""
-    """Name of the plant; empty if unknown."""
+    physics: str = ""  # name of the plant; empty if unknown
     seed: int | None = Field(default=None, ge=0)
     """[-] seed of all random numbers of the run; None if unknown."""
-    config: Config
-    """Parameters at the first row; a column has the later changes."""
+    config: Config  # parameters at the first row; a column has the later changes
     stuck: dict[str, Any] | None = None
     """Position of the end-effector and reasons (`Stuck`), if it is more than 1 mm away from a
     resting reference at the end; otherwise None."""
@@ -162,61 +155,41 @@ class Quantity(NamedTuple):
 
 
 def number(
-    name: str,
-    kind: Kind,
+    template: str,
     source: str | Take | None = None,
+    kind: Kind = "float",
     *,
     often: bool = True,
     optional: bool = False,
 ) -> Quantity:
-    """A quantity of one number or text.
+    """A quantity of one number or text, or of an array (k,) if the `template` names k columns.
 
-    `source` is the value's attribute of `Step`, as in `Quantity.paths`, or its computation, as in
-    `Quantity.take`. If not `often`, the value is recorded only at snapshots. If `optional`, the
-    value can be None.
+    `template` is as in `column_names`. `source` is the value's attribute of `Step`, as in
+    `Quantity.paths`, or its computation, as in `Quantity.take`. If not `often`, the value is
+    recorded only at snapshots. If `optional`, the value can be None.
     """
-    column, cast = Column(name, kind, optional, often), _CASTS[kind]
-
-    def value(cells: Sequence[Any], _: TraceMeta) -> Any:
-        return None if optional and np.isnan(cells[0]) else cast(cells[0])
-
-    def cells(value: Any, _: TraceMeta) -> Sequence[Cell]:
-        return (NAN if value is None else value,)
-
-    take, paths = _source(source, cast)
-    return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths)
-
-
-def numbers(
-    template: str, source: str | Take, *, often: bool = True, optional: bool = False
-) -> Quantity:
-    """A quantity of an array (k,); `template` is as in `column_names`, the rest as in `number`."""
+    single = "{" not in template
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
-        return [Column(n, "float", optional, often) for n in column_names(template, meta)]
+        return [Column(name, kind, optional, often) for name in column_names(template, meta)]
 
-    def cells(value: Array | None, meta: TraceMeta) -> Sequence[Cell]:
-        return [NAN] * len(columns(meta)) if value is None else value.tolist()
+    def cells(value: Any, meta: TraceMeta) -> Sequence[Cell]:
+        if value is None:
+            return [NAN] * len(columns(meta))
+        return (value,) if single else value.tolist()
 
-    def value(cells: Sequence[float], _: TraceMeta) -> Array | None:
-        return None if optional and np.isnan(cells).all() else frozen(cells)
+    def value(cells: Sequence[Any], _: TraceMeta) -> Any:
+        if optional and np.isnan(cells).all():
+            return None
+        return _CASTS[kind](cells[0]) if single else frozen(cells)
 
-    take, paths = _source(source, np.asarray)
-    return Quantity(columns, cells, value, take, paths=paths)
-
-
-def _source(
-    source: str | Take | None, convert: Callable[[Any], Any]
-) -> tuple[Take | None, tuple[str, ...]]:
-    """`take` and `paths` of a quantity with a `source`; `convert` converts an attribute's value."""
     if not isinstance(source, str):
-        return source, ()
-    read = attrgetter(source)
-    return lambda _, step: convert(read(step)), (source,)
+        return Quantity(columns, cells, value, source, single)
+    read, convert = attrgetter(source), _CASTS[kind] if single else np.asarray
+    return Quantity(columns, cells, value, lambda _, step: convert(read(step)), single, (source,))
 
 
-drawn, drawn_numbers = partial(number, often=False), partial(numbers, often=False)
-"""A quantity of one number or text, or of an array (k,), recorded at snapshots."""
+drawn = partial(number, often=False)  # a quantity that is recorded at snapshots
 
 
 def config_changes(take: Take) -> Quantity:

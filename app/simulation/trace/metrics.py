@@ -68,27 +68,27 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     `chain` has the names of the robot's bodies from the base outwards, for the displayed names of
     link pairs; if it is empty, the pairs' own names are used.
     """
-    touched = touches(figures)
-    distances = figures["min_distance_m"].items()
-    known = [(pair, d) for pair, d in distances if d is not None and math.isfinite(d)]
-    least = min(known, key=lambda item: item[1], default=None)
-    result = outcome(least[1] if least else math.inf, touched=bool(touched))
+
+    def name(pair: str) -> str:
+        return spoken(pair, chain) if chain else pair
+
+    touched, distances = touches(figures), figures["min_distance_m"]
+    known = {pair: d for pair, d in distances.items() if d is not None and math.isfinite(d)}
+    least, larger = min(known.values(), default=math.inf), ""
+    result = outcome(least, touched=bool(touched))
     text = f"The arm touched {' and '.join(touched)}" if touched else result.capitalize()
-    larger = ""
-    if least is not None:
-        pair, distance = spoken(least[0], chain) if chain else least[0], 1000 * least[1]
-        near = f"smallest distance {distance:.0f}"
-        if distance < 0:
-            near = f"bodies overlapped by {-distance:.1f}"
-        text += f"; {near} mm ({pair})"
-        if result == "overlap":
-            larger = (
-                " Distances are between convex bodies that enclose the links: they can overlap"
-                " without contact."
-            )
-    if lost := sorted({pair for pair, _ in distances} - {pair for pair, _ in known}):
-        named = (spoken(pair, chain) if chain else pair for pair in lost)
-        text += f"; without a distance: {', '.join(named)}"
+    if known:
+        near = f"smallest distance {1000 * least:.0f}"
+        if least < 0:
+            near = f"bodies overlapped by {-1000 * least:.1f}"
+        text += f"; {near} mm ({name(min(known, key=known.__getitem__))})"
+    if result == "overlap":
+        larger = (
+            " Distances are between convex bodies that enclose the links: they can overlap without"
+            " contact."
+        )
+    if lost := sorted(distances.keys() - known.keys()):
+        text += f"; without a distance: {', '.join(map(name, lost))}"
     error, final = figures["ee_error_final_m"], "is missing"
     if error is not None and math.isfinite(error):
         final = f"{1000 * error:.1f} mm"

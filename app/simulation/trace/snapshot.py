@@ -38,10 +38,8 @@ from app.simulation.trace.columns import (
     column_names,
     config_changes,
     drawn,
-    drawn_numbers,
     frozen,
     number,
-    numbers,
     records,
 )
 from app.simulation.trace.words import outcome_text
@@ -122,8 +120,10 @@ def _pairs() -> Quantity:
     def take(session: Session, step: Step) -> tuple[PairReading, ...]:
         base, w = session.model.body_names[0], step.control
         numbers = step.distances.tolist(), w.beta.tolist()
-        values = zip(w.pairs, *numbers, map(frozen, w.p_a), map(frozen, w.p_b), strict=False)
-        return tuple(PairReading(pair.name, pair.a == base, *rest) for pair, *rest in values)
+        return tuple(
+            PairReading(pair.name, pair.a == base, d, beta, frozen(p_a), frozen(p_b))
+            for pair, d, beta, p_a, p_b in zip(w.pairs, *numbers, w.p_a, w.p_b, strict=False)
+        )
 
     def cells(pairs: Sequence[PairReading], _: TraceMeta) -> Sequence[Cell]:
         of_pairs = list(zip(*pairs, strict=True))[2:]  # without name and kind
@@ -148,16 +148,13 @@ def _acting() -> Quantity:
         return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
 
     def take(session: Session, step: Step) -> tuple[ActingReading, ...]:
-        state, w = session.state, step.control
-        return tuple(
-            ActingReading(
-                w.pairs[i].name,
-                *(frozen(state.to_world(p[i])) for p in (w.p_n, w.p_t, w.p_act)),
-                frozen(state.R_world_base @ w.f[i]),
-            )
-            for i in range(w.n_mob)
-            if w.B[0] > 0.0 and not np.isnan(w.p_act[i, 0])
-        )
+        found, w, place = [], step.control, session.state.to_world
+        for i in range(w.n_mob):
+            if w.B[0] > 0.0 and not np.isnan(w.p_act[i, 0]):
+                force = session.state.R_world_base @ w.f[i]
+                vectors = place(w.p_n[i]), place(w.p_t[i]), place(w.p_act[i]), force
+                found.append(ActingReading(w.pairs[i].name, *map(frozen, vectors)))
+        return tuple(found)
 
     def cells(acting: Sequence[ActingReading], meta: TraceMeta) -> Sequence[Cell]:
         points = {name: points for name, *points in acting}
@@ -220,12 +217,11 @@ def _door() -> Quantity:
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] largest force of a person that the arm can resist.
+    """[N] largest force of a person that the arm can resist, or NaN if there is no bound.
 
     It is the smallest `force_bound` of the pairs inside their buffers and of the force on the
-    end-effector, which has no distance in which the arm must stop. It is NaN if there is no such
-    pair and no such force, if no person holds the robot, and in a step with the fallback command,
-    which does not respect limits.
+    end-effector. There is no bound without such a pair and force, without a person, and in a step
+    with the fallback command, which does not respect limits.
     """
     if not (step.pulls and step.control.solved):
         return NAN
@@ -259,79 +255,78 @@ _least_bound_once = direct(_least_bound)
 class Snapshot:
     """The whole simulation at one instant.
 
-    Fields with a declaration are quantities, with one or several columns in a trace. The
-    declarations `number` and `numbers` are recorded at each control step, `drawn` and
-    `drawn_numbers` only at snapshots. A declaration names the attribute of `Step` with the value,
-    or computes the value from the session s after the step and the step o; if it does neither, the
-    caller of `make_snapshot` sets the value. Of the other fields, files store only `physics` and
-    `seed`.
+    Fields with a declaration are quantities, with columns in a trace: `number` declares one that is
+    recorded at each control step, `drawn` one that is recorded at snapshots. A declaration names
+    the attribute of `Step` with the value, or computes the value from the session s after the step
+    and the step o; if it does neither, the caller of `make_snapshot` sets the value. Of the fields
+    without a declaration, files store only `physics` and `seed`.
     """
 
-    t: Annotated[float, number("t_s", "float", "t")]
+    t: Annotated[float, number("t_s", "t")]
     """[s] simulated time since the last reset."""
-    base_pose: Annotated[Array, numbers("base_{pose}", "truth.base_pose")]
+    base_pose: Annotated[Array, number("base_{pose}", "truth.base_pose")]
     """(3,) x, y [m] and heading φ [rad] of the base."""
-    base_velocity: Annotated[Array, numbers("base_{velocity}", "truth.base_velocity")]
+    base_velocity: Annotated[Array, number("base_{velocity}", "truth.base_velocity")]
     """(n_b,) [m/s or rad/s] true velocity along the base's axes; v and ω of a differential base."""
-    base_velocity_command: Annotated[Array, numbers("command_{velocity}", "base_command")]
+    base_velocity_command: Annotated[Array, number("command_{velocity}", "base_command")]
     """(n_b,) [m/s or rad/s] velocity command; it changes once in each `admittance.period`."""
-    base_acceleration: Annotated[Array, numbers("base_{acceleration}", "control.a_base_cmd")]
+    base_acceleration: Annotated[Array, number("base_{acceleration}", "control.a_base_cmd")]
     """(n_b,) [m/s² or rad/s²] commanded base acceleration, the input of the admittance law."""
     avoidance_acceleration: Annotated[
-        Array, numbers("avoidance_{acceleration}", "control.base_avoidance")
+        Array, number("avoidance_{acceleration}", "control.base_avoidance")
     ]
     """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 if the controller does
     not move the base out of the way."""
-    wheel_angles: Annotated[Array, drawn_numbers("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
+    wheel_angles: Annotated[Array, drawn("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] angles of the base's wheels, for drawing."""
-    q_m: Annotated[Array, numbers("q_{joint}_{position}", "truth.q_m")]
+    q_m: Annotated[Array, number("q_{joint}_{position}", "truth.q_m")]
     """(n_m,) [rad or m] joint positions of the arm."""
-    u_a: Annotated[Array, numbers("u_{joint}_{effort}", "control.u_cmd")]
+    u_a: Annotated[Array, number("u_{joint}_{effort}", "control.u_cmd")]
     """(n_m,) [N m or N] commanded joint torques of the arm."""
-    p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", "state.p_ee")]
+    p_ee: Annotated[Array, number("p_ee_{xyz}_m", "state.p_ee")]
     """(3,) [m] position of the end-effector in the world."""
-    wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
+    wxyz_ee: Annotated[Array, drawn("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
     """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
     """All link pairs; the pairs with the base (L_m) are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs with the base inside their buffer, if the controller uses them."""
-    beta_m: Annotated[float, number("beta_m", "float", "control.beta_m")]
+    beta_m: Annotated[float, number("beta_m", "control.beta_m")]
     """[-] β_m of (28)."""
     hand_target: Annotated[
         Array | None,
-        drawn_numbers("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
+        drawn("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
     ]
     """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
-    hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", "hand_force")]
+    hand_force: Annotated[Array, number("hand_force_{xyz}_n", "hand_force")]
     """(3,) [N] force of all people on the end-effector, in the world; while a scenario opens a
     door, the force of the end-effector on the door."""
-    ee_error: Annotated[float, number("ee_error_m", "float", "ee_error")]
+    ee_error: Annotated[float, number("ee_error_m", "ee_error")]
     """[m] true distance of the end-effector from the target of the (first) person who holds it;
     without such a person, from its reference; 0 if there is neither."""
-    in_contact: Annotated[bool, number("contact", "bool", "contacts.arm_base")]
+    in_contact: Annotated[bool, number("contact", "contacts.arm_base", "bool")]
     """Whether arm and base touch."""
-    arm_in_contact: Annotated[bool, number("arm_contact", "bool", "contacts.arm_arm")]
+    arm_in_contact: Annotated[bool, number("arm_contact", "contacts.arm_arm", "bool")]
     """Whether parts of the arm touch."""
-    solver_failures: Annotated[int, number("solver_failures", "int", "control.failures")]
+    solver_failures: Annotated[int, number("solver_failures", "control.failures", "int")]
     """Number of steps with the fallback command since the last reset."""
-    step_time_us: Annotated[float, drawn("step_time_us", "float")]
+    step_time_us: Annotated[float, drawn("step_time_us")]
     """[µs] mean real time of a control step in the last simulated second; NaN without a clock."""
-    realtime_factor: Annotated[float, drawn("realtime_factor", "float")]
+    realtime_factor: Annotated[float, drawn("realtime_factor")]
     """[-] ratio of simulated to real time in the last second; NaN in a run without a clock."""
-    overruns: Annotated[int, drawn("overruns", "int")]
+    overruns: Annotated[int, drawn("overruns", kind="int")]
     """Number of control steps since the last reset that took longer than their period (1 ms divided
     by the speed), or started after the end of their period."""
-    paused: Annotated[bool, drawn("paused", "bool")]
+    paused: Annotated[bool, drawn("paused", kind="bool")]
     """Whether the simulation is paused."""
     mode: Annotated[
-        str, drawn("mode", "text", lambda s, o: "tracking" if o.control.tracking else "guiding")
+        str, drawn("mode", lambda s, o: "tracking" if o.control.tracking else "guiding", "text")
     ]
     """"guiding", or "tracking" while the arm follows a reference."""
-    controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
+    controller: Annotated[str, drawn("controller", lambda s, o: s.controller.name, "text")]
     config: Annotated[Config, config_changes(lambda s, o: s.config)]
     """The parameters in use, which include the changes of `Scenario.adapted`."""
-    d_b: Annotated[float, drawn("d_b_m", "float", lambda s, o: s.controller.d_b)]
+    d_b: Annotated[float, drawn("d_b_m", lambda s, o: s.controller.d_b)]
     """[m] present buffer distance, which slowly approaches `config.border.d_b`."""
     buffer: Annotated[BufferReading, _buffer()]
     """Whether d_b is sufficient for the arm's approach speed."""
@@ -345,31 +340,31 @@ class Snapshot:
     scores: Annotated[tuple[Score, ...], records("scores_json", Score)] = ()
     """Scores of this robot and the ghosts since the start of the comparison; empty without
     ghosts."""
-    same: Annotated[str, drawn("ghosts_have_the_same", "text")] = ""
+    same: Annotated[str, drawn("ghosts_have_the_same", kind="text")] = ""
     """The common input of this robot and the ghosts, "path" or "force"; empty without ghosts."""
-    scenario: Annotated[str, drawn("scenario", "text")] = ""
+    scenario: Annotated[str, drawn("scenario", kind="text")] = ""
     """Name of the scenario that moves the end-effector; empty during free motion."""
-    scenario_ends: Annotated[float | None, drawn("scenario_ends_s", "float", optional=True)] = None
+    scenario_ends: Annotated[float | None, drawn("scenario_ends_s", optional=True)] = None
     """[s] simulated time at which the scenario ends; None during free motion."""
     door: Annotated[DoorView | None, _door()] = None
     """The door that the end-effector holds, also after the scenario."""
-    speed: Annotated[float, drawn("speed", "float")] = 1.0
+    speed: Annotated[float, drawn("speed")] = 1.0
     """[-] desired ratio of simulated to real time."""
-    qd_m: Annotated[Array | None, numbers("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
+    qd_m: Annotated[Array | None, number("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
     """(n_m,) [rad/s or m/s] joint velocities of the arm; None if unknown."""
-    activation: Annotated[float, number("activation", "float", "control.activation")] = 0.0
+    activation: Annotated[float, number("activation", "control.activation")] = 0.0
     """[-] largest activation of the rows that the controller has inserted; 0 without rows."""
-    floor_contact: Annotated[bool, number("floor_contact", "bool", "contacts.arm_floor")] = False
+    floor_contact: Annotated[bool, number("floor_contact", "contacts.arm_floor", "bool")] = False
     """Whether arm and floor touch."""
-    given_up: Annotated[int, number("solver_given_up", "int", "control.given_up")] = 0
+    given_up: Annotated[int, number("solver_given_up", "control.given_up", "int")] = 0
     """Number of steps since the last reset in which the base's QP had no solution."""
-    ee_speed: Annotated[float, number("hand_speed_mps", "float", "ee_speed")] = 0.0
+    ee_speed: Annotated[float, number("hand_speed_mps", "ee_speed")] = 0.0
     """[m/s] true speed of the end-effector."""
-    people: Annotated[int, number("people", "int", "people")] = 0
+    people: Annotated[int, number("people", "people", "int")] = 0
     """Number of people who hold the robot."""
-    duration_us: Annotated[float, number("duration_us", "float", "duration_us")] = NAN
+    duration_us: Annotated[float, number("duration_us", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
-    force_bound: Annotated[float, number("force_bound_n", "float", _smallest_force_bound)] = NAN
+    force_bound: Annotated[float, number("force_bound_n", _smallest_force_bound)] = NAN
     """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
     physics: str = ""
     """Name of the plant; empty if unknown."""

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import compress
+from itertools import compress, takewhile
 from operator import attrgetter
 from struct import Struct
 from typing import Any, Literal, NamedTuple
@@ -323,12 +323,8 @@ class History:
 
     def after(self, t: float) -> list[Stored]:
         """Snapshots later than `t` [s], oldest first."""
-        found = []
-        for stored in reversed(tuple(self._stored)):
-            if stored.t <= t:
-                break
-            found.append(stored)
-        return found[::-1]
+        later = takewhile(lambda stored: stored.t > t, reversed(tuple(self._stored)))
+        return list(later)[::-1]
 
 
 def columns_of(meta: TraceMeta) -> list[Column]:
@@ -365,9 +361,9 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Where the end-effector is in a step, and all reasons why it is not at its target.
 
-    "links too near" means that rows of T_sca for pairs within the arm are active: they precede the
-    end-effector's task. "border against end-effector" means that the avoidance moves the base, and
-    thus the end-effector, away from the target.
+    "links too near": rows of T_sca for pairs within the arm, which precede the end-effector's task,
+    are active. "border against end-effector": the avoidance moves the base, and thus the
+    end-effector, away from the target.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)
