@@ -38,9 +38,8 @@ class RunSpec(NamedTuple):
 class RunCase(Strict):
     """The contents of a case file: `dbb run`, `dbb serve` and other commands repeat its run."""
 
-    dbb_case: Literal[1] = 1  # Version of the file format
-    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
-    """Version of the program that wrote the file."""
+    dbb_case: Literal[1] = 1  # version of the file format
+    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))  # of the writer
     robot: str
     played: str  # name of the scenario
     options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)  # all options of the scenario
@@ -48,7 +47,6 @@ class RunCase(Strict):
     physics: str
     seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
     parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
-    """All parameters, by their paths."""
 
     @model_validator(mode="before")
     @classmethod

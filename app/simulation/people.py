@@ -144,11 +144,7 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
-    """Check a person's target in the world and return it as an array (3,) [m].
-
-    A target that is not three finite numbers, is below the floor, or has a coordinate beyond ±10 km
-    raises a TargetError.
-    """
+    """Return a target as an array (3,) [m]; one below the floor or invalid raises a TargetError."""
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
     if z < 0:
@@ -159,11 +155,7 @@ def checked_target(target: Sequence[float] | Array) -> Array:
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
-    """Check a held point in the frame of a link and return the point as an array (3,) [m].
-
-    A point that is not three finite numbers, or farther than 1 m from the link's origin, raises a
-    TargetError.
-    """
+    """Return a held point as an array (3,) [m]; one beyond 1 m or invalid raises a TargetError."""
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
         raise TargetError(

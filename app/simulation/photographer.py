@@ -43,10 +43,7 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """A copy of the camera, moved so that points (N, 3) [m] in the world fill the picture.
-
-        `margin` [-] is the smallest empty part of the picture's width or height on each side.
-        """
+        """A copy, moved so that points (N, 3) [m] fill the picture up to a `margin` [-]."""
         camera = self
         for _ in range(8):  # the perspective changes a little each time
             view, projection = camera.matrices()

@@ -362,11 +362,7 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """Start as after a long motion with constant velocities.
-
-        `q` (n,) [rad or m] and `qd` (n,) [rad/s or m/s] are positions and velocities at the time of
-        the first `update`; `dt` [s] is the time between two calls of `update`.
-        """
+        """Start at positions `q` (n,), as after a long motion with velocities `qd` (n,)."""
         pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
         self._q, self._qd, self._dt = q - qd * dt, qd.copy(), dt
@@ -381,10 +377,7 @@ class VelocityTracking:
 
 
 def check_posture(model: RobotModel, q_m: Array) -> None:
-    """Check the joint positions `q_m` (n_m,) [rad or m] of a start.
-
-    A wrong number of joints, or a joint beyond its limits, raises a TargetError.
-    """
+    """Raise a TargetError if `q_m` has a wrong length, or a joint is beyond its limits."""
     if len(q_m) != model.n_m:
         raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")
     for name, at, low, high in zip(

@@ -40,10 +40,7 @@ class Beginning(Command):
 
 @dataclass(frozen=True)
 class Pull(Command):
-    """A person holds a point of the robot and pulls this point towards `target`.
-
-    A pull of the end-effector ends the motion of a scenario; a pull elsewhere disturbs this motion.
-    """
+    """A person pulls a point of the robot; at the end-effector, this ends a scenario's motion."""
 
     target: Point  # [m] target of the held point, in the world
     link: str | None = None  # name of one of the loop's `links`; None is the end-effector

@@ -73,10 +73,7 @@ class Ensemble:
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again without a scenario; the arguments are those of the command `Reset`.
-
-        If the robots cannot start there, this raises a DbbError, and the present run continues.
-        """
+        """Start again as the command `Reset`; a DbbError leaves the present run unchanged."""
         begun = self._start
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
@@ -95,10 +92,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
-
-        If the control period is too long for a gain, this raises a ConfigError, without a change.
-        """
+        """Use other parameters, as `Session.configure`, with the changes of `Scenario.adapted`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
@@ -122,10 +116,7 @@ class Ensemble:
             self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
-
-        If `MAX_PULLS` other people already hold the robot, this raises a TargetError.
-        """
+        """Let a person hold the robot; more than `MAX_PULLS` people raise a TargetError."""
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
@@ -177,10 +168,7 @@ class Ensemble:
     def _enter(
         self, setting: Setting, scenario: Scenario | None, comparison: Compare | None = None
     ) -> None:
-        """Start all robots at a setting, by default with the present comparison's controllers.
-
-        A DbbError leaves the present run unchanged.
-        """
+        """Start all robots at a setting; a DbbError leaves the present run unchanged."""
         comparison = comparison or self.comparison
         config = scenario.adapted(self._config) if scenario else self._config
         setting, free = setting._replace(config=config), self._free

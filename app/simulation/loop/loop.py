@@ -1,8 +1,4 @@
-"""Live loop: a thread that runs a session in real time, executes commands and publishes snapshots.
-
-The dashboard uses only `LoopHandle`, so that the loop can also run in another process
-(`ProcessLoop`).
-"""
+"""Live loop: a thread that runs a session in real time and publishes snapshots."""
 
 import threading
 from collections.abc import Callable
@@ -26,7 +22,7 @@ _IDLE = 0.25  # [s] time between two heartbeats during a pause
 
 
 class LoopHandle:
-    """The dashboard's interface to the simulation: a mailbox, and the published snapshots."""
+    """The dashboard's interface to the simulation; the loop can also run in another process."""
 
     error: BaseException | None = None  # the error that ended the loop, if any
     links: tuple[str, ...] = ()  # names of the arm's frames that people can pull
@@ -55,17 +51,11 @@ class LoopHandle:
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
-
-        A long operation that a snapshot announces (`Snapshot.busy`) does not count as silence.
-        """
+        """[s] time since the last heartbeat; a paused loop has heartbeats, a hung loop has none."""
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:
-        """Send a command, which the loop executes before one of the next control steps.
-
-        `Mailbox` states whether the command replaces a waiting one, `Mailbox.put` the errors.
-        """
+        """Send a command, as `Mailbox.put`; the loop executes it before one of the next steps."""
         self._mailbox.put(command, self.links)
 
     def latest(self) -> Snapshot:
@@ -111,7 +101,6 @@ class SimulationLoop(LoopHandle):
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat, or 0 during an announced long operation."""
         return 0.0 if self.latest().busy else super().silence
 
     def _run(self) -> None:

@@ -1,8 +1,4 @@
-"""The live loop in a child process, where drawing and network traffic cannot delay it.
-
-Python runs one thread at a time: in the server's process, the simulation would have to wait for a
-drawing thread, also while the system suspends that thread. Two pipes carry commands and snapshots.
-"""
+"""The live loop in a child process, where drawing and network traffic cannot delay its thread."""
 
 import gc
 import math
@@ -147,10 +143,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
-    """Forward commands and snapshots until the loop fails; then send the loop's exception.
-
-    If the parent has ended, or has closed a pipe, this raises an EOFError or OSError.
-    """
+    """Forward commands and snapshots until the loop fails or a pipe is closed; send the failure."""
     posted, beat = None, monotonic()
     while loop.error is None:
         latest = loop.latest()

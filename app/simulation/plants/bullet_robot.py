@@ -1,7 +1,4 @@
-"""A robot in pybullet: the base on velocity-controlled planar joints, a torque-controlled arm.
-
-The end-effector can hold the door of a refrigerator, which stands on the floor.
-"""
+"""A robot in pybullet: the base on velocity-controlled planar joints, a torque-controlled arm."""
 
 from collections.abc import Sequence
 from xml.etree import ElementTree
@@ -71,10 +68,7 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step, as in `Physics.step`.
-
-        `speeds` (3,) [m/s, m/s, rad/s] are the commanded speeds of x, y and yaw in the world.
-        """
+        """Advance by one step; `speeds` (3,) [m/s, m/s, rad/s] are those of x, y and yaw."""
         self.client.setJointMotorControlArray(
             self.robot,
             self._planar,
@@ -155,10 +149,7 @@ class BulletDoor(HeldDoor):
             self._grasp = None
 
     def reset(self) -> None:
-        """Put the refrigerator in place, with its door at the initial angle, and grasp the door.
-
-        Call `release` before.
-        """
+        """Put the refrigerator in place, and grasp its door; call `release` before."""
         client = self._client
         pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])

@@ -23,10 +23,7 @@ from app.system import decimal_points, flush_c_output
 
 @contextmanager
 def silence(*descriptors: int) -> Iterator[None]:
-    """Discard output to file descriptors of the whole process during the `with`, also from C code.
-
-    Descriptor 1 is standard output, 2 is standard error.
-    """
+    """Discard output to file descriptors of the process in the `with`, also from C code."""
     _flush()  # at both ends, because buffered output would otherwise be lost or appear later
     kept = {fd: os.dup(fd) for fd in descriptors}
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -91,10 +88,7 @@ class BulletWorld:
     """A robot in a separate client; all indices are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot from the text of a URDF with absolute paths, and a floor.
-
-        An error of pybullet raises an AssetError; a missing pybullet raises a ConfigError.
-        """
+        """Load a robot from a URDF with absolute paths, and a floor; raises an AssetError."""
         self.client = Client()
         # pybullet caches a file by its descriptor, which the system can give to a later file.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
@@ -120,10 +114,9 @@ class BulletWorld:
     def load(
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
-        """Load a body from a URDF's text, without damping, and return its index.
+        """Load a body from a URDF's text, with its root at `place` (3,) [m], and return its index.
 
-        Its root is at `place` (3,) [m]. With `self_collision`, links that are not neighbours can
-        touch, and the root is fixed.
+        With `self_collision`, links that are not neighbours can touch, and the root is fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:

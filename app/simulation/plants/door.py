@@ -68,10 +68,7 @@ class Door:
 
     @property
     def joint_range(self) -> tuple[float, float]:
-        """[rad] limits of the hinge's joint, whose position is -side times the opening angle.
-
-        The closed door stops at the cabinet; the largest opening angle is 180 degrees.
-        """
+        """[rad] limits of the hinge's joint, whose position is -side times the opening angle."""
         stops = self.side * _GAP / self.width, -self.side * math.pi
         return min(stops), max(stops)
 

@@ -65,11 +65,7 @@ class Physics(ABC):
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest; the end-effector grasps the door, if there is one.
-
-        `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
-        positions.
-        """
+        """Put the robot at rest at x, y [m], heading [rad] and `q_m` (n_m,), and grasp any door."""
 
     @abstractmethod
     def measure(self) -> Measurement:

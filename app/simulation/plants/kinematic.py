@@ -1,9 +1,8 @@
-"""A simple plant without a physics engine, which integrates the equation of motion.
+"""A simple plant without a physics engine, for tests and as a check of the engines.
 
 The base moves exactly with its drive's velocity; the arm follows
 M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f with external forces f. Only joint limits stop the arm:
-contacts are overlaps of the convex bodies, which are reported and cause no force. The plant is for
-tests, and for an independent check of the engines.
+contacts are overlaps of the convex bodies, which are reported and cause no force.
 """
 
 import math

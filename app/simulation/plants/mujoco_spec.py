@@ -72,11 +72,8 @@ class RobotSpec:
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
-        """Add a body at the pose T in a parent body, and return the new body.
-
-        `compile` sets the inertia, because MuJoCo's compiler refuses inertias that other libraries
-        accept, such as that of a link without mass that carries other links.
-        """
+        """Add a body at the pose T in a parent body; `compile` sets its inertia."""
+        # MuJoCo's compiler refuses some inertias, such as that of a massless link with a load.
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
         self._inertias[name] = inertia.mass, moments

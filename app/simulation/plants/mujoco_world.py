@@ -1,7 +1,4 @@
-"""A compiled MuJoCo model of a robot, with its motors, torques, external forces and contacts.
-
-The end-effector can hold the door of a refrigerator, which stands on the floor.
-"""
+"""A compiled MuJoCo model of a robot, with its motors, torques, external forces and contacts."""
 
 import logging
 from collections.abc import Sequence
@@ -28,10 +25,7 @@ _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
 class MujocoWorld:
-    """A compiled specification; the robot's root is on planar joints or free.
-
-    For a root on planar joints, it has the methods of `BulletRobot`.
-    """
+    """A compiled specification; for a root on planar joints, it has `BulletRobot`'s methods."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""

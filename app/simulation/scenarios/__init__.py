@@ -67,12 +67,9 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
     A line of the robot's description (start and displacement of the end-effector) replaces the
     scenario's own line; `changes`, options as in `Scenario.changed`, override both.
 
-    Raises:
-        UnknownNameError: The scenario does not exist.
-        UnreachableError: The scenario needs a line of the description, there is none, and `changes`
-            has no start.
-        DescriptionError: A line of the description belongs to no scenario with a line.
-        ConfigError: An option does not exist, or its value is invalid.
+    This raises the errors of `scenario_by_name` and `Scenario.changed`; an UnreachableError if the
+    scenario needs a start, and neither description nor `changes` have one; and a DescriptionError
+    if a line of the description belongs to no scenario with a line.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
@@ -91,9 +88,9 @@ def free_start(
 ) -> Array:
     """The arm's joint positions (n_m,) [rad or m] at the start of the free motion.
 
-    `start` (3,) [m] is the position of the end-effector in the world, with the base at the origin;
-    by default the start of the robot's own line for `guiding-front`, or the ready posture if there
-    is no line. If the search finds no posture, this raises an UnreachableError.
+    `start` (3,) [m] is the end-effector's position for a base at the origin, by default that of the
+    robot's own line for `guiding-front`; without a line, the result is the ready posture. If the
+    search finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start

@@ -96,10 +96,9 @@ class DoorOpening:
         return np.array([math.cos(angle), math.sin(angle), 0.0])
 
     def step(self, T_world_ee: pin.SE3, velocity_ee: Array, wrench: Wrench) -> Reference:
-        """Update the estimates, and return the reference of the control step.
+        """Update the estimates with sensor readings, and return the step's reference.
 
-        The readings are the end-effector's pose, the velocity (3,) [m/s] of its origin in the
-        world, and its wrench on the door.
+        They are the end-effector's pose, the velocity (3,) [m/s] of its origin, and its wrench.
         """
         gains, dt = self._gains, self._dt
         share = -math.expm1(-dt / gains.smoothing)  # of a first-order filter
@@ -146,11 +145,7 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens the door in a session at its start.
-
-    `rate` [deg/s] is the desired rotation rate of the door, `guess` [deg] the error of the first
-    estimate of the direction to the hinge, as in `RefrigeratorScenario.radial_guess`.
-    """
+    """The driver that opens the door at `rate` [deg/s]; `guess` [deg] is the initial error."""
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
     turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])

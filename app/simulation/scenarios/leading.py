@@ -83,10 +83,7 @@ class Scenario(ABC):
         """Make the driver for a session at its start; only a scenario with a door can fail here."""
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with some fields changed; a value of None changes nothing.
-
-        An unknown field or an invalid value raises a ConfigError.
-        """
+        """A copy with changed fields, ignoring None; an invalid change raises a ConfigError."""
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
         for name in given:

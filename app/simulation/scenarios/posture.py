@@ -101,11 +101,7 @@ class PostureSearch:
         return best
 
     def reach(self, target: Target | pin.SE3, guess: Array) -> Array:
-        """Find the posture (n_m,) near a guess with the least squared error from the target.
-
-        The joints keep a margin to their position limits. A small additional error draws them to
-        the middle of their ranges.
-        """
+        """Find the posture (n_m,) near a guess with the least squared error from the target."""
 
         def residual(q: Array) -> Array:
             drawn = _TO_MIDDLE * (q - self.middle) / self.span
@@ -171,10 +167,7 @@ class PostureSearch:
         return min(result.min_distance for result in data.distanceResults)
 
     def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
-        """The reason why the present posture is invalid, or an empty string if it is valid.
-
-        The arm must be higher than `floor` [m], and the smallest distance above d_b + `margin` [m].
-        """
+        """The reason why the arm is not above `floor` [m] or `margin` [m] beyond d_b, or ""."""
         if self.above_floor() <= floor:
             return "the arm would touch the floor"
         return "" if self.beyond_buffer() > margin else self.buffer_flaw()

@@ -113,10 +113,9 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Find the posture (n_m,) near a known one, q_m (n_m,), for a new position p_ee (3,) [m].
+        """Move a posture `q_m` (n_m,) to a new position (3,) [m], or raise an UnreachableError.
 
-        The direction of the end-effector and the branch of the inverse kinematics do not change. An
-        invalid posture raises an UnreachableError with the reason.
+        The direction of the end-effector and the branch of the inverse kinematics do not change.
         """
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
@@ -200,10 +199,7 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """Find a posture of the arm (n_m,), read-only and cached, by `StartSolver.solve`.
-
-    With `move` (3,) [m], the path of `solve` is the straight line of this displacement from `p_ee`.
-    """
+    """`StartSolver.solve`, cached and read-only, along the displacement `move` (3,) [m], if any."""
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
 

@@ -1,7 +1,4 @@
-"""Tables as files: CSV with a leading comment, or Parquet with schema metadata.
-
-This module imports little, because a child process uses it to read files.
-"""
+"""Tables as files: CSV with a leading comment, or Parquet with schema metadata."""
 
 import io
 import re
@@ -23,10 +20,7 @@ pa.set_memory_pool(pa.system_memory_pool())  # the default pool reserves 1 GB of
 
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
-    """Read the header and the table of an untrusted file.
-
-    A missing or damaged file, or one beyond the limits of `within_budget`, raises a LogError.
-    """
+    """Read the header and the table of an untrusted file; a fault raises a LogError."""
     try:
         # A small Parquet file can contain millions of equal rows.
         smallest = 0 if path.suffix.lower() == ".csv" else SMALL + 1

@@ -38,30 +38,23 @@ class TraceMeta(Strict):
     robot: str
     joints: tuple[str, ...]  # names of the arm's joints, in the order of q_m
     joint_units: tuple[Literal["rad", "m"], ...]
-    joint_speeds: tuple[Positive, ...] = ()
-    """(n_m,) [rad/s or m/s] speed limits of the joints; empty if unknown."""
-    joint_torques: tuple[Positive, ...] = ()
-    """(n_m,) [N m or N] torque limits of the joints; empty if unknown."""
-    velocities: tuple[str, ...] = ("v_mps", "w_radps")
-    """Names of the base's velocities in the columns, in the order of the base's axes."""
+    joint_speeds: tuple[Positive, ...] = ()  # (n_m,) [rad/s or m/s] limits; empty if unknown
+    joint_torques: tuple[Positive, ...] = ()  # (n_m,) [N m or N] limits; empty if unknown
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # of the base's axes, in the columns
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
     wheels: tuple[str, ...] = ("right", "left")  # names of the angles of the base's wheels
     pairs: tuple[str, ...]  # names of all link pairs, in the order of the distances
     mobile_pairs: tuple[str, ...]  # names of the pairs with the base (L_m)
     scenario: str = ""
     physics: str = ""  # name of the plant; empty if unknown
-    seed: int | None = Field(default=None, ge=0)
-    """[-] seed of all random numbers of the run; None if unknown."""
+    seed: int | None = Field(default=None, ge=0)  # of all random numbers
     config: Config  # parameters at the first row; a column has the later changes
-    stuck: dict[str, Any] | None = None
-    """Position of the end-effector and reasons (`Stuck`), if it is more than 1 mm away from a
-    resting reference at the end; otherwise None."""
+    stuck: dict[str, Any] | None = None  # `Stuck` at the end, if any
     left_way: dict[str, Any] | None = None
     """The same at the largest distance of the end-effector from its reference, if this distance
     exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)
-    """[s] time of the controller's first report of each fault of the readings, by the fault's
-    name."""
+    """[s] time of the controller's first report of each fault of the readings, by name."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -144,9 +137,7 @@ class Quantity(NamedTuple):
     columns: Callable[[TraceMeta], Sequence[Column]]
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]  # conversion of a snapshot's value to cells
     value: Callable[[Sequence[Any], TraceMeta], Any]  # conversion of cells to a snapshot's value
-    take: Take | None = None
-    """Computation of the value from a control step and the session after the step; None if the
-    publisher of the snapshot sets the value."""
+    take: Take | None = None  # None if the publisher of the snapshot sets the value
     single: bool = False  # whether the quantity is one number or text
     paths: tuple[str, ...] = ()
     """Attributes of `Step`, such as `truth.q_m`, with the numbers and float arrays that are

@@ -389,10 +389,7 @@ class Snapshot:
 
     @property
     def border(self) -> BorderConfig:
-        """The border's parameters with the present buffer distance, in 5 mm steps while it changes.
-
-        The acting points of the controller already belong to the border at the configured d_b.
-        """
+        """The border's parameters with the present d_b, in 5 mm steps while it changes."""
         commanded = self.config.border
         if abs(self.d_b - commanded.d_b) < _D_B_STEP or not math.isfinite(self.d_b):
             return commanded  # it is not finite in a changed log

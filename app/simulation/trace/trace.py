@@ -59,10 +59,7 @@ class Trace:
         snapshots: Sequence[Snapshot] = (),
         names: Sequence[str] = tuple(QUANTITIES),
     ) -> None:
-        """`table` (N, C) has rows in order of time, and the columns of the quantities `names`.
-
-        Each snapshot belongs to one of the rows.
-        """
+        """`table` (N, C) has rows in order of time, and the columns of the quantities `names`."""
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
         self.columns: list[Column] = []  # of the table, in order
@@ -82,10 +79,7 @@ class Trace:
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
-        """Make a trace with a row for each snapshot; the first one determines `meta`.
-
-        No snapshots, times that do not increase, or different pairs raise a LogError.
-        """
+        """Make a trace with a row for each snapshot; different runs or pairs raise a LogError."""
         if not snapshots:
             raise LogError("there are no snapshots for a log")
         first = snapshots[0]
@@ -112,10 +106,7 @@ class Trace:
         return self.table[:, self.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) values of a quantity, a field of `Snapshot`, in each row of the table.
-
-        A quantity that the table does not have, as in an older log, raises a LogError.
-        """
+        """(N,) or (N, k) values of a field of `Snapshot`; raises a LogError if there are none."""
         if quantity not in self._slices:
             raise LogError(f"the log does not have {quantity!r}")
         return self.table[:, self._slices[quantity]]

@@ -46,11 +46,7 @@ def spoken(name: str, chain: Sequence[str]) -> str:
 
 
 def outcome(least: float, *, touched: bool) -> Outcome:
-    """Classify a run by its smallest distance [m], and by whether bodies `touched` in the plant.
-
-    Distances are between convex bodies that enclose the links, so bodies can overlap without a
-    contact.
-    """
+    """Classify a run by its smallest distance [m], and by whether bodies `touched` in the plant."""
     return "contact" if touched else "overlap" if least < 0.0 else "no contact"
 
 
@@ -61,10 +57,7 @@ def millimetres(distance: float) -> str:
 
 
 def outcome_text(least: float, *, touched: bool) -> str:
-    """A text with the outcome of a run, such as "no contact, smallest distance 105 mm".
-
-    `least` is the smallest distance [m]; a negative one is an overlap of the convex bodies.
-    """
+    """A text with the outcome of a run, such as "no contact, smallest distance 105 mm"."""
     if least < 0.0:
         overlap = f"bodies overlap by {millimetres(-least)}"
         return f"contact, {overlap}" if touched else overlap
