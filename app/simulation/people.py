@@ -70,9 +70,8 @@ class People:
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
         """Compute the pull of each person in one control step, and the forces on the robot.
 
-        A person without a hold releases the robot. A person who changes to another point releases
-        the previous point; the spring of the new hold starts without stretch. An invalid target
-        raises a TargetError.
+        A person without a hold releases the robot. If a person holds another point than before, the
+        spring starts without stretch. An invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:

@@ -1,7 +1,4 @@
-"""Pictures of the robot by pybullet's software renderer, without display, browser or graphics card.
-
-The renderer draws only bodies. Callers can draw other elements: `Picture.pixels` projects points.
-"""
+"""Pictures of the robot by pybullet's software renderer, without display or graphics card."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -121,11 +118,7 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """Take a picture of the robot and the `solids`; without `robot`, only of the `solids`.
-
-        `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
-        positions.
-        """
+        """Take a picture of the `solids` and, if `robot`, of the robot; a pose is in m and rad."""
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, positions, strict=True):

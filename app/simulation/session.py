@@ -138,11 +138,7 @@ class Session:
         self._loads = self._loads_of(self.config)
 
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """Reset, as `reset`, with other parameters, including `disturbance.stated_period`.
-
-        A TargetError for the posture, or a ConfigError if the stated control period is too long for
-        a gain, is raised before any change.
-        """
+        """Reset with other parameters, including `stated_period`; errors precede any change."""
         check_posture(self.model, q_m)
         period, name = config.disturbance.stated_period, self.controller.name
         check_gains(config, period)
@@ -153,10 +149,7 @@ class Session:
         self.reset(q_m, base_pose)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on, except `disturbance.stated_period`.
-
-        If the control period is too long for a gain, this raises a ConfigError before any change.
-        """
+        """Use other parameters, except `stated_period`; a ConfigError precedes any change."""
         self.loop.configure(config)
         self.config = config
         self._people.configure(config.hand)
@@ -240,10 +233,7 @@ class Session:
         return step
 
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
-        """The loads by name, mass [kg], centre [m] and beginning [s], without loads of zero mass.
-
-        A load with an unchanged key remains the same object, because it stores its last velocity.
-        """
+        """The loads with a mass, by name, mass [kg], centre [m] and time of beginning [s]."""
         load, disturbance = config.payload, config.disturbance
         loads = (
             ("payload", load.mass, (load.x, load.y, load.z), 0.0),
@@ -258,11 +248,7 @@ class Session:
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
-        """The robot's true state, and the true distances (n_p,) [m] of all pairs.
-
-        Without sensor errors, both are the controller's, which deviate by less than 0.1 mm with the
-        default parameters.
-        """
+        """True state and distances (n_p,) [m]; without sensor errors, those of the controller."""
         if sensed is truth:
             self.state = self.controller.state
             return self.state, control.d[: len(control.pairs)].copy()
@@ -290,10 +276,7 @@ class Disturbances:
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Use these disturbances from the next step on.
-
-        If a delay increases, the oldest known command or reading is repeated until the next is due.
-        """
+        """Use these disturbances; a longer delay repeats the oldest known command or reading."""
         self._config = config
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)

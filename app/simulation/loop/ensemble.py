@@ -73,7 +73,7 @@ class Ensemble:
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again as the command `Reset`; a DbbError leaves the present run unchanged."""
+        """Start again, as `Reset` describes; a DbbError leaves the present run unchanged."""
         begun = self._start
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
@@ -230,10 +230,7 @@ class Runner:
     def step(
         self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
     ) -> Step:
-        """Execute one `Session.step` with the scenario's input and the users' `holds`.
-
-        If `scored`, the step counts in a comparison, until the end of the scenario's motion.
-        """
+        """Execute one `Session.step`; if `scored`, it counts until the scenario's motion ends."""
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if scored:

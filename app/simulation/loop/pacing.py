@@ -12,11 +12,7 @@ _COARSE = 2e-4  # [s] shortest sleep that is worth a switch of threads
 
 
 class Pacer:
-    """Synchronises a loop of fixed period with the wall clock.
-
-    After a late step, the next steps follow without pauses until the loop is on time again. If the
-    delay exceeds 0.2 s, the schedule restarts, which reduces the real-time factor.
-    """
+    """Synchronises a loop with the wall clock; after a delay above 0.2 s, the schedule restarts."""
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
         """Start the schedule now; `period` [s] is the simulated duration of a step."""
@@ -70,11 +66,7 @@ class Pacer:
 
 @contextmanager
 def gc_frozen() -> Iterator[None]:
-    """Exclude existing objects from garbage collection during the outermost `with`.
-
-    The collector takes milliseconds to scan the many objects of a robot's border. Afterwards the
-    collector includes all objects again, to delete solvers in reference cycles.
-    """
+    """Exclude existing objects, such as a large border, from garbage collection in the `with`."""
     outermost = gc.get_freeze_count() == 0
     if outermost:
         gc.freeze()

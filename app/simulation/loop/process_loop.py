@@ -47,11 +47,7 @@ class ProcessLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
-        """Prepare the loop, as in `SimulationLoop`.
-
-        `make_session` must be picklable, such as `functools.partial(Session, model, data, config)`.
-        `child` is a process of `loop_child`; without one, `begin` starts a new process.
-        """
+        """Prepare the loop; `make_session` must be picklable, `child` is one of `loop_child`."""
         super().__init__()
         self._stopping = threading.Event()
         self._task: tuple[Callable[[], Session], Array] | None = (make_session, np.array(q_start))

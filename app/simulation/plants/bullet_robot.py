@@ -107,10 +107,7 @@ class BulletRobot(BulletWorld):
 
 
 class BulletDoor(HeldDoor):
-    """The refrigerator in pybullet. Of the robot, only links of the base can touch the door.
-
-    The hinge has dry friction and two stops. The cabinet stands on the floor and is not fixed.
-    """
+    """The refrigerator in pybullet. Of the robot, only links of the base can touch the door."""
 
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
         """Load the refrigerator; `reset` puts it in place."""

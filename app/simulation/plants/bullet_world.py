@@ -173,10 +173,7 @@ class BulletWorld:
         return np.linalg.norm(ends - begins, axis=1) * shares
 
     def rewind(self) -> None:
-        """Save the state at the first call; restore it, with contacts and solver, at later calls.
-
-        Without this, old contacts in the engine's memory would change equal runs in the last bits.
-        """
+        """Save the state at the first call, and restore it later, so that equal runs are equal."""
         if self._at_load is None:
             self._at_load = self.client.saveState()
         else:

@@ -1,7 +1,4 @@
-"""The pairs of parts between which a plant computes contacts, and the shapes of the parts.
-
-The shapes are the links' collision shapes, or the description's bodies if a mesh is not installed.
-"""
+"""The pairs of parts between which a plant computes contacts, and the shapes of the parts."""
 
 import logging
 from itertools import product

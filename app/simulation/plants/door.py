@@ -78,10 +78,7 @@ class Door:
         return pin.SE3(turn, np.array([*self.hinge_position, 0.0]))
 
     def handle(self, angle: float) -> pin.SE3:
-        """Pose in the world of an end-effector at the handle, at an opening angle [rad].
-
-        The z axis of the end-effector points into the door, and its x axis up.
-        """
+        """Pose of an end-effector at the handle at `angle` [rad]: z points into the door, x up."""
         place = np.array(
             [
                 -self.thickness / 2 - self.handle_reach,

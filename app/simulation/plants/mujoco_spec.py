@@ -1,8 +1,4 @@
-"""A MuJoCo specification of a robot and a floor; a plant adds further parts.
-
-The specification has a body for each joint of pinocchio's model, with the same inertia, and the
-links' collision shapes. Only selected pairs can touch.
-"""
+"""A MuJoCo specification of a robot's bodies, joints and shapes, and of a floor."""
 
 from collections.abc import Iterable, Sequence
 from itertools import product
@@ -96,11 +92,7 @@ class RobotSpec:
         T: pin.SE3 | None = None,
         mesh: str = "",
     ) -> None:
-        """Add a shape to a body at the pose T; it can touch only geoms of its pairs in `allow`.
-
-        `size` [m] has up to three sizes, as MuJoCo defines them for the kind of geom; `mesh` is the
-        name of the mesh.
-        """
+        """Add a shape at the pose T, with MuJoCo's sizes [m]; it touches only pairs of `allow`."""
         body.add_geom(
             name=name,
             type=kind,

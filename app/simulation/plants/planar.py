@@ -1,8 +1,4 @@
-"""The planar plant, with pybullet or MuJoCo: planar joints move with the drive's velocity.
-
-Motors on the joints x, y and yaw move the base. Their force is limited to the traction of the
-wheels. Wheels turn only in pictures, without an effect on the base. The base cannot tip.
-"""
+"""The planar plant, with pybullet or MuJoCo: motors of limited force move planar joints."""
 
 from __future__ import annotations
 
@@ -92,11 +88,7 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """The mean twist (3,) in the world during a step, for a constant twist in the base's frame.
-
-    Both twists are v_x, v_y [m/s] and ω [rad/s]. `heading` [rad] is the base's heading at the start
-    of the step, which lasts `dt` [s]. The mean uses the heading in the middle of the step.
-    """
+    """Mean world twist (3,) in a step of `dt` [s] from `heading` [rad], with a constant `twist`."""
     x, y, w = twist
     phi = heading + 0.5 * w * dt
     c, s = math.cos(phi), math.sin(phi)

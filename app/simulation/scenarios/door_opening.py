@@ -145,7 +145,7 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens the door at `rate` [deg/s]; `guess` [deg] is the initial error."""
+    """The driver that opens the door at `rate` [deg/s]; `guess` [deg] is the `radial_guess`."""
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
     turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])

@@ -127,11 +127,7 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether a search finds a posture with the end-effector at `p_ee` (3,) [m].
-
-        The end-effector can have any direction; distances are not checked. With few `tries` from
-        random starting points, the search can miss the posture.
-        """
+        """Whether a search finds a posture at `p_ee` (3,) [m], with any direction and distances."""
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
             return False
@@ -168,10 +164,7 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] number of positions that the arm reaches on the path, in order, plus the margins.
-
-        These are the smallest joint margin, up to 0.15, and the smallest manipulability, up to 0.1.
-        """
+        """[-] number of reached positions on the path, in order, plus joint margin and mobility."""
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
         joints, mobility, followed = search.joint_room(q_m), manipulability(search.J_ee), 0
@@ -276,10 +269,7 @@ class _GraspSearch:
         return room
 
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
-        """[-] number of further door angles that the arm can reach, plus the smallest `_room`.
-
-        `room` is that of the posture `q_start`, near which the arm stays in the null space.
-        """
+        """[-] number of further door angles that the arm can reach, plus the smallest `_room`."""
         q_m, followed = q_start, 0
         for turned in _AHEAD:
             angle = self._angle + turned
@@ -310,11 +300,7 @@ class _GraspSearch:
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float | str:
-        """[-] margins of a posture, below one; or the reason why the posture is invalid.
-
-        The end-effector must be at `target` within the `tolerance` [m and rad], and each pair at
-        least `least` [m] outside its buffer (inside, if negative).
-        """
+        """[-] margins of a posture at `target`, with pairs `least` [m] beyond d_b; or its flaw."""
         search = self._search
         search.place(q_m)
         if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:

@@ -42,11 +42,7 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write a table completely or not at all: as CSV if the name ends in .csv, else as Parquet.
-
-    A header that is not empty becomes a comment on the first line of CSV, or metadata of Parquet.
-    Equal tables produce equal bytes.
-    """
+    """Write a table and a header as CSV or Parquet, by the ending; equal tables, equal bytes."""
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":
         sink.write(f"{_COMMENT}{header}\n".encode() if header else b"")

@@ -33,11 +33,9 @@ class Figure(NamedTuple):
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """Compute all figures of a run; the key of a figure with a unit ends in the unit.
+    """Compute all figures of a run; those for which the trace has no data are None.
 
-    The figures of `DOOR` are included only if a door was opened in the run. Figures of changes
-    between control steps are None if the trace does not have a row for each control step. Figures
-    of a quantity that an older log does not have are None.
+    The figures of `DOOR` are included only if a door was opened in the run.
     """
     figures = {key: _value(figure, run) for key, figure in FIGURES.items()}
     if not run.each_step:
@@ -62,11 +60,9 @@ def touches(figures: dict[str, Any]) -> list[str]:
 
 
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
-    """The result of a run in words: contact, smallest distance and remaining error.
+    """The result of a run in words: contact, smallest distance, remaining error, missing values.
 
-    The text also names missing values: distances and a final error that are None or not finite.
-    `chain` has the names of the robot's bodies from the base outwards, for the displayed names of
-    link pairs; if it is empty, the pairs' own names are used.
+    With `chain`, the bodies from the base outwards, link pairs have their displayed names.
     """
 
     def name(pair: str) -> str:

@@ -42,7 +42,7 @@ from app.simulation.trace.columns import (
     number,
     records,
 )
-from app.simulation.trace.words import outcome_text
+from app.simulation.trace.words import millimetres, outcome
 from app.strict import Array
 
 _D_B_STEP = 0.005  # [m] step of a changing d_b after which the border is drawn again
@@ -99,7 +99,10 @@ class Score(NamedTuple):
     @property
     def text(self) -> str:
         """The result in words, such as "no contact, smallest distance 105 mm"."""
-        return outcome_text(self.clearance, touched=bool(self.contacts))
+        least, touched = self.clearance, bool(self.contacts)
+        if least < 0.0:
+            return f"{'contact, ' * touched}bodies overlap by {millimetres(-least)}"
+        return f"{outcome(least, touched=touched)}, smallest distance {millimetres(least)}"
 
 
 class Refusal(NamedTuple):

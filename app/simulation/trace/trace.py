@@ -79,7 +79,7 @@ class Trace:
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
-        """Make a trace with a row for each snapshot; different runs or pairs raise a LogError."""
+        """Make a trace of snapshots; raises a LogError without any, or if their runs differ."""
         if not snapshots:
             raise LogError("there are no snapshots for a log")
         first = snapshots[0]
@@ -250,10 +250,7 @@ class Recorder:
 
 
 class Stored:
-    """A snapshot; `pack` converts it to bytes, which take about a fifth of an object's memory.
-
-    The configuration is not part of the bytes, because many snapshots share it.
-    """
+    """A snapshot that `pack` converts to bytes, except its configuration, which many share."""
 
     __slots__ = ("_config", "_content", "run", "t")
 

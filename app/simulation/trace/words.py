@@ -56,14 +56,6 @@ def millimetres(distance: float) -> str:
     return f"{text} mm".replace("-", "−")
 
 
-def outcome_text(least: float, *, touched: bool) -> str:
-    """A text with the outcome of a run, such as "no contact, smallest distance 105 mm"."""
-    if least < 0.0:
-        overlap = f"bodies overlap by {millimetres(-least)}"
-        return f"contact, {overlap}" if touched else overlap
-    return f"{outcome(least, touched=touched)}, smallest distance {millimetres(least)}"
-
-
 def number_text(value: Any, none: str = "–") -> str:
     """A result as text, also a list or dictionary of results; `none` is the text for None.
 
