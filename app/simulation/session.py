@@ -67,7 +67,7 @@ class Step(NamedTuple):
 
     @property
     def door_numbers(self) -> Array:
-        """(7,) The numbers of `DoorView`; NaN without a door."""
+        """(7,) `DoorView.numbers` of the door; NaN without a door."""
         return NO_DOOR if self.door is None else self.door.numbers
 
 
@@ -138,7 +138,7 @@ class Session:
         self._loads = self._loads_of(self.config)
 
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """Reset with other parameters, including `stated_period`; errors precede any change."""
+        """Reset with other parameters, also `stated_period`; a DbbError precedes any change."""
         check_posture(self.model, q_m)
         period, name = config.disturbance.stated_period, self.controller.name
         check_gains(config, period)

@@ -38,8 +38,8 @@ class BulletRobot(BulletWorld):
         super().__init__(_plant_urdf(description), dt)
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
+        # pybullet's indices of the joints x, y and yaw, and of the arm's joints
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
-        """pybullet's indices of the joints x, y and yaw, and of the arm's joints."""
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
         self._tip, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m

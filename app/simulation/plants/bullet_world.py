@@ -74,8 +74,8 @@ class Client:
 
     def __init__(self) -> None:
         self.id = pybullet.connect(pybullet.DIRECT)
+        # once; a client without references ends too, as after a failed setup
         self.close = finalize(self, pybullet.disconnect, self.id)
-        """Ends the client, once; a client without references ends too, as after a failed setup."""
         self.close.atexit = False  # a thread may still use it
 
     def __getattr__(self, name: str) -> Any:
@@ -100,8 +100,8 @@ class BulletWorld:
         client = self.client
         plane = client.createCollisionShape(pybullet.GEOM_PLANE)
         self.floor = client.createMultiBody(0, plane)  # index of the floor's body, the plane z = 0
+        # by name; the root link has the index -1
         self.links, self.joints = {client.getBodyInfo(self.robot)[0].decode(): -1}, {}
-        """Index of each link and joint by its name; the root link has the index -1."""
         for i in range(client.getNumJoints(self.robot)):
             info = client.getJointInfo(self.robot, i)
             self.joints[info[1].decode()] = self.links[info[12].decode()] = i

@@ -147,11 +147,9 @@ class Cabinet:
             np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
         )
         """Pose of the box's centre in the world."""
-        self.T_hinge = self.T_world.inverse() * door.pose(0.0)
-        """Pose of the closed door's frame in the frame of the box's centre."""
+        self.T_hinge = self.T_world.inverse() * door.pose(0.0)  # of the closed door, in the box
         self.T_centre = pin.SE3(np.eye(3), door.centre)  # pose of the board in the door's frame
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
-        """Inertia of the door, in the door's frame."""
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:

@@ -9,7 +9,6 @@ import numpy as np
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.plants.interface import Contacts
 from app.simulation.plants.planar import Planar, planar_plant
 from app.strict import Array
 
@@ -28,11 +27,8 @@ _SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # directions of
 class Difference(NamedTuple):
     """Differences between two engines in some postures."""
 
-    picture: float
-    """[-] share of the rays to the robot whose hits differ between the engines, in the worst
-    picture."""
-    depth: float
-    """[m] depth of the deepest contact of a kind that only one engine reports in a posture."""
+    picture: float  # [-] share of rays to the robot with different hits, in the worst picture
+    depth: float  # [m] of the deepest contact of a kind that only one engine reports in a posture
     contacts: int  # that both engines report, at most one of each kind in each posture
     postures: int
 
@@ -61,11 +57,8 @@ def compare_engines(
             for plant in plants:
                 plant.step(state.g[model.n_b :], np.zeros(model.n_b), np.zeros(3))
             one, other = (plant.world.depths() for plant in plants)
-            for group in Contacts._fields:
-                a, b = (any_ in found for any_, found in ((group, one), (group, other)))
-                both += a and b
-                if a != b:
-                    depth = max(depth, one.get(group, 0.0), other.get(group, 0.0))
+            both += len(one.keys() & other.keys())
+            depth = max([depth, *((one | other)[group] for group in one.keys() ^ other.keys())])
     return Difference(picture, depth, both, postures)
 
 

@@ -45,8 +45,7 @@ class RobotSpec:
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
-        self.pairs: dict[frozenset[str], str | None] = {}
-        """The field of `Contacts`, or None, for each pair of geoms that can touch, by name."""
+        self.pairs: dict[frozenset[str], str | None] = {}  # the `group` of each pair, as in `allow`
         self.motors: list[str] = []  # names of the joints that have a motor
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))

@@ -37,7 +37,6 @@ class MujocoWorld:
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
         self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
-        """Indices of the arm's positions and velocities."""
         self._planar_q = self.q[: self.arm_q.stop]
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}

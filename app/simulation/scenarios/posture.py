@@ -46,11 +46,10 @@ class PostureSearch:
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare the search for a robot, its link pairs and a buffer distance `d_b` [m]."""
-        self.model, self.d_b, self.state = model, d_b, RobotState(model)
-        """The robot, the buffer distance [m], and the state in the last posture."""
+        self.model, self.d_b = model, d_b
+        self.state = RobotState(model)  # in the last posture
         self.span = model.q_upper - model.q_lower
-        self.middle = (model.q_upper + model.q_lower) / 2
-        """(n_m,) [rad or m] length and middle of each joint's range."""
+        self.middle = (model.q_upper + model.q_lower) / 2  # of each joint's range
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor, self._floor_data = _with_floor(model)

@@ -140,9 +140,8 @@ class Quantity(NamedTuple):
     take: Take | None = None  # None if the publisher of the snapshot sets the value
     single: bool = False  # whether the quantity is one number or text
     paths: tuple[str, ...] = ()
-    """Attributes of `Step`, such as `truth.q_m`, with the numbers and float arrays that are
-    recorded at each control step. If there are none, the columns that are `often` are computed by
-    `take`, at 50 Hz, and are NaN in between."""
+    """Attributes of `Step`, such as `truth.q_m`, that are recorded at each control step. Without
+    any, `take` computes the columns that are `often` at 50 Hz, with NaN in between."""
 
 
 def number(
