@@ -63,7 +63,7 @@ class Camera(NamedTuple):
         projection = pybullet.computeProjectionMatrixFOV(
             math.degrees(self.fov), self.width / self.height, _NEAR, _FAR
         )
-        return _matrix(view), _matrix(projection)
+        return np.reshape(view, (4, 4), order="F"), np.reshape(projection, (4, 4), order="F")
 
 
 class Solid(NamedTuple):
@@ -179,7 +179,3 @@ def _project(points: Array, to_clip: Array) -> Array:
     """(N, 2) [-] coordinates right and up of points (N, 3) [m]; −1 and 1 at the picture's edges."""
     clip = np.column_stack([points, np.ones(len(points))]) @ to_clip.T
     return clip[:, :2] / clip[:, 3:]
-
-
-def _matrix(columns: Sequence[float]) -> Array:
-    return np.reshape(columns, (4, 4), order="F")

@@ -81,15 +81,11 @@ class StartSolver:
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
-            raise UnreachableError(
-                f"start {point_text(p_ee)}: the end-effector must be at a finite position "
-                "above the floor, z = 0"
-            )
+            why = "the end-effector must be at a finite position above the floor, z = 0"
+            raise UnreachableError(f"start {point_text(p_ee)}: {why}")
         if (beyond := self._search.beyond(target)) > 0.0:
-            raise UnreachableError(
-                f"start {point_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m or more",
-                {OUT_OF_REACH: 1},
-            )
+            why = f"{OUT_OF_REACH} by {beyond:.2f} m or more"
+            raise UnreachableError(f"start {point_text(p_ee)}: {why}", {OUT_OF_REACH: 1})
         turned, rng = pin.utils.rotate("z", turn), np.random.default_rng(seed)
         directions = [turned @ self._direction(target, pitch) for pitch in _PITCHES]
         best, flaws = Found(None, 0.0, Counter()), Counter[str]()
@@ -101,9 +97,8 @@ class StartSolver:
             flaws.update(found.flaws)
         if best.q_m is not None:
             return best.q_m
-        raise UnreachableError(
-            f"start {point_text(p_ee)}: no posture of the arm reaches it: {_reasons(flaws)}", flaws
-        )
+        why = f"no posture of the arm reaches it: {_reasons(flaws)}"
+        raise UnreachableError(f"start {point_text(p_ee)}: {why}", flaws)
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
         for k, anywhere in enumerate(self._search.guesses(rng, tries)):
@@ -121,9 +116,8 @@ class StartSolver:
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
         found = self._try(Target(np.array(p_ee, dtype=float), direction), [q_m])
         if found.q_m is None:
-            raise UnreachableError(
-                f"start {point_text(p_ee)}: {next(iter(found.flaws))}", found.flaws
-            )
+            why = next(iter(found.flaws))
+            raise UnreachableError(f"start {point_text(p_ee)}: {why}", found.flaws)
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
@@ -224,8 +218,6 @@ def find_grasp(
 
 
 class _GraspSearch:
-    """The search of `find_grasp`."""
-
     def __init__(self, search: PostureSearch, base_pose: Array, door: Door, angle: float) -> None:
         self._search, self._base_pose, self._door, self._angle = search, base_pose, door, angle
         self._front = float(MobileBody(search.model).upper[0])
@@ -320,7 +312,6 @@ def _frozen(q_m: Array) -> Array:
 
 
 def _reasons(flaws: Counter[str]) -> str:
-    """The three most frequent reasons of failed tries, as a text."""
     return "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
 
 

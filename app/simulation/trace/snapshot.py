@@ -23,7 +23,6 @@ from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound, steady_torques
 from app.control.quantities import STEP
-from app.robot.state import RobotState
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import PullReading
@@ -49,6 +48,7 @@ _D_B_STEP = 0.005  # [m] step of a changing d_b after which the border is drawn 
 EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop and in logs
 
 _DOOR = TypeAdapter(Door)
+_WXYZ = [3, 0, 1, 2]  # pinocchio's order of a quaternion is x, y, z, w
 
 
 class PairReading(NamedTuple):
@@ -278,8 +278,7 @@ class Snapshot:
     avoidance_acceleration: Annotated[
         Array, number("avoidance_{acceleration}", "control.base_avoidance")
     ]
-    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 if the controller does
-    not move the base out of the way."""
+    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 without avoidance."""
     wheel_angles: Annotated[Array, drawn("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] angles of the base's wheels, for drawing."""
     q_m: Annotated[Array, number("q_{joint}_{position}", "truth.q_m")]
@@ -288,7 +287,9 @@ class Snapshot:
     """(n_m,) [N m or N] commanded joint torques of the arm."""
     p_ee: Annotated[Array, number("p_ee_{xyz}_m", "state.p_ee")]
     """(3,) [m] position of the end-effector in the world."""
-    wxyz_ee: Annotated[Array, drawn("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
+    wxyz_ee: Annotated[
+        Array, drawn("q_ee_{wxyz}", lambda s, o: pin.Quaternion(s.state.R_ee).coeffs()[_WXYZ])
+    ]
     """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
     """All link pairs; the pairs with the base (L_m) are first."""
@@ -318,8 +319,7 @@ class Snapshot:
     realtime_factor: Annotated[float, drawn("realtime_factor")]
     """[-] ratio of simulated to real time in the last second; NaN in a run without a clock."""
     overruns: Annotated[int, drawn("overruns", kind="int")]
-    """Number of control steps since the last reset that took longer than their period (1 ms divided
-    by the speed), or started after the end of their period."""
+    """Number of control steps since the last reset that exceeded their period or began late."""
     paused: Annotated[bool, drawn("paused", kind="bool")]
     """Whether the simulation is paused."""
     mode: Annotated[
@@ -341,8 +341,7 @@ class Snapshot:
     ghosts: Annotated[tuple[GhostReading, ...], records("ghosts_json", GhostReading)] = ()
     """Compared robots at `t`, each with the same input and its own controller."""
     scores: Annotated[tuple[Score, ...], records("scores_json", Score)] = ()
-    """Scores of this robot and the ghosts since the start of the comparison; empty without
-    ghosts."""
+    """Scores of this robot and the ghosts in the present comparison; empty without ghosts."""
     same: Annotated[str, drawn("ghosts_have_the_same", kind="text")] = ""
     """The common input of this robot and the ghosts, "path" or "force"; empty without ghosts."""
     scenario: Annotated[str, drawn("scenario", kind="text")] = ""
@@ -456,10 +455,6 @@ def make_snapshot(
 def _frozen_pull(pull: PullReading) -> PullReading:
     who, link, *vectors = pull
     return PullReading(who, link, *map(frozen, vectors))
-
-
-def _wxyz(state: RobotState) -> Array:
-    return pin.Quaternion(state.R_ee).coeffs()[[3, 0, 1, 2]]
 
 
 @lru_cache(maxsize=64)

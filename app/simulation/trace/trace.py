@@ -195,7 +195,9 @@ class Recorder:
         numbers = self._packed(*self._numbers(step), *computed)
         self._rows += b"".join((control, *self._arrays(step), numbers))
         if seldom and self._drawn:
-            self._draw(session, step)
+            led = self._scenario
+            about = {"scenario": led.name, "scenario_ends": led.duration} if led else {}
+            self.snapshots.append(make_snapshot(session, step, None, explained=False, **about))
 
     def trace(self) -> Trace:
         """The recorded trace; at least one step must be recorded."""
@@ -216,14 +218,9 @@ class Recorder:
         """Prepare the rows: arrays of `ControlStep`, other arrays, numbers, computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
-        self._meta = TraceMeta.of(
-            session.model,
-            pairs,
-            session.config,
-            scenario=self._scenario.name if self._scenario else "",
-            physics=session.kind,
-            seed=session.seed,
-        )
+        scenario = self._scenario.name if self._scenario else ""
+        about = {"scenario": scenario, "physics": session.kind, "seed": session.seed}
+        self._meta = TraceMeta.of(session.model, pairs, session.config, **about)
         own = {f"control.{name}": places for name, places in step.control.places.items()}
         paths, kinds = (list[str](), list[str](), list[str]()), list[int]()
         self._computed = list[Take]()
@@ -242,11 +239,6 @@ class Recorder:
         self._packed = Struct(f"{kinds.count(2) + kinds.count(3)}d").pack
         self._nothing = [NAN] * kinds.count(3)
         self._order = np.argsort(np.argsort(kinds, kind="stable"))
-
-    def _draw(self, session: Session, step: Step) -> None:
-        led = self._scenario
-        about = {"scenario": led.name, "scenario_ends": led.duration} if led else {}
-        self.snapshots.append(make_snapshot(session, step, None, explained=False, **about))
 
 
 class Stored:
