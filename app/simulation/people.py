@@ -106,18 +106,14 @@ class PersonHand:
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
         """Begin one hold; `dt` [s] is the time between two calls of `force`."""
-        self._dt, self._motion = dt, np.full((4, 3), np.nan)
+        self._dt = dt
+        self.motion = np.full((4, 3), np.nan)  # as in `_pull`
         self.configure(config)
 
     def configure(self, config: PersonConfig) -> None:
         """Use other parameters from the next call of `force` on."""
         spring = config.stiffness, config.damping, config.f_max, config.mass
         self._spring = np.array([*spring, self._dt])
-
-    @property
-    def motion(self) -> Array:
-        """(2, 3) position p [m] and velocity ṗ [m/s]; NaN before the first call of `force`."""
-        return self._motion[:2].copy()
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
         """Compute the person's force (3,) [N] on the held point for one step, in the world.
@@ -126,7 +122,7 @@ class PersonHand:
         point; further entries of `v_ee` are not used. An invalid target raises a TargetError.
         """
         force = np.empty(3)
-        _pull_once(self._motion, checked_target(target), p_ee, v_ee, self._spring, force)
+        _pull_once(self.motion, checked_target(target), p_ee, v_ee, self._spring, force)
         return force
 
 

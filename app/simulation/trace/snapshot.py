@@ -298,8 +298,7 @@ class Snapshot:
     beta_m: Annotated[float, number("beta_m", "control.beta_m")]
     """[-] β_m of (28)."""
     hand_target: Annotated[
-        Array | None,
-        drawn("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
+        Array | None, drawn("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True)
     ]
     """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
     hand_force: Annotated[Array, number("hand_force_{xyz}_n", "hand_force")]
