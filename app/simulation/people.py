@@ -107,7 +107,7 @@ class PersonHand:
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
         """Begin one hold; `dt` [s] is the time between two calls of `force`."""
         self._dt = dt
-        self.motion = np.full((4, 3), np.nan)  # as in `_pull`
+        self.motion = np.full((4, 3), np.nan)  # p, ṗ, and those of the mass; see `_pull`
         self.configure(config)
 
     def configure(self, config: PersonConfig) -> None:

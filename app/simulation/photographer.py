@@ -40,7 +40,7 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """A copy, moved so that points (N, 3) [m] fill the picture up to a `margin` [-]."""
+        """A copy, moved so that points (N, 3) [m] fill the picture except for a `margin` [-]."""
         camera = self
         for _ in range(8):  # the perspective changes a little each time
             view, projection = camera.matrices()
@@ -77,7 +77,7 @@ class Picture(NamedTuple):
     """A picture, with the data that a caller needs to draw further elements over it."""
 
     rgb: Array  # (height, width, 3) colours, uint8
-    floor: Array  # (height, width) whether a pixel shows no body, but floor or background
+    floor: Array  # (height, width) whether a pixel shows floor or background
     to_clip: Array  # (4, 4) transform from the world to the clip space
 
     def pixels(self, points: Array) -> Array:
@@ -118,7 +118,7 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """Take a picture of the `solids` and, if `robot`, of the robot; a pose is in m and rad."""
+        """Take a picture of the `solids` and, if `robot`, of the robot in a pose and posture."""
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, positions, strict=True):

@@ -27,7 +27,7 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """A session at a setting; `robot` is without a held door. Raises the errors of `Session`."""
+    """Make a session at a setting, with the plant of `robot`; raises the errors of `Session`."""
     check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
         setting.model,

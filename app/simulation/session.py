@@ -40,7 +40,7 @@ class Step(NamedTuple):
     measurement: Measurement  # readings that the controller received
     control: ControlStep  # quantities of the control step; the next step overwrites them
     base_command: Array  # (n_b,) [m/s or rad/s] command for the base, before delay and slip
-    hand_target: Array | None  # (3,) [m] of the (first) person at the end-effector, in the world
+    hand_target: Array | None  # (3,) [m] target of the (first) person at the end-effector
     hand_force: Array  # (3,) [N] as `Snapshot.hand_force`
     ee_error: float  # [m] as `Snapshot.ee_error`
     contacts: Contacts
@@ -138,7 +138,7 @@ class Session:
         self._loads = self._loads_of(self.config)
 
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """Reset with other parameters, also `stated_period`; a DbbError precedes any change."""
+        """Reset with other parameters, also `stated_period`; raises a DbbError before changes."""
         check_posture(self.model, q_m)
         period, name = config.disturbance.stated_period, self.controller.name
         check_gains(config, period)
@@ -149,7 +149,7 @@ class Session:
         self.reset(q_m, base_pose)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, except `stated_period`; a ConfigError precedes any change."""
+        """Use other parameters, except `stated_period`; raises a ConfigError before any change."""
         self.loop.configure(config)
         self.config = config
         self._people.configure(config.hand)

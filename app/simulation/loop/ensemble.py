@@ -230,7 +230,7 @@ class Runner:
     def step(
         self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
     ) -> Step:
-        """Execute one `Session.step`; if `scored`, it counts until the scenario's motion ends."""
+        """Execute one `Session.step`; `scored` ones count until the scenario's motion ends."""
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if scored:

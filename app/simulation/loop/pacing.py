@@ -18,7 +18,7 @@ class Pacer:
         """Start the schedule now; `period` [s] is the simulated duration of a step."""
         self._period = period
         self.speed = speed  # [-] desired ratio of simulated to real time; `restart` applies it
-        self.overruns = 0  # number of steps that took too long, or started after their period
+        self.overruns = 0  # number of steps that exceeded their period or began late
         self._marks: deque[float] = deque()  # [s] ends of the steps in the window
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self.restart()

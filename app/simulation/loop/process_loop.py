@@ -47,7 +47,7 @@ class ProcessLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
-        """Prepare the loop; `make_session` must be picklable, `child` is one of `loop_child`."""
+        """Prepare the loop; `make_session` must be picklable, `child` comes from `loop_child`."""
         super().__init__()
         self._stopping = threading.Event()
         self._task: tuple[Callable[[], Session], Array] | None = (make_session, np.array(q_start))
@@ -139,7 +139,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
-    """Forward commands and snapshots until the loop fails or a pipe is closed; send the failure."""
+    """Forward commands, snapshots and the loop's failure; a closed pipe raises an error."""
     posted, beat = None, monotonic()
     while loop.error is None:
         latest = loop.latest()

@@ -74,7 +74,7 @@ class Client:
 
     def __init__(self) -> None:
         self.id = pybullet.connect(pybullet.DIRECT)
-        # once; a client without references ends too, as after a failed setup
+        # `close` acts once; a client without references ends too, as after a failed setup
         self.close = finalize(self, pybullet.disconnect, self.id)
         self.close.atexit = False  # a thread may still use it
 
@@ -88,7 +88,7 @@ class BulletWorld:
     """A robot in a separate client; all indices are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot from a URDF with absolute paths, and a floor; raises an AssetError."""
+        """Load a robot from a URDF, and a floor; an error of pybullet raises an AssetError."""
         self.client = Client()
         # pybullet caches a file by its descriptor, which the system can give to a later file.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
@@ -100,7 +100,7 @@ class BulletWorld:
         client = self.client
         plane = client.createCollisionShape(pybullet.GEOM_PLANE)
         self.floor = client.createMultiBody(0, plane)  # index of the floor's body, the plane z = 0
-        # by name; the root link has the index -1
+        # indices by name; the root link has the index -1
         self.links, self.joints = {client.getBodyInfo(self.robot)[0].decode(): -1}, {}
         for i in range(client.getNumJoints(self.robot)):
             info = client.getJointInfo(self.robot, i)

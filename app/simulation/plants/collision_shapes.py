@@ -35,7 +35,7 @@ class CollisionShape(NamedTuple):
     part: str  # name of the shape's link or body
     joint: int  # Pinocchio's index of the joint that moves the shape
     T: pin.SE3  # pose of the shape in the joint's frame
-    geometry: coal.CollisionGeometry | Array  # or points (n, 3) [m], of which it is the convex hull
+    geometry: coal.CollisionGeometry | Array  # points (n, 3) [m] mean their convex hull
 
     @property
     def lowest(self) -> float:

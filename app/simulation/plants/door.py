@@ -116,12 +116,12 @@ class DoorView(NamedTuple):
     angle: float  # [rad] opening angle
     force: Array  # (3,) [N] of the end-effector on the door, in the world; 0 after the scenario
     radial_force: float = math.nan  # [N] component of `force` towards the true hinge
-    radial_error: float = math.nan  # [rad] of the estimated direction, counter-clockwise
+    radial_error: float = math.nan  # [rad] error of the estimated direction, counter-clockwise
     contact: bool = False  # whether the door touches the base
 
     @property
     def numbers(self) -> Array:
-        """(7,) The fields after `door`; a contact is 1."""
+        """(7,) the fields after `door`; a contact is 1."""
         return np.array([self.angle, *self.force, *self[3:]])
 
 
@@ -147,7 +147,7 @@ class Cabinet:
             np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
         )
         """Pose of the box's centre in the world."""
-        self.T_hinge = self.T_world.inverse() * door.pose(0.0)  # of the closed door, in the box
+        self.T_hinge = self.T_world.inverse() * door.pose(0.0)  # the closed door in the box's frame
         self.T_centre = pin.SE3(np.eye(3), door.centre)  # pose of the board in the door's frame
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
 

@@ -76,7 +76,7 @@ class Wheels:
         self.root = model.pin.inertias[1]  # inertia without the wheels
         for centre, inertia in zip(self.centres, self.inertias, strict=True):
             self.root = self.root - pin.SE3(np.eye(3), centre).act(inertia)
-        self.spans = bool(np.ptp(self.centres[:, 0]) > r)  # False: it needs casters
+        self.spans = bool(np.ptp(self.centres[:, 0]) > r)  # False: casters are needed
 
 
 class MujocoWheels(Physics):

@@ -75,7 +75,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """`config` with the changes that this scenario requires, also of a live configuration."""
+        """`config` with the changes that this scenario requires; the live loop calls this too."""
         return config
 
     @abstractmethod

@@ -121,7 +121,7 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether a search finds a posture at `p_ee` (3,) [m], with any direction and distances."""
+        """Whether a search finds a posture at `p_ee` (3,) [m]; direction and distances are free."""
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
             return False
@@ -186,7 +186,7 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """`StartSolver.solve`, cached and read-only, along the displacement `move` (3,) [m], if any."""
+    """The cached, read-only result of `StartSolver.solve` for a displacement `move` [m]."""
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
 

@@ -40,7 +40,7 @@ class TraceMeta(Strict):
     joint_units: tuple[Literal["rad", "m"], ...]
     joint_speeds: tuple[Positive, ...] = ()  # (n_m,) [rad/s or m/s] limits; empty if unknown
     joint_torques: tuple[Positive, ...] = ()  # (n_m,) [N m or N] limits; empty if unknown
-    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # of the base's axes, in the columns
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # ends of names of columns, by axis
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
     wheels: tuple[str, ...] = ("right", "left")  # names of the angles of the base's wheels
     pairs: tuple[str, ...]  # names of all link pairs, in the order of the distances

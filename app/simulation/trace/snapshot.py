@@ -91,7 +91,7 @@ class Score(NamedTuple):
     error: float  # [m] last distance of the end-effector from its target, as `Snapshot.ee_error`
     error_max: float  # [m] largest distance of the end-effector from its target
     base_path: float  # [m] length of the path of the base's centre
-    acceleration_jump: float  # [m/s²] largest change of a commanded base acceleration in a step
+    acceleration_jump: float  # [m/s²] largest change of a commanded linear acceleration in a step
     angular_jump: float  # [rad/s²] the same for the commanded angular acceleration
     torque_jump: float  # [N m or N] largest change of a joint's torque or force in one step
     contacts: int  # number of control steps with a contact of any kind (`Contacts`)

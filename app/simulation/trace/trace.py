@@ -79,7 +79,7 @@ class Trace:
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
-        """Make a trace of snapshots; raises a LogError without any, or if their runs differ."""
+        """A trace of snapshots; none, unordered times or different pairs raise a LogError."""
         if not snapshots:
             raise LogError("there are no snapshots for a log")
         first = snapshots[0]
