@@ -201,11 +201,7 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links on fixed joints into their parents, because pybullet loads at most 128 links.
-
-    A link is merged if it has no collision shape, or if the same body, or none, covers link and
-    parent, and `nested` pairs both with the same links. The end-effector's link is not merged.
-    """
+    """Merge links on fixed joints into their parents: pybullet loads at most 128 links."""
     nested = description.nested
     touched = {
         link: (body.name, {pair - {link} for pair in nested if link in pair})
@@ -216,6 +212,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
         parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
+        # Both can touch the same parts, or the child has no shape.
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue

@@ -36,11 +36,7 @@ class Difference(NamedTuple):
 def compare_engines(
     model: RobotModel, *, postures: int = 30, pictures: int = 3, seed: int = 0
 ) -> Difference:
-    """Put both planar plants into random postures, and compare contacts and pictures.
-
-    Contacts are compared in each posture; depth images, one from each of three sides, only in the
-    first `pictures` postures. This raises the errors of `make_physics`.
-    """
+    """Compare contacts in random postures, and depth images in the first `pictures` of them."""
     state, rng = RobotState(model), np.random.default_rng(seed)
     picture = depth = 0.0
     both = 0

@@ -79,16 +79,13 @@ class Kinematic(Physics):
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))
 
     def _move_arm(self, A: Array, b: Array) -> None:
-        """Integrate A q̈_a = b over one step; A (n_m, n_m) and b (n_m,) are overwritten.
-
-        A joint that would leave its range moves to its nearer limit. If an input is not finite, q
-        and q̇ become NaN.
-        """
+        """Integrate A q̈_a = b over one step; A (n_m, n_m) and b (n_m,) are overwritten."""
         q, qd, dt = self._q, self._qd, self.dt
         lower, upper = self._model.q_lower, self._model.q_upper
         if not math.isfinite(b.sum() + A.sum()):  # `solve` would raise an error
             q[:] = qd[:] = np.nan
             return
+        # A joint that would leave its range moves to its nearer limit.
         limit = np.where(q - lower < upper - q, lower, upper)
         stopped = np.zeros(len(q), bool)
         while True:

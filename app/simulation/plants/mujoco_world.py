@@ -140,10 +140,9 @@ class MujocoWorld:
 
 
 class MujocoDoor(HeldDoor):
-    """The refrigerator in MuJoCo. Of the robot, only links of the base can touch the door.
+    """The refrigerator in MuJoCo; of the robot, only links of the base can touch the door.
 
-    The hinge has dry friction and two stops. The end-effector is welded to a massless body on
-    the door; a sensor between this body and the door measures force and torque.
+    The end-effector is welded to a body on the door, with a sensor of the wrench between them.
     """
 
     def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:

@@ -183,10 +183,7 @@ class PostureSearch:
 
 
 def _arm_length(model: RobotModel) -> tuple[Array, float]:
-    """Position (3,) [m] of the arm's first joint for a base at the origin, and the arm's reach [m].
-
-    The reach is an upper bound, the sum of all offsets and largest displacements of the joints.
-    """
+    """Position (3,) [m] of the arm's first joint, and an upper bound [m] of the arm's reach."""
     arm, ee = model.pin, model.pin.frames[model.ee_frame]
     chain = [j for j in arm.supports[ee.parentJoint] if j > 1]
     links = [*(arm.jointPlacements[j] for j in chain[1:]), ee.placement]

@@ -70,10 +70,9 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        `along` has further positions (3,) [m], a path. The best posture is the one from which the
-        arm follows most of the path, while the base is at rest and the orientation of the
-        end-effector is constant; among equal ones, the one with the largest margins. The arm need
-        not reach the end of the path, because the base can move during a run.
+        From the best posture, the arm follows most of the path `along`, positions (3,) [m] in
+        order, while the base is at rest and the orientation of the end-effector is constant. Among
+        equal postures, the one with the largest margins is best.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -108,10 +107,7 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Move a posture `q_m` (n_m,) to a new position (3,) [m], or raise an UnreachableError.
-
-        The direction of the end-effector and the branch of the inverse kinematics do not change.
-        """
+        """Move a posture to `p_ee` with the same direction, or raise an UnreachableError."""
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
         found = self._try(Target(np.array(p_ee, dtype=float), direction), [q_m])
@@ -206,11 +202,8 @@ def find_grasp(
 
     The end-effector is horizontal and points into the door; every pair is outside its buffer. From
     the best posture, the arm can follow the door over the largest range of further angles while the
-    base moves back; among equal ones, it has the largest margins (joint limits, manipulability,
-    buffers). The result is cached.
-
-    `base_pose` (3,) has x, y [m] and heading [rad] of the base, `angle` [rad] is the opening angle
-    of the door. If the search finds no posture, this raises an UnreachableError.
+    base moves back from its pose (x, y [m], heading [rad]). The result is cached. If the search
+    finds no posture, this raises an UnreachableError.
     """
     search = PostureSearch(model, pairs, d_b)
     q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)

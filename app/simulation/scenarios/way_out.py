@@ -87,11 +87,7 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if pair i is the nearest one in the present posture, at a distance in `depth` [m]; else 0.
-
-    The arm must also be more than 1 cm above the floor, and above the base (`above` is True) or
-    beside the base (False); with None, both are accepted.
-    """
+    """1 if pair i is the nearest one in the posture, at a distance in `depth` [m]; else 0."""
     closest = search.monitor.find_closest_points()
     pair = closest[i]
     if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):

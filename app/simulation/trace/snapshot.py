@@ -220,13 +220,8 @@ def _door() -> Quantity:
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] largest force of a person that the arm can resist, or NaN if there is no bound.
-
-    It is the smallest `force_bound` of the pairs inside their buffers and of the force on the
-    end-effector. There is no bound without such a pair and force, without a person, and in a step
-    with the fallback command, which does not respect limits.
-    """
-    if not (step.pulls and step.control.solved):
+    """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
+    if not (step.pulls and step.control.solved):  # the fallback command respects no limits
         return NAN
     force, size = step.person.hand, math.hypot(*step.person.hand.tolist())
     return _least_bound_once(step.control.struct, force, size, session.model.tau_max)
@@ -367,18 +362,12 @@ class Snapshot:
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, number("force_bound_n", _smallest_force_bound)] = NAN
     """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
-    physics: str = ""
-    """Name of the plant; empty if unknown."""
-    seed: int | None = None
-    """Seed of all random numbers; None if unknown."""
-    run: int = 0
-    """Number of the run since the start of the loop."""
-    busy: str = ""
-    """The operation for which the simulation pauses, or empty."""
-    changing: str = ""
-    """A text about a parameter that is changing gradually, or empty."""
-    refusal: Refusal | None = None
-    """The newest failure of a command, or None."""
+    physics: str = ""  # name of the plant; empty if unknown
+    seed: int | None = None  # seed of all random numbers; None if unknown
+    run: int = 0  # number of the run since the start of the loop
+    busy: str = ""  # the operation for which the simulation pauses, or empty
+    changing: str = ""  # a text about a parameter that is changing gradually, or empty
+    refusal: Refusal | None = None  # the newest failure of a command, or None
     case: RunCase | None = None
     """Case of the scenario that started in the last simulated second, or None."""
     explanation: Explanation | None = None
@@ -412,11 +401,6 @@ class Snapshot:
         """Whether the plant reports any contact."""
         door = self.door is not None and self.door.contact
         return self.in_contact or self.arm_in_contact or self.floor_contact or door
-
-    @property
-    def held(self) -> PullReading | None:
-        """The first of the present pulls, or None if no person holds the robot."""
-        return self.pulls[0] if self.pulls else None
 
 
 QUANTITIES: dict[str, Quantity] = {
