@@ -114,7 +114,7 @@ class Session:
         self._own_state = RobotState(model)  # for sensors with errors
         self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
-        self._disturb(config.disturbance)
+        self.controller.state.scale_arm_inertias(1.0 + config.disturbance.mass_error)
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self.reset(np.array(model.description.arm.ready_position))
 
@@ -154,7 +154,8 @@ class Session:
         self.config = config
         self._people.configure(config.hand)
         self._watch.config = config
-        self._disturb(config.disturbance)
+        self._disturbances.configure(config.disturbance)
+        self.controller.state.scale_arm_inertias(1.0 + config.disturbance.mass_error)
         self._loads = self._loads_of(config)
 
     @property
@@ -259,10 +260,6 @@ class Session:
     def close(self) -> None:
         self.physics.close()
 
-    def _disturb(self, config: DisturbanceConfig) -> None:
-        self._disturbances.configure(config)
-        self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
-
 
 class Disturbances:
     """The disturbances of the signals between controller and robot; `Session` causes the others."""
@@ -312,21 +309,17 @@ class Disturbances:
                 self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
             sent = truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m))
         step, self._steps = self._steps, self._steps + 1
-        if self._config.time_stamps == "no":
-            return self._transmitted(sent, step)
-        now = step * self._dt
-        return self._transmitted(sent._replace(time=now), step)._replace(now=now)
-
-    def _transmitted(self, sent: Measurement, step: int) -> Measurement:
+        now = step * self._dt if self._config.time_stamps == "yes" else None
+        sent = sent if now is None else sent._replace(time=now)
         self._sent.append(sent)
         if self._punctual or step < self._begins:
             self._seen = sent
-            return sent
-        due = step % self._sensor_every == 0
-        lost = self._config.dropped > 0.0 and self._rng.random() < self._config.dropped
-        if self._seen is None or (due and not lost):
-            self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
-        return self._seen
+        else:
+            due = step % self._sensor_every == 0
+            lost = self._config.dropped > 0.0 and self._rng.random() < self._config.dropped
+            if self._seen is None or (due and not lost):
+                self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
+        return self._seen if now is None else self._seen._replace(now=now)
 
     def arriving(self, command: Array) -> Array:
         """Base command (n_b,) [m/s or rad/s] after delay and slip; 0 before the first arrives."""

@@ -154,7 +154,8 @@ class BulletWorld:
     def contacts(self) -> Contacts:
         """Contacts in the last step."""
         found = self.client.getContactPoints(self.robot)
-        groups = (self._contact_of.get(c[1:5]) for c in found if touches(c))
+        # without a gap [m], or with a force [N]
+        groups = (self._contact_of.get(c[1:5]) for c in found if c[8] <= 0 or c[9] > 0)
         return Contacts.of(filter(None, groups))
 
     def depths(self) -> dict[str, float]:
@@ -182,9 +183,3 @@ class BulletWorld:
     def close(self) -> None:
         """End the client; a second call has no effect."""
         self.client.close()
-
-
-def touches(contact: tuple[Any, ...]) -> bool:
-    """Whether bodies touch at a contact point of pybullet: without a gap, or with a force."""
-    distance, normal_force = contact[8], contact[9]  # [m], [N]
-    return distance <= 0 or normal_force > 0
