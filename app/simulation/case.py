@@ -97,18 +97,13 @@ class RunCase(Strict):
     def differences(self) -> list[str]:
         """A line if another version wrote the case, and for each unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
-        same = self.version == now
-        return [
-            *([] if same else [f"dbb {self.version} wrote the case; this is dbb {now}"]),
-            *(
-                f"the parameter {path} no longer exists; its value was {own[path]}"
-                for path in sorted(own.keys() - known.keys())
-            ),
-            *(
-                f"the case has no {path}; the default {Config().value(path)} is used"
-                for path in sorted(known.keys() - own.keys())
-            ),
-        ]
+        lines = [f"dbb {self.version} wrote the case; this is dbb {now}"] * (self.version != now)
+        for path in sorted(own.keys() - known.keys()):
+            lines.append(f"the parameter {path} no longer exists; its value was {own[path]}")
+        for path in sorted(known.keys() - own.keys()):
+            default = Config().value(path)
+            lines.append(f"the case has no {path}; the default {default} is used")
+        return lines
 
     def text(self) -> str:
         """The text of the file."""

@@ -202,7 +202,6 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        """Replace the ghosts, and close their unused sessions."""
         kept = {id(ghost.session) for ghost in ghosts}
         ended = [ghost.session for ghost in self.ghosts if id(ghost.session) not in kept]
         self.ghosts = ghosts

@@ -144,7 +144,6 @@ class SimulationLoop(LoopHandle):
         self._history.add(make_snapshot(ensemble.main, step, self._pacer, **fields))
 
     def _loop_fields(self, ensemble: Ensemble) -> dict[str, Any]:
-        """The fields of a snapshot that belong to the loop, not to the session."""
         return {
             "run": self._runs,
             "paused": self._paused,
@@ -224,15 +223,7 @@ class SimulationLoop(LoopHandle):
     def _refresh(self, ensemble: Ensemble) -> None:
         """Publish the newest snapshot again, with the present settings, also during a pause."""
         main, latest = ensemble.main, self._history.latest
-        compared = bool(ensemble.ghosts)
-        self._history.add(
-            replace(
-                latest,
-                config=main.config,
-                controller=main.controller.name,
-                busy="",
-                ghosts=latest.ghosts if compared else (),
-                scores=latest.scores if compared else (),
-                **self._loop_fields(ensemble),
-            )
-        )
+        present = {"config": main.config, "controller": main.controller.name, "busy": ""}
+        no_ghosts = {} if ensemble.ghosts else {"ghosts": (), "scores": ()}
+        present |= self._loop_fields(ensemble) | no_ghosts
+        self._history.add(replace(latest, **present))

@@ -125,13 +125,8 @@ class BulletDoor(HeldDoor):
         client.changeDynamics(
             self.body, _DOOR, contactStiffness=_SEAL_STIFFNESS, contactDamping=_SEAL_DAMPING
         )
-        client.setJointMotorControl2(
-            self.body,
-            _DOOR,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocity=0.0,
-            force=self.door.friction,
-        )
+        friction = {"targetVelocity": 0.0, "force": self.door.friction}
+        client.setJointMotorControl2(self.body, _DOOR, pybullet.VELOCITY_CONTROL, **friction)
         covered = model.description.mobile_body.covers
         touching = {world.links[name] for name in covered if name in world.links}
         for link in world.links.values():

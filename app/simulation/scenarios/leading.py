@@ -105,7 +105,6 @@ class Scenario(ABC):
 
 @cache
 def _choices(kind: type[Scenario]) -> dict[str, tuple[str, ...]]:
-    """The valid values of each field whose type is a `Literal`."""
     hints = get_type_hints(kind).items()
     return {name: get_args(hint) for name, hint in hints if get_origin(hint) is Literal}
 

@@ -183,7 +183,6 @@ def _finite(value: float) -> float | None:
 
 
 def _total(quantity: str) -> Callable[[Trace], int]:
-    """A function that counts the rows in which a flag is true."""
     return lambda run: int(run.of(quantity).sum())
 
 
