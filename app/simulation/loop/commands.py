@@ -117,8 +117,8 @@ class StepOnce(Command):
 class Reset(Beginning):
     """Start again without a scenario, at the loop's start posture or at another posture."""
 
-    q_m: tuple[float, ...] = ()  # (n_m,) [rad or m] of the arm; empty: the loop's start posture
-    base_pose: Point = (0.0, 0.0, 0.0)  # [m, m, rad] x, y, heading; ignored without `q_m`
+    q_m: tuple[float, ...] = ()  # (n_m,) [rad or m] arm; if empty, the loop's start posture
+    base_pose: Point = (0.0, 0.0, 0.0)  # [m, m, rad] x, y, heading; not used without `q_m`
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.q_m, *self.base_pose))):
@@ -141,7 +141,7 @@ class Play(Beginning):
 class Compare(Command):
     """Start a comparison of controllers, or end a comparison, as in `Ensemble.compare`."""
 
-    controllers: tuple[str, ...] = ()  # of the compared robots; empty: the comparison ends
+    controllers: tuple[str, ...] = ()  # of the compared robots; if empty, the comparison ends
     same: str = "path"  # the common input of all robots, one of `SAMES`
 
     def __post_init__(self) -> None:

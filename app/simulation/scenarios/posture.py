@@ -30,7 +30,7 @@ class Target(NamedTuple):
     """A position of the end-effector, and optionally a direction."""
 
     p: Array  # (3,) [m] position of the end-effector's origin, in the world
-    z: Array | None = None  # (3,) unit vector of the end-effector's z axis; None: any
+    z: Array | None = None  # (3,) unit vector of the end-effector's z axis, or None for any
 
 
 class Found(NamedTuple):

@@ -47,12 +47,11 @@ class TraceMeta(Strict):
     mobile_pairs: tuple[str, ...]  # names of the pairs with the base (L_m)
     scenario: str = ""
     physics: str = ""  # name of the plant; empty if unknown
-    seed: int | None = Field(default=None, ge=0)  # of all random numbers
+    seed: int | None = Field(default=None, ge=0)  # seed of all random numbers
     config: Config  # parameters at the first row; a column has the later changes
-    stuck: dict[str, Any] | None = None  # `Stuck` at the end, if any
+    stuck: dict[str, Any] | None = None  # `Stuck` at the end, if the arm is stuck
     left_way: dict[str, Any] | None = None
-    """The same at the largest distance of the end-effector from its reference, if this distance
-    exceeds 1 mm; otherwise None."""
+    """`Stuck` at the largest tracking error, if this exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)
     """[s] time of the controller's first report of each fault of the readings, by name."""
 
