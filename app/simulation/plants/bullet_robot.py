@@ -135,7 +135,6 @@ class BulletDoor(HeldDoor):
             world.allow((self._robot, link), (self.body, _DOOR), group)
 
     def release(self) -> None:
-        """Release the door, if the end-effector holds it."""
         if self._grasp is not None:
             self._client.removeConstraint(self._grasp)
             self._grasp = None

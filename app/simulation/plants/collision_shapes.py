@@ -30,8 +30,6 @@ In pairs of `arm_base` the part of l_m is first, in pairs of `arm_floor` the flo
 
 
 class CollisionShape(NamedTuple):
-    """One convex shape."""
-
     part: str  # name of the shape's link or body
     joint: int  # Pinocchio's index of the joint that moves the shape
     T: pin.SE3  # pose of the shape in the joint's frame

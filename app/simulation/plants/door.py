@@ -129,8 +129,6 @@ NO_DOOR = np.full(7, math.nan)  # `DoorView.numbers` without a door
 
 
 class OpenDoor(NamedTuple):
-    """A door with its initial opening angle."""
-
     door: Door
     angle: float  # [rad] opening angle at the plant's reset
 

@@ -22,8 +22,6 @@ from app.strict import Array
 
 @dataclass(frozen=True)
 class DoorOpeningGains:
-    """Gains of the adaptive controller."""
-
     speed: float = 0.02  # [m/s] v_d, speed of the end-effector along the estimated tangent
     ramp: float = 1.5  # [s] rise time of the speed from zero
     turn: float = math.radians(88)  # [rad] rotation since the start at which the end-effector stops

@@ -122,8 +122,6 @@ def column_names(template: str, meta: TraceMeta) -> list[str]:
 
 
 class Column(NamedTuple):
-    """A column of a trace."""
-
     name: str  # name, which ends in the unit, if any
     kind: Kind = "float"
     optional: bool = False  # whether a cell can be empty; in memory, an empty cell is NaN

@@ -30,8 +30,6 @@ _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": 
 
 
 class LogHeader(Strict):
-    """The header of a log file."""
-
     dbb_log: TraceMeta
     rows: int = Field(ge=1, strict=True)
 
