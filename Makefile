@@ -3,7 +3,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 # Compile the kernels during the installation, so that the first run does not wait.
-KERNELS := $(BIN)/python -c 'import app.control.controller, app.simulation.plants.kinematic, app.simulation.people'
+KERNELS := $(BIN)/python -c 'import app.control.controller, app.simulation.trace.snapshot'
 
 .PHONY: run test test-without-browser pictures results pages docs site lint format browser clean
 

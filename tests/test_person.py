@@ -144,7 +144,7 @@ def test_hand_moves_at_1_5_mps_at_most_and_does_not_overshoot():
     target, places = AT + np.array([1.0, 0.0, 0.0]), [AT]
     for _ in range(3000):
         person.force(AT, np.zeros(3), target)
-        places.append(person.motion[0])
+        places.append(person.motion[0].copy())
     speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / DT
     assert 1.4 < speed.max() <= 1.5 * (1 + 1e-9)
     assert np.max(places, axis=0)[0] <= target[0] + 1e-9

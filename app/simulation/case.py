@@ -31,29 +31,22 @@ class RunSpec(NamedTuple):
     scenario: Scenario
     config: Config
     controller: str = "dbb"
-    physics: str | None = None
-    """Name of the plant; None for the default one."""
-    seed: int = 0
-    """Seed of all random numbers."""
+    physics: str | None = None  # name of the plant; None for the default one
+    seed: int = 0  # seed of all random numbers
 
 
 class RunCase(Strict):
     """The contents of a case file: `dbb run`, `dbb serve` and other commands repeat its run."""
 
-    dbb_case: Literal[1] = 1
-    """Version of the file format."""
-    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
-    """Version of the program that wrote the file."""
+    dbb_case: Literal[1] = 1  # version of the file format
+    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))  # of the writer
     robot: str
-    played: str
-    """Name of the scenario."""
-    options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)
-    """All options of the scenario."""
+    played: str  # name of the scenario
+    options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)  # all options of the scenario
     controller: str
     physics: str
     seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
     parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
-    """All parameters, by their paths."""
 
     @model_validator(mode="before")
     @classmethod
@@ -104,18 +97,13 @@ class RunCase(Strict):
     def differences(self) -> list[str]:
         """A line if another version wrote the case, and for each unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
-        same = self.version == now
-        return [
-            *([] if same else [f"dbb {self.version} wrote the case; this is dbb {now}"]),
-            *(
-                f"the parameter {path} no longer exists; its value was {own[path]}"
-                for path in sorted(own.keys() - known.keys())
-            ),
-            *(
-                f"the case has no {path}; the default {Config().value(path)} is used"
-                for path in sorted(known.keys() - own.keys())
-            ),
-        ]
+        lines = [f"dbb {self.version} wrote the case; this is dbb {now}"] * (self.version != now)
+        for path in sorted(own.keys() - known.keys()):
+            lines.append(f"the parameter {path} no longer exists; its value was {own[path]}")
+        for path in sorted(known.keys() - own.keys()):
+            default = Config().value(path)
+            lines.append(f"the case has no {path}; the default {default} is used")
+        return lines
 
     def text(self) -> str:
         """The text of the file."""

@@ -1,7 +1,4 @@
-"""People who hold the robot, each with one hand, at the end-effector or another point of the arm.
-
-A hand is a spring and a damper with a force limit, and optionally a mass.
-"""
+"""People who hold the robot, each with one hand: a spring, a damper and optionally a mass."""
 
 import math
 from collections.abc import Sequence
@@ -31,45 +28,34 @@ _GRIP_DAMPING = 0.5  # [-] damping ratio of that spring with the hand's mass
 class Hold(NamedTuple):
     """A person's grip: the held point and its target."""
 
-    who: int
-    """Number of the person."""
-    target: Array
-    """(3,) [m] target of the held point, in the world."""
-    link: str | None = None
-    """Name of a frame of the arm, one of `held_links`; None is the end-effector."""
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """(3,) [m] the held point in the link's frame; without a link, the held point is the
-    end-effector's origin."""
+    who: int  # number of the person
+    target: Array  # (3,) [m] target of the held point, in the world
+    link: str | None = None  # one of `held_links`; None is the end-effector
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in the frame of `link`
 
 
 class PullReading(NamedTuple):
-    """One person's pull at one instant; positions and force in the world."""
+    """One person's pull at one instant; positions and force are in the world."""
 
     who: int
-    link: str | None
-    """As in `Hold`."""
-    point: Array
-    """(3,) [m] the held point."""
-    target: Array
-    """(3,) [m] target of the held point."""
-    force: Array
-    """(3,) [N] the person's force on that point."""
+    link: str | None  # as in `Hold`
+    point: Array  # (3,) [m] the held point
+    target: Array  # (3,) [m] target of the held point
+    force: Array  # (3,) [N] the person's force on the held point
 
 
 class PersonForces(NamedTuple):
     """The forces of people on the robot in one control step."""
 
-    hand: Array
-    """(3,) [N] sum of the forces on the end-effector's origin, in the world."""
-    pushes: tuple[Push, ...] = ()
-    """Forces on other points of the arm."""
+    hand: Array  # (3,) [N] sum of the forces on the end-effector's origin, in the world
+    pushes: tuple[Push, ...] = ()  # forces on other points of the arm
 
 
 class People:
     """One `PersonHand` for each person who holds the robot; forces on the same point add."""
 
     def __init__(self, model: RobotModel, config: PersonConfig, dt: float) -> None:
-        """Start with no person at the robot; `dt` [s] is the time between two calls of `pull`."""
+        """Start without people; `dt` [s] is the time between two calls of `pull`."""
         self._model, self._config, self._dt = model, config, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
 
@@ -84,9 +70,8 @@ class People:
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
         """Compute the pull of each person in one control step, and the forces on the robot.
 
-        Each person has at most one hold. A person without a hold releases the robot. A person who
-        changes to another point releases the previous point; the spring of the new hold starts
-        without stretch. An invalid target raises a TargetError.
+        A person without a hold releases the robot. If a person holds another point than before, the
+        spring starts without stretch. An invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
@@ -115,34 +100,29 @@ class PersonHand:
     damper acts against the world: while p rests, the person only absorbs energy.
 
     If the hand has a mass, F moves the mass, and the robot receives the force of the grip, a spring
-    and a damper between mass and robot. This force is smaller than F while F accelerates the mass,
-    equals F at rest, and is larger than F, possibly above f_max, while the robot stops the mass.
-    All these parts are passive, so such a hand also only absorbs energy while p rests.
+    and a damper between mass and robot. This force equals F at rest; while the robot stops the
+    mass, it is larger than F, possibly above f_max. Such a hand is passive too while p rests.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
         """Begin one hold; `dt` [s] is the time between two calls of `force`."""
-        self._dt, self._motion = dt, np.full((4, 3), np.nan)
+        self._dt = dt
+        self.motion = np.full((4, 3), np.nan)  # p, ṗ, and those of the mass; see `_pull`
         self.configure(config)
 
     def configure(self, config: PersonConfig) -> None:
-        """Use other parameters of the person from the next call of `force` on."""
+        """Use other parameters from the next call of `force` on."""
         spring = config.stiffness, config.damping, config.f_max, config.mass
         self._spring = np.array([*spring, self._dt])
-
-    @property
-    def motion(self) -> Array:
-        """(2, 3) position p [m] and velocity ṗ [m/s]; NaN before the first call of `force`."""
-        return self._motion[:2].copy()
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
         """Compute the person's force (3,) [N] on the held point for one step, in the world.
 
-        `p_ee`, `v_ee` and `target` (3,) are the held point's position [m], velocity [m/s] and
-        target [m]; further entries of `v_ee` are not used. An invalid target raises a TargetError.
+        `p_ee`, `v_ee` and `target` (3,) are position [m], velocity [m/s] and target [m] of the held
+        point; further entries of `v_ee` are not used. An invalid target raises a TargetError.
         """
         force = np.empty(3)
-        _pull_once(self._motion, checked_target(target), p_ee, v_ee, self._spring, force)
+        _pull_once(self.motion, checked_target(target), p_ee, v_ee, self._spring, force)
         return force
 
 
@@ -159,11 +139,7 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
-    """Check a person's target in the world and return it as an array (3,) [m].
-
-    This raises a TargetError if the target is not three finite numbers, is below the floor, or has
-    a coordinate beyond ±10 km.
-    """
+    """Return a target as an array (3,) [m]; one below the floor or invalid raises a TargetError."""
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
     if z < 0:
@@ -174,11 +150,7 @@ def checked_target(target: Sequence[float] | Array) -> Array:
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
-    """Check a held point in the frame of a link and return the point as an array (3,) [m].
-
-    This raises a TargetError if the point is not three finite numbers, or is farther than 1 m from
-    the link's origin.
-    """
+    """Return a held point as an array (3,) [m]; one beyond 1 m or invalid raises a TargetError."""
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
         raise TargetError(
@@ -188,7 +160,6 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
 
 
 def _finite(point: Sequence[float] | Array, name: str) -> Array:
-    """The point as an array (3,); raises a TargetError if it is not three finite numbers."""
     try:
         place = np.asarray(point, dtype=float)
         x, y, z = place.tolist()
@@ -214,12 +185,11 @@ def _push_mass(
 ) -> None:
     """Move the mass m of the hand for one step of m ẍ = F - G, by the implicit Euler rule.
 
-    F = K' (p - x) - D ẋ, limited to f_max, acts on the mass at x. The force G = k (x - p_ee) +
-    c (ẋ - v_ee) of the grip, with stiffness k and damping c, acts on the robot. Both forces are
-    evaluated at the end of the step, for a held point with constant velocity. K' and k in series
-    have the stiffness K of `PersonHand`. The rule is stable for every mass, spring and damper. The
-    force limit does not change the direction of F. `x` [m] and `x_dot` [m/s] (3,) are changed in
-    place; the result `force` (3,) [N] is G. The other arguments are those of `_pull`.
+    F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x. G = k (x - p_ee) + c (ẋ - v_ee)
+    is the force of the grip, with stiffness k and damping c, on the robot. Both forces are those at
+    the end of the step, for a held point with constant velocity. K' and k in series have the
+    stiffness K of `PersonHand`. The rule is stable for every mass, spring and damper. `x` and
+    `x_dot` (3,) are changed in place; the result `force` (3,) is G.
     """
     stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)
@@ -240,14 +210,13 @@ def _push_mass(
 def _pull(
     motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the person's hand for one step, and compute its force on the held point.
+    """Move the person's hand for one step, and compute its force (3,) [N] on the held point.
 
     The free end p of the hand's spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
     `motion` (4, 3), which is changed in place, has p [m] and ṗ [m/s], then position and velocity of
     the hand's mass. Before the first step, `motion` is NaN; without a mass, the mass's position
-    remains NaN. `p_ee` and `v_ee` are position and velocity of the held point. `spring` (5,) has
-    the stiffness [N/m], the damping against the world [N s/m], the largest force [N], the mass of
-    the hand [kg] and the step [s]. The result `force` (3,) [N] acts on the held point.
+    remains NaN. `spring` (5,) has the stiffness [N/m], the damping against the world [N s/m], the
+    largest force [N], the mass of the hand [kg] and the step [s].
     """
     p, v, x, x_dot = motion
     stiffness, damping, f_max, mass, dt = spring

@@ -1,7 +1,4 @@
-"""Pictures of the robot by pybullet's software renderer, without display, browser or graphics card.
-
-The renderer draws only bodies. Callers can draw other elements: `Picture.pixels` projects points.
-"""
+"""Pictures of the robot by pybullet's software renderer, without display or graphics card."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -27,20 +24,13 @@ _LIGHT = (2.0, -2.5, 5.0)  # [m] vector to the light at yaw 0; it turns with the
 class Camera(NamedTuple):
     """Viewpoint, field of view and size of a picture."""
 
-    target: Array
-    """(3,) [m] point in the world at the centre of the picture."""
-    distance: float
-    """[m] distance from the target."""
-    yaw: float
-    """[rad] horizontal angle from the world's x axis to the direction from target to camera."""
-    pitch: float
-    """[rad] elevation of the camera, seen from the target."""
-    width: int = 480
-    """[px] width of the picture."""
-    height: int = 480
-    """[px] height of the picture."""
-    fov: float = 0.35
-    """[rad] vertical field of view; with a small one, vertical edges look almost parallel."""
+    target: Array  # (3,) [m] point in the world at the centre of the picture
+    distance: float  # [m] distance from the target
+    yaw: float  # [rad] angle from the world's x axis to the direction from target to camera
+    pitch: float  # [rad] elevation of the camera, seen from the target
+    width: int = 480  # [px] width of the picture
+    height: int = 480  # [px] height of the picture
+    fov: float = 0.35  # [rad] vertical; in a small one, vertical edges look almost parallel
 
     @property
     def eye(self) -> Array:
@@ -50,10 +40,7 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """A copy of the camera, moved so that points (N, 3) [m] in the world fill the picture.
-
-        `margin` [-] is the smallest empty part of the picture's width or height on each side.
-        """
+        """A copy, moved so that points (N, 3) [m] fill the picture except for a `margin` [-]."""
         camera = self
         for _ in range(8):  # the perspective changes a little each time
             view, projection = camera.matrices()
@@ -76,26 +63,22 @@ class Camera(NamedTuple):
         projection = pybullet.computeProjectionMatrixFOV(
             math.degrees(self.fov), self.width / self.height, _NEAR, _FAR
         )
-        return _matrix(view), _matrix(projection)
+        return np.reshape(view, (4, 4), order="F"), np.reshape(projection, (4, 4), order="F")
 
 
 class Solid(NamedTuple):
     """An additional body in the picture."""
 
-    mesh: trimesh.Trimesh
-    """Surface of the body, in the world."""
+    mesh: trimesh.Trimesh  # surface of the body, in the world
     rgba: Rgba
 
 
 class Picture(NamedTuple):
     """A picture, with the data that a caller needs to draw further elements over it."""
 
-    rgb: Array
-    """(height, width, 3) colours, uint8."""
-    floor: Array
-    """(height, width) whether each pixel shows no body, so that it is floor or background."""
-    to_clip: Array
-    """(4, 4) transform from the world to the clip space."""
+    rgb: Array  # (height, width, 3) colours, uint8
+    floor: Array  # (height, width) whether a pixel shows floor or background
+    to_clip: Array  # (4, 4) transform from the world to the clip space
 
     def pixels(self, points: Array) -> Array:
         """(N, 2) [px] column and row of points (N, 3) [m] in the world."""
@@ -135,11 +118,7 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """Take a picture of the robot and the `solids`; without `robot`, only of the `solids`.
-
-        `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
-        positions.
-        """
+        """Take a picture of the `solids` and, if `robot`, of the robot in a pose and posture."""
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, positions, strict=True):
@@ -200,7 +179,3 @@ def _project(points: Array, to_clip: Array) -> Array:
     """(N, 2) [-] coordinates right and up of points (N, 3) [m]; −1 and 1 at the picture's edges."""
     clip = np.column_stack([points, np.ones(len(points))]) @ to_clip.T
     return clip[:, :2] / clip[:, 3:]
-
-
-def _matrix(columns: Sequence[float]) -> Array:
-    return np.reshape(columns, (4, 4), order="F")

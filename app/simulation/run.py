@@ -27,10 +27,7 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting; `robot` is the robot without a held door.
-
-    This raises the errors of `Session`, and a TargetError for an invalid posture.
-    """
+    """Make a session at a setting, with the plant of `robot`; raises the errors of `Session`."""
     check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
         setting.model,
@@ -130,11 +127,9 @@ def filmed(
     times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
-    """Execute a run until the latest of the simulated `times` [s], and return its snapshots.
+    """Execute a run until the latest of `times` [s]; return the snapshots at 50 Hz and at `times`.
 
-    The snapshots are those at 50 Hz, and one at each of the times. There must be at least one time;
-    a time after the end of the run selects its last step. `run_from_spec` documents the other
-    arguments and the errors.
+    There must be at least one time; a time after the end of the run selects its last step.
     """
     scenario, snapshots = run.scenario, []
     last = round(scenario.duration / DT) - 1

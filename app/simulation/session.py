@@ -23,7 +23,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
-from app.simulation.plants.door import DoorView, OpenDoor
+from app.simulation.plants.door import NO_DOOR, DoorView, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, PointLoad
 from app.strict import Array, Vector3
 
@@ -36,42 +36,24 @@ SCENARIO_PERSON = -1  # number of a scenario's person
 class Step(NamedTuple):
     """The results of one control step."""
 
-    t: float
-    """[s] simulated time at the start of the step."""
-    measurement: Measurement
-    """The readings that the controller received."""
-    control: ControlStep
-    """All quantities of the control step; the next step overwrites them."""
-    base_command: Array
-    """(n_b,) [m/s or rad/s] present base command of the controller, before delay and slip."""
-    hand_target: Array | None
-    """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
-    hand_force: Array
-    """(3,) [N] force of all people on the end-effector, in the world; if `door` is not None,
-    the end-effector's force on the door."""
-    ee_error: float
-    """[m] true distance of the end-effector from the target of the (first) person who holds it;
-    without such a person, from its reference; 0 if there is neither."""
+    t: float  # [s] simulated time at the start of the step
+    measurement: Measurement  # readings that the controller received
+    control: ControlStep  # quantities of the control step; the next step overwrites them
+    base_command: Array  # (n_b,) [m/s or rad/s] command for the base, before delay and slip
+    hand_target: Array | None  # (3,) [m] target of the (first) person at the end-effector
+    hand_force: Array  # (3,) [N] as `Snapshot.hand_force`
+    ee_error: float  # [m] as `Snapshot.ee_error`
     contacts: Contacts
-    duration: float
-    """[s] real time of the controller's computation."""
-    truth: Measurement
-    """The readings without sensor errors."""
-    state: RobotState
-    """The true state of the robot; the next step overwrites it."""
-    distances: Array
-    """(n_p,) [m] true signed distances of the control step's pairs."""
-    buffer: BufferReading
-    """Whether d_b is sufficient for the arm's approach speed."""
-    door: DoorView | None = None
-    """State of the door while a scenario opens it, otherwise None."""
-    pulls: tuple[PullReading, ...] = ()
-    """All people who hold the robot; empty if `Session.step` had the argument `forces`."""
+    duration: float  # [s] real time of the controller's computation
+    truth: Measurement  # readings without sensor errors
+    state: RobotState  # true state of the robot; the next step overwrites it
+    distances: Array  # (n_p,) [m] true signed distances of all link pairs
+    buffer: BufferReading  # whether d_b is sufficient for the arm's approach speed
+    door: DoorView | None = None  # the door that the end-effector holds
+    pulls: tuple[PullReading, ...] = ()  # of all people; empty if `forces` were specified
     person: PersonForces = PersonForces(np.zeros(3))
-    reference: Reference | None = None
-    """The tracked reference, or None while a person guides the arm."""
-    ee_speed: float = 0.0
-    """[m/s] true speed of the end-effector."""
+    reference: Reference | None = None  # the tracked reference; None while a person guides the arm
+    ee_speed: float = 0.0  # [m/s] true speed of the end-effector
 
     @property
     def people(self) -> int:
@@ -83,9 +65,14 @@ class Step(NamedTuple):
         """[µs] real time of the controller's computation."""
         return 1e6 * self.duration
 
+    @property
+    def door_numbers(self) -> Array:
+        """(7,) `DoorView.numbers` of the door; NaN without a door."""
+        return NO_DOOR if self.door is None else self.door.numbers
+
 
 def check_avoidance(model: RobotModel, data: BorderData) -> None:
-    """Raise a DescriptionError if L_m is empty: no link pair consists of base and arm."""
+    """Raise a DescriptionError if L_m is empty: no link pair has the base."""
     if not data.pairs.mobile:
         raise DescriptionError(
             f"{model.description.name}: no monitored part of the arm can meet the base, so no "
@@ -109,11 +96,11 @@ class Session:
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Set up the session at rest in the robot's ready posture.
+        """Start at rest in the robot's ready posture.
 
-        `model` is the robot of the controller, and by default also of the plant. If `model` has a
-        held object as an additional body, `plant` is the robot without this object. `seed` is the
-        seed of all random numbers. The end-effector holds the `door`, if there is one.
+        `model` is the robot of the controller. If it has a held object as an additional body,
+        `plant` is the robot without this object. `seed` is the seed of all random numbers. The
+        end-effector holds the `door`, if there is one.
 
         This raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
@@ -122,13 +109,12 @@ class Session:
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         self._stated = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
-        """The control loop, with the same interface as in a robot's own loop."""
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
-        self._own_state = RobotState(model)  # the true state, if the sensors have errors
+        self._own_state = RobotState(model)  # for sensors with errors
         self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
-        self._disturb(config.disturbance)
+        self.controller.state.scale_arm_inertias(1.0 + config.disturbance.mass_error)
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self.reset(np.array(model.description.arm.ready_position))
 
@@ -136,7 +122,7 @@ class Session:
         """Put the robot at rest, without people, and set the time to zero.
 
         `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
-        [rad] of the base, by default at the origin. An invalid posture raises a TargetError.
+        [rad] of the base, by default zero. An invalid posture raises a TargetError.
         """
         check_posture(self.model, q_m)
         self.t = 0.0  # [s] simulated time
@@ -146,18 +132,13 @@ class Session:
         self._people = People(self.model, self.config.hand, DT)
         self._wheel_angles = [0.0] * len(self._base.wheels)
         self.controller.state.update(self.physics.measure())
-        self.state = self.controller.state
-        """The true state of the robot at the last step."""
+        self.state = self.controller.state  # the true state of the robot at the last step
         self._watch.reset()
         self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)
 
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """Reset, as `reset`, with other parameters, including `disturbance.stated_period`.
-
-        A TargetError for the posture, or a ConfigError if the stated control period is too long for
-        a gain, is raised before any change.
-        """
+        """Reset with other parameters, also `stated_period`; raises a DbbError before changes."""
         check_posture(self.model, q_m)
         period, name = config.disturbance.stated_period, self.controller.name
         check_gains(config, period)
@@ -168,20 +149,17 @@ class Session:
         self.reset(q_m, base_pose)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on; `disturbance.stated_period` does not change.
-
-        If the control period is too long for a gain, this raises a ConfigError, without a change.
-        """
+        """Use other parameters, except `stated_period`; raises a ConfigError before any change."""
         self.loop.configure(config)
         self.config = config
         self._people.configure(config.hand)
         self._watch.config = config
-        self._disturb(config.disturbance)
+        self._disturbances.configure(config.disturbance)
+        self.controller.state.scale_arm_inertias(1.0 + config.disturbance.mass_error)
         self._loads = self._loads_of(config)
 
     @property
     def controller(self) -> Controller:
-        """The controller of the session."""
         return self.loop.controller
 
     @property
@@ -205,9 +183,9 @@ class Session:
     ) -> Step:
         """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
 
-        The first four arguments are the fields of `StepInput`. If `forces` are specified, they
-        replace the forces of `pull` and `holds`, and `Step.pulls` is empty; `Step.ee_error` still
-        refers to the target of the person at the end-effector.
+        The first four arguments are the fields of `StepInput`. `forces`, if specified, replace the
+        forces of `pull` and `holds`, and `Step.pulls` is then empty; `Step.ee_error` still refers
+        to the target of the person at the end-effector.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -228,15 +206,19 @@ class Session:
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
+        hand_force, contacts = person.hand if door is None else door.force, self.physics.contacts()
+        if (held := self.physics.door) is not None:
+            door = door or DoorView(held.door, held.angle(), np.zeros(3))
+            door = door._replace(contact=contacts.door_base)
         step = Step(
             self.t,
             measurement,
             control,
             command,
             target,
-            person.hand if door is None else door.force,
+            hand_force,
             error,
-            self.physics.contacts(),
+            contacts,
             duration,
             truth,
             state,
@@ -252,10 +234,7 @@ class Session:
         return step
 
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
-        """The loads with a mass; a key has name, mass [kg], centre [m] and time of beginning [s].
-
-        A load with an unchanged key remains the same object, which stores its last velocity.
-        """
+        """The loads with a mass, by name, mass [kg], centre [m] and time of beginning [s]."""
         load, disturbance = config.payload, config.disturbance
         loads = (
             ("payload", load.mass, (load.x, load.y, load.z), 0.0),
@@ -270,12 +249,7 @@ class Session:
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
-        """The robot's true state, and the distances (n_p,) [m] of all pairs.
-
-        Without sensor errors, both are taken from the controller, which saves a second computation.
-        With the default parameters, the controller's values deviate from the truth by less than
-        0.1 mm.
-        """
+        """True state and distances (n_p,) [m]; without sensor errors, those of the controller."""
         if sensed is truth:
             self.state = self.controller.state
             return self.state, control.d[: len(control.pairs)].copy()
@@ -284,23 +258,14 @@ class Session:
         return self.state, np.array(self._distances.distances())
 
     def close(self) -> None:
-        """Release the plant."""
         self.physics.close()
-
-    def _disturb(self, config: DisturbanceConfig) -> None:
-        self._disturbances.configure(config)
-        self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
 
 
 class Disturbances:
-    """The disturbances of the signals between the controller and the robot.
-
-    `Session` causes the other disturbances: the error of the arm's masses in the controller's
-    model, the unknown load, and the control period that the controller assumes (`stated_period`).
-    """
+    """The disturbances of the signals between controller and robot; `Session` causes the others."""
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Start in the state after `reset`; `dt` [s] is the control step."""
+        """Start; `dt` [s] is the control step, `seed` the seed of all random numbers."""
         self._dt, self._seed = dt, seed
         self._commands: deque[Array] = deque()
         self._sent: deque[Measurement] = deque()
@@ -308,19 +273,15 @@ class Disturbances:
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Use these disturbances from the next step on.
-
-        If a delay increases, the oldest known command or reading is repeated until the next is due.
-        """
-        self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
-        self._slip, self._stamped = config.slip, config.time_stamps == "yes"
+        """Use these disturbances; a longer delay repeats the oldest known command or reading."""
+        self._config = config
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)
         self._commands = deque(known[:1] * (late + 1 - len(known)) + known, late + 1)
         self._sensor_late = round(config.sensor_delay / self._dt)
         self._sent = deque(self._sent, self._sensor_late + 1)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
-        self._punctual = self._sensor_late == 0 and self._sensor_every == 1 and self._dropped == 0.0
+        self._punctual = (self._sensor_late, self._sensor_every, config.dropped) == (0, 1, 0.0)
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
@@ -333,49 +294,39 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """The readings that the controller receives in a control step.
+        """The readings that the controller receives in a control step: new, late or repeated.
 
-        Without disturbances, these are the true values. With noise, `VelocityTracking` computes the
-        joint velocities from the noisy positions, as on a robot that has only encoders. The base's
-        sensors have no noise.
+        With noise, `VelocityTracking` computes the joint velocities from the noisy positions, as on
+        a robot that has only encoders. The base's sensors have no noise.
         """
-        if self._encoder_noise == 0.0:
+        sent = truth
+        if self._config.encoder_noise == 0.0:
             self._tracking = None
-            return self._arrived(truth)
-        noise = self._encoder_noise * self._rng.standard_normal(len(truth.q_m))
-        q_m = truth.q_m + noise
-        if self._tracking is None:
-            self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
-        return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
-
-    def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings that reach the controller: new, late or repeated; stamped if configured."""
+        else:
+            noise = self._config.encoder_noise * self._rng.standard_normal(len(truth.q_m))
+            q_m = truth.q_m + noise
+            if self._tracking is None:
+                self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
+            sent = truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m))
         step, self._steps = self._steps, self._steps + 1
-        if not self._stamped:
-            return self._transmitted(sent, step)
-        now = step * self._dt
-        return self._transmitted(sent._replace(time=now), step)._replace(now=now)
-
-    def _transmitted(self, sent: Measurement, step: int) -> Measurement:
+        now = step * self._dt if self._config.time_stamps == "yes" else None
+        sent = sent if now is None else sent._replace(time=now)
         self._sent.append(sent)
         if self._punctual or step < self._begins:
             self._seen = sent
-            return sent
-        due = step % self._sensor_every == 0
-        lost = self._dropped > 0.0 and self._rng.random() < self._dropped
-        if self._seen is None or (due and not lost):
-            self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
-        return self._seen
+        else:
+            due = step % self._sensor_every == 0
+            lost = self._config.dropped > 0.0 and self._rng.random() < self._config.dropped
+            if self._seen is None or (due and not lost):
+                self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
+        return self._seen if now is None else self._seen._replace(now=now)
 
     def arriving(self, command: Array) -> Array:
-        """The base command (n_b,) [m/s or rad/s] after delay and slip; 0 until the first arrives.
-
-        `command` (n_b,) is the controller's command in this control step.
-        """
+        """Base command (n_b,) [m/s or rad/s] after delay and slip; 0 before the first arrives."""
         commands = self._commands
         commands.append(command)
         late = commands[0] if len(commands) == commands.maxlen else np.zeros_like(command)
-        return late if self._slip == 0.0 else (1.0 - self._slip) * late
+        return late if self._config.slip == 0.0 else (1.0 - self._config.slip) * late
 
 
 class VelocityTracking:
@@ -387,11 +338,7 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """Start as after a long motion with constant velocities.
-
-        `q` (n,) [rad or m] and `qd` (n,) [rad/s or m/s] are positions and velocities at the time of
-        the first `update`; `dt` [s] is the time between two calls of `update`.
-        """
+        """Start at positions `q` (n,), as after a long motion with velocities `qd` (n,)."""
         pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
         self._q, self._qd, self._dt = q - qd * dt, qd.copy(), dt
@@ -406,10 +353,7 @@ class VelocityTracking:
 
 
 def check_posture(model: RobotModel, q_m: Array) -> None:
-    """Check the joint positions `q_m` of a start: a plant would push a joint back to its limit.
-
-    A wrong number of joints, or a joint beyond its limits, raises a TargetError.
-    """
+    """Raise a TargetError if `q_m` has a wrong length, or a joint is beyond its limits."""
     if len(q_m) != model.n_m:
         raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")
     for name, at, low, high in zip(

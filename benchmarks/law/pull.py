@@ -90,8 +90,7 @@ def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
             p, v = state.T_world_ee.translation.copy(), state.v_ee[:3].copy()
             if target is not None:  # a copy of the session's person, whose place is private
                 shadow.force(p, v, target)
-                assert shadow.motion is not None
-                place = shadow.motion[0]
+                place = shadow.motion[0].copy()
                 speed, before = math.dist(place, before) / DT, place
             let_go = yield Moment(session, step, p, v, speed)
             held = held and not let_go

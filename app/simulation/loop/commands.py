@@ -1,8 +1,8 @@
 """Commands to the live loop: immutable records that check their values, and their mailbox.
 
-The constructor of a command raises an error if a value is invalid: an UnknownNameError for a name,
-a TargetError for a position or posture, otherwise a ConfigError. If the loop cannot execute a
-command later, the field `refusal` of the snapshots reports the reason.
+An invalid value raises an UnknownNameError for a name, a TargetError for a position or posture, and
+otherwise a ConfigError. If the loop cannot execute a command later, the field `refusal` of the
+snapshots has the reason.
 """
 
 import math
@@ -21,11 +21,9 @@ Point = tuple[float, float, float]
 
 SPEEDS = 0.1, 4.0  # [-] smallest and largest multiple of real time
 STEPS = 0.001, 1.0  # [s] shortest and longest single step
-SAMES = ("path", "force")
-"""The common input of compared robots: the path of the pulls, or their force."""
+SAMES = ("path", "force")  # common inputs of compared robots: the path of the pulls, or their force
 MAX_GHOSTS = 2  # largest number of compared robots in addition to the main robot
-MAX_WAITING = 64
-"""Number of waiting commands from which on the pull of a further person is refused."""
+MAX_WAITING = 64  # number of waiting commands from which on the pull of a further person is refused
 
 
 class Command:
@@ -42,19 +40,12 @@ class Beginning(Command):
 
 @dataclass(frozen=True)
 class Pull(Command):
-    """A person holds a point of the robot and pulls this point towards `target`.
+    """A person pulls a point of the robot; at the end-effector, this ends a scenario's motion."""
 
-    A pull of the end-effector ends the motion of a scenario; a pull elsewhere disturbs this motion.
-    """
-
-    target: Point
-    """(3,) [m] target of the held point, in the world."""
-    link: str | None = None
-    """Name of one of the loop's `links`; None is the end-effector."""
-    point: Point | None = None
-    """(3,) [m] the held point in the link's frame; None is the frame's origin."""
-    who: int = 0
-    """Number of the person; each has one hand, and their forces add."""
+    target: Point  # [m] target of the held point, in the world
+    link: str | None = None  # name of one of the loop's `links`; None is the end-effector
+    point: Point | None = None  # [m] the held point in the link's frame; None is the frame's origin
+    who: int = 0  # number of the person; each has one hand, and their forces add
 
     def __post_init__(self) -> None:
         checked_target(self.target)
@@ -97,7 +88,7 @@ class Pause(Adjustment):
 
 @dataclass(frozen=True)
 class Watch(Adjustment):
-    """Report to the loop whether a viewer is connected; without a viewer the simulation pauses."""
+    """Report whether a viewer is connected; without a viewer the simulation pauses."""
 
     watched: bool
 
@@ -106,8 +97,7 @@ class Watch(Adjustment):
 class Speed(Adjustment):
     """Change the speed of the simulation."""
 
-    factor: float
-    """[-] desired ratio of simulated to real time, within `SPEEDS`."""
+    factor: float  # [-] desired ratio of simulated to real time, within `SPEEDS`
 
     def __post_init__(self) -> None:
         check_range("the speed", self.factor, *SPEEDS, "times real time")
@@ -117,8 +107,7 @@ class Speed(Adjustment):
 class StepOnce(Command):
     """Pause, and advance the simulation by `seconds`."""
 
-    seconds: float = 0.02
-    """[s] simulated time from the newest snapshot to the next one, within `STEPS`."""
+    seconds: float = 0.02  # [s] simulated time up to the next snapshot, within `STEPS`
 
     def __post_init__(self) -> None:
         check_range("a step", self.seconds, *STEPS, "s")
@@ -128,10 +117,8 @@ class StepOnce(Command):
 class Reset(Beginning):
     """Start again without a scenario, at the loop's start posture or at another posture."""
 
-    q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] joint positions of the arm; empty means the loop's start posture."""
-    base_pose: Point = (0.0, 0.0, 0.0)
-    """[m, m, rad] x, y and heading of the base in the world; ignored if `q_m` is empty."""
+    q_m: tuple[float, ...] = ()  # (n_m,) [rad or m] arm; if empty, the loop's start posture
+    base_pose: Point = (0.0, 0.0, 0.0)  # [m, m, rad] x, y, heading; not used without `q_m`
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.q_m, *self.base_pose))):
@@ -154,11 +141,8 @@ class Play(Beginning):
 class Compare(Command):
     """Start a comparison of controllers, or end a comparison, as in `Ensemble.compare`."""
 
-    controllers: tuple[str, ...] = ()
-    """Controllers of the compared robots, at most two; if there are none, the comparison ends and
-    the main robot continues."""
-    same: str = "path"
-    """The common input of all robots: the "path" of the pulls or their "force"."""
+    controllers: tuple[str, ...] = ()  # of the compared robots; if empty, the comparison ends
+    same: str = "path"  # the common input of all robots, one of `SAMES`
 
     def __post_init__(self) -> None:
         if len(self.controllers) > MAX_GHOSTS:
@@ -171,19 +155,16 @@ class Compare(Command):
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
-    A `Pull` or `Release` replaces a waiting `Pull` or `Release` of the same person. A `Beginning`
-    replaces a waiting `Beginning`; only a `Restart` does not, and is dropped. Each other command
-    replaces a waiting command of the same class. An `Adjustment` takes the place of the replaced
-    command, so that a `Beginning` later in the queue uses the newest value. All other commands go
-    to the end of the queue. While `MAX_WAITING` commands wait, a pull that replaces none of them is
-    refused; no other command is refused.
+    A `Pull` or `Release` replaces one of the same person. A `Beginning` replaces a waiting
+    `Beginning`, but a `Restart` is dropped instead. Each other command replaces a waiting command
+    of the same class. An `Adjustment` takes the place of the replaced command, so that a later
+    `Beginning` uses the newest value. All other commands go to the end of the queue.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[Hashable, Command] = {}
         self._lock = threading.Lock()
-        self.filled = threading.Event()
-        """Event that is set while commands wait."""
+        self.filled = threading.Event()  # event that is set while commands wait
 
     def put(self, command: Command, links: Collection[str]) -> None:
         """Add a command; a pull whose link is not in `links` raises an UnknownNameError.
@@ -215,7 +196,7 @@ class Mailbox:
 
 
 def _key(command: Command) -> Hashable:
-    """The key of a command; commands with equal keys replace one another."""
+    """The key of a command, which replaces a waiting command with an equal key."""
     if isinstance(command, (Pull, Release)):
         return Pull, command.who
     return Beginning if isinstance(command, Beginning) else type(command)

@@ -30,22 +30,18 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start the free motion, with the arm at the joint positions `q_start` (n_m,) [rad or m].
+        """Start the free motion at the joint positions `q_start` (n_m,) [rad or m].
 
-        `free` is the main robot's session. Its plant and seed also apply to all scenarios, and so
-        do its parameters until `configure` changes them.
+        The plant and the seed of `free`, the main robot's session, also apply to all scenarios, and
+        so do its parameters until `configure` changes them.
         """
         self._free = free
         self._led = Runner(free, None)
-        self.scenario: Scenario | None = None
-        """The scenario of the last start, or None if that start had no scenario."""
-        self.ends: float | None = None
-        """[s] time at which the present scenario ends; None during free motion."""
+        self.scenario: Scenario | None = None  # scenario of the last start
+        self.ends: float | None = None  # [s] end of the present scenario; None in free motion
         self._config = free.config
-        self.ghosts: list[Runner] = []
-        """Compared robots: each has the main robot's input and its own controller."""
-        self.comparison = Compare()
-        """The last `Compare` that started or ended a comparison."""
+        self.ghosts: list[Runner] = []  # compared robots, with the main robot's input
+        self.comparison = Compare()  # the last `Compare` that started or ended a comparison
         self._holds: dict[int, Hold] = {}
         self._case: RunCase | None = None  # of the scenario of the last start
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
@@ -77,10 +73,7 @@ class Ensemble:
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again without a scenario; the arguments are those of the command `Reset`.
-
-        If the robots cannot start there, this raises a DbbError, and the present run continues.
-        """
+        """Start again, as `Reset` describes; a DbbError leaves the present run unchanged."""
         begun = self._start
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
@@ -99,10 +92,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
-
-        If the control period is too long for a gain, this raises a ConfigError, without a change.
-        """
+        """Use other parameters, as `Session.configure`, with the changes of `Scenario.adapted`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
@@ -126,10 +116,7 @@ class Ensemble:
             self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
-
-        If `MAX_PULLS` other people already hold the robot, this raises a TargetError.
-        """
+        """Let a person hold the robot; more than `MAX_PULLS` people raise a TargetError."""
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
@@ -148,7 +135,7 @@ class Ensemble:
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
         holds = tuple(self._holds.values())
-        step = self._led.step(holds)
+        step = self._led.step(holds, scored=bool(self.ghosts))
         same_force = self.comparison.same == "force"
         for ghost in self.ghosts:
             ghost.step(holds, step.person if same_force else None)
@@ -160,7 +147,6 @@ class Ensemble:
         return tuple(runner.score() for runner in compared)
 
     def close(self) -> None:
-        """Release all plants."""
         self._replace_ghosts([])
         self._free.close()
         if self.main is not self._free:
@@ -182,10 +168,7 @@ class Ensemble:
     def _enter(
         self, setting: Setting, scenario: Scenario | None, comparison: Compare | None = None
     ) -> None:
-        """Start main robot and ghosts at a setting; a DbbError leaves the present run unchanged.
-
-        Without `comparison`, the controllers of the present comparison are compared again.
-        """
+        """Start all robots at a setting; a DbbError leaves the present run unchanged."""
         comparison = comparison or self.comparison
         config = scenario.adapted(self._config) if scenario else self._config
         setting, free = setting._replace(config=config), self._free
@@ -219,23 +202,19 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        """Replace the ghosts, close their unused sessions, and set `scored` of all robots."""
         kept = {id(ghost.session) for ghost in ghosts}
         ended = [ghost.session for ghost in self.ghosts if id(ghost.session) not in kept]
         self.ghosts = ghosts
         for session in ended:
             session.close()
-        for runner in (self._led, *ghosts):
-            runner.scored = bool(ghosts)
 
 
 class Runner:
     """One robot of the ensemble: its session, its driver and its results (`Score`)."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
-        """Use a session at its start, and the driver of its scenario; None without a scenario."""
-        self.session, self._driver, self.scored = session, driver, False
-        """`scored` states whether the robot takes part in a comparison."""
+        """Use a session at its start, and the driver of its scenario, if any."""
+        self.session, self._driver = session, driver
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._complete = False
         self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
@@ -247,11 +226,13 @@ class Runner:
         self._complete = self._complete or self._driver is not None
         self._driver = None
 
-    def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """Execute one `Session.step` with the scenario's input and the users' `holds`."""
+    def step(
+        self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
+    ) -> Step:
+        """Execute one `Session.step`; `scored` ones count until the scenario's motion ends."""
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
-        if self.scored:
+        if scored:
             self._clearance = step.distances[: step.control.n_mob].min().item()
             if not self._complete:
                 self._count(step)
@@ -270,11 +251,10 @@ class Runner:
         )
 
     def score(self) -> Score:
-        """The score of the steps that have counted until now; see `scored` and `let_go`."""
+        """The score of the steps in a comparison, until the end of the scenario's motion."""
         return self._score._replace(controller=self.session.controller.name)
 
     def _count(self, step: Step) -> None:
-        """Add the results of a step to the score."""
         score, w = self._score, step.control
         now = step.truth.base_pose[:2], w.a_base_cmd.copy(), w.u_cmd.copy()
         before, self._before = self._before or now, now

@@ -1,8 +1,4 @@
-"""Live loop: a thread that runs a session in real time, executes commands and publishes snapshots.
-
-The dashboard uses only `LoopHandle`: it sends commands and reads immutable snapshots, and shares no
-other data with the loop. Therefore the loop can also run in another process (`ProcessLoop`).
-"""
+"""Live loop: a thread that runs a session in real time and publishes snapshots."""
 
 import threading
 from collections.abc import Callable
@@ -26,15 +22,13 @@ _IDLE = 0.25  # [s] time between two heartbeats during a pause
 
 
 class LoopHandle:
-    """The dashboard's interface to the simulation: a mailbox, and the published snapshots."""
+    """The dashboard's interface to the simulation; the loop can also run in another process."""
 
-    error: BaseException | None = None
-    """The error that ended the loop, if any."""
-    links: tuple[str, ...] = ()
-    """Names of the arm's frames that people can pull, known after the start."""
+    error: BaseException | None = None  # the error that ended the loop, if any
+    links: tuple[str, ...] = ()  # names of the arm's frames that people can pull
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
-        """Start without commands and snapshots; `stored` is the largest number of snapshots."""
+        """Start without commands; `stored` is the largest number of stored snapshots."""
         self._mailbox, self._history = commands.Mailbox(), History(stored)
         self._ready = threading.Event()
         self._begun = False
@@ -57,29 +51,18 @@ class LoopHandle:
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
-
-        A long operation that a snapshot announces (`Snapshot.busy`) does not count as silence.
-        """
+        """[s] time since the last heartbeat; a paused loop has heartbeats, a hung loop has none."""
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:
-        """Send a command, which the loop executes before one of the next control steps.
-
-        The command can replace a waiting one, such as an older pull of the same person. `Mailbox`
-        has the rules, and `Mailbox.put` the errors.
-        """
+        """Send a command, as `Mailbox.put`; the loop executes it before one of the next steps."""
         self._mailbox.put(command, self.links)
 
     def latest(self) -> Snapshot:
-        """The newest snapshot."""
         return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
-        """Snapshots of the present run with t > `after` [s], oldest first.
-
-        By default at most the newest 3000 snapshots are stored, those of 60 simulated seconds.
-        """
+        """Stored snapshots of the present run with t > `after` [s], oldest first."""
         return [stored.snapshot for stored in self.stored(after)]
 
     def stored(self, after: float = -1.0) -> list[Stored]:
@@ -95,9 +78,8 @@ class SimulationLoop(LoopHandle):
     ) -> None:
         """Prepare the loop; `begin` or `start` starts it.
 
-        `make_session` is called once, in the loop's own thread, which then owns the session. The
-        arm is at `q_start` (n_m,) [rad or m] when the loop starts, and after a `Reset` without a
-        posture.
+        `make_session` is called once, in the loop's own thread. The arm is at `q_start` (n_m,)
+        [rad or m] at the start, and after a `Reset` without a posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)
@@ -119,7 +101,6 @@ class SimulationLoop(LoopHandle):
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat, or 0 during an announced long operation."""
         return 0.0 if self.latest().busy else super().silence
 
     def _run(self) -> None:
@@ -163,7 +144,6 @@ class SimulationLoop(LoopHandle):
         self._history.add(make_snapshot(ensemble.main, step, self._pacer, **fields))
 
     def _loop_fields(self, ensemble: Ensemble) -> dict[str, Any]:
-        """The fields of a snapshot that belong to the loop, not to the session."""
         return {
             "run": self._runs,
             "paused": self._paused,
@@ -243,15 +223,7 @@ class SimulationLoop(LoopHandle):
     def _refresh(self, ensemble: Ensemble) -> None:
         """Publish the newest snapshot again, with the present settings, also during a pause."""
         main, latest = ensemble.main, self._history.latest
-        compared = bool(ensemble.ghosts)
-        self._history.add(
-            replace(
-                latest,
-                config=main.config,
-                controller=main.controller.name,
-                busy="",
-                ghosts=latest.ghosts if compared else (),
-                scores=latest.scores if compared else (),
-                **self._loop_fields(ensemble),
-            )
-        )
+        present = {"config": main.config, "controller": main.controller.name, "busy": ""}
+        no_ghosts = {} if ensemble.ghosts else {"ghosts": (), "scores": ()}
+        present |= self._loop_fields(ensemble) | no_ghosts
+        self._history.add(replace(latest, **present))

@@ -12,19 +12,13 @@ _COARSE = 2e-4  # [s] shortest sleep that is worth a switch of threads
 
 
 class Pacer:
-    """Synchronises a loop of fixed period with the wall clock.
-
-    After a late step, the next steps follow without pauses until the loop is on time again. If the
-    delay exceeds 0.2 s, the schedule restarts, which reduces the real-time factor.
-    """
+    """Synchronises a loop with the wall clock; after a delay above 0.2 s, the schedule restarts."""
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
         """Start the schedule now; `period` [s] is the simulated duration of a step."""
         self._period = period
-        self.speed = speed
-        """[-] desired ratio of simulated to real time; `restart` must follow a change."""
-        self.overruns = 0
-        """Number of steps that took longer than the period, or started after their period's end."""
+        self.speed = speed  # [-] desired ratio of simulated to real time; `restart` applies it
+        self.overruns = 0  # number of steps that exceeded their period or began late
         self._marks: deque[float] = deque()  # [s] ends of the steps in the window
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self.restart()
@@ -72,12 +66,7 @@ class Pacer:
 
 @contextmanager
 def gc_frozen() -> Iterator[None]:
-    """Exclude existing objects from garbage collection during the `with`.
-
-    The collector takes milliseconds to scan the many objects of a robot's border. A nested call has
-    no effect. Afterwards the collector includes all objects again; otherwise it would never delete
-    solvers in reference cycles, which would be reported as leaks.
-    """
+    """Exclude existing objects, such as a large border, from garbage collection in the `with`."""
     outermost = gc.get_freeze_count() == 0
     if outermost:
         gc.freeze()

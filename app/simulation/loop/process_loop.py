@@ -1,8 +1,4 @@
-"""The live loop in a child process, where drawing and network traffic cannot delay it.
-
-Python runs one thread at a time: in the server's process, the simulation would have to wait for a
-drawing thread, also while the system suspends that thread. Two pipes carry commands and snapshots.
-"""
+"""The live loop in a child process, where drawing and network traffic cannot delay its thread."""
 
 import gc
 import math
@@ -36,13 +32,11 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 
 
 def loop_child() -> Child:
-    """Start a process that waits for a session to simulate.
+    """Start a process that waits for a session to simulate; its imports take one or two seconds.
 
-    Its imports take one or two seconds; therefore a caller can start the process early, and pass it
-    to a `ProcessLoop` later. The process receives a function that makes the session, and the
-    arm's start posture; then it receives commands. It sends the outcome of the start (the names of
-    the frames at which people can hold the arm), then snapshots, and None as a heartbeat while
-    there are no new ones. After a failure it sends an outcome with an error.
+    The process receives a function that makes the session, and the arm's start posture, then
+    commands. It sends the outcome of the start (the names of the frames at which people can hold
+    the arm), then snapshots, None as a heartbeat, and the outcome of a failure.
     """
     return Child(_run_loop)
 
@@ -53,11 +47,7 @@ class ProcessLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
-        """Prepare the loop, as in `SimulationLoop`.
-
-        `make_session` must be picklable, such as `functools.partial(Session, model, data, config)`.
-        `child` is a process of `loop_child`; without one, `begin` starts a new process.
-        """
+        """Prepare the loop; `make_session` must be picklable, `child` comes from `loop_child`."""
         super().__init__()
         self._stopping = threading.Event()
         self._task: tuple[Callable[[], Session], Array] | None = (make_session, np.array(q_start))
@@ -149,10 +139,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
-    """Forward commands and snapshots until the loop fails; then send the loop's exception.
-
-    If the parent has ended, or has closed its end of a pipe, this raises an EOFError or OSError.
-    """
+    """Forward commands, snapshots and the loop's failure; a closed pipe raises an error."""
     posted, beat = None, monotonic()
     while loop.error is None:
         latest = loop.latest()

@@ -23,10 +23,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant with a present or former name; without a name, `default_plant`.
-
-    If the plant does not exist, this raises an UnknownNameError.
-    """
+    """The present name of a plant, by default `default_plant`, or an UnknownNameError."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name

@@ -1,7 +1,4 @@
-"""A robot in pybullet: the base on velocity-controlled planar joints, a torque-controlled arm.
-
-The end-effector can hold the door of a refrigerator, which stands on the floor.
-"""
+"""A robot in pybullet: the base on velocity-controlled planar joints, a torque-controlled arm."""
 
 from collections.abc import Sequence
 from xml.etree import ElementTree
@@ -41,8 +38,8 @@ class BulletRobot(BulletWorld):
         super().__init__(_plant_urdf(description), dt)
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
+        # pybullet's indices of the joints x, y and yaw, and of the arm's joints
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
-        """pybullet's indices of the joints x, y and yaw, and of the arm's joints."""
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
         self._tip, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
@@ -71,10 +68,7 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step, as in `Physics.step`.
-
-        `speeds` (3,) [m/s, m/s, rad/s] are the commanded speeds of x, y and yaw in the world.
-        """
+        """Advance by one step; `speeds` (3,) [m/s, m/s, rad/s] are those of x, y and yaw."""
         self.client.setJointMotorControlArray(
             self.robot,
             self._planar,
@@ -113,10 +107,7 @@ class BulletRobot(BulletWorld):
 
 
 class BulletDoor(HeldDoor):
-    """The refrigerator in pybullet. Of the robot, only links of the base can touch the door.
-
-    The hinge has dry friction and two stops. The cabinet stands on the floor and is not fixed.
-    """
+    """The refrigerator in pybullet. Of the robot, only links of the base can touch the door."""
 
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
         """Load the refrigerator; `reset` puts it in place."""
@@ -134,13 +125,8 @@ class BulletDoor(HeldDoor):
         client.changeDynamics(
             self.body, _DOOR, contactStiffness=_SEAL_STIFFNESS, contactDamping=_SEAL_DAMPING
         )
-        client.setJointMotorControl2(
-            self.body,
-            _DOOR,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocity=0.0,
-            force=self.door.friction,
-        )
+        friction = {"targetVelocity": 0.0, "force": self.door.friction}
+        client.setJointMotorControl2(self.body, _DOOR, pybullet.VELOCITY_CONTROL, **friction)
         covered = model.description.mobile_body.covers
         touching = {world.links[name] for name in covered if name in world.links}
         for link in world.links.values():
@@ -149,16 +135,12 @@ class BulletDoor(HeldDoor):
             world.allow((self._robot, link), (self.body, _DOOR), group)
 
     def release(self) -> None:
-        """Release the door, if the end-effector holds it."""
         if self._grasp is not None:
             self._client.removeConstraint(self._grasp)
             self._grasp = None
 
     def reset(self) -> None:
-        """Put the refrigerator in place, with its door at the initial angle, and grasp the door.
-
-        Call `release` before.
-        """
+        """Put the refrigerator in place, and grasp its door; call `release` before."""
         client = self._client
         pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])
@@ -213,12 +195,7 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links on fixed joints into their parents, because pybullet loads at most 128 links.
-
-    A link is merged if it has no collision shape, or can touch the same parts as its parent: the
-    same body covers both, or none does, and `nested` pairs both with the same links. The
-    end-effector's link is never merged, because pulls are expressed in the frame of this link.
-    """
+    """Merge links on fixed joints into their parents: pybullet loads at most 128 links."""
     nested = description.nested
     touched = {
         link: (body.name, {pair - {link} for pair in nested if link in pair})
@@ -229,6 +206,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
         parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
+        # Both can touch the same parts, or the child has no shape.
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue

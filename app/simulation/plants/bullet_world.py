@@ -16,19 +16,15 @@ import numpy as np
 
 from app.errors import AssetError, ConfigError
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs
-from app.simulation.plants.interface import NO_CONTACTS, Contacts
+from app.simulation.plants.interface import Contacts
 from app.strict import Array
 from app.system import decimal_points, flush_c_output
 
 
 @contextmanager
 def silence(*descriptors: int) -> Iterator[None]:
-    """Discard output to file descriptors of the whole process during the `with`, also from C code.
-
-    Descriptor 1 is standard output, 2 is standard error. The output buffers are flushed at both
-    ends, because discarded output would otherwise appear later.
-    """
-    _flush()
+    """Discard output to file descriptors of the process in the `with`, also from C code."""
+    _flush()  # at both ends, because buffered output would otherwise be lost or appear later
     kept = {fd: os.dup(fd) for fd in descriptors}
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -78,8 +74,8 @@ class Client:
 
     def __init__(self) -> None:
         self.id = pybullet.connect(pybullet.DIRECT)
+        # `close` acts once; a client without references ends too, as after a failed setup
         self.close = finalize(self, pybullet.disconnect, self.id)
-        """Ends the client, once; a client without references ends too, as after a failed setup."""
         self.close.atexit = False  # a thread may still use it
 
     def __getattr__(self, name: str) -> Any:
@@ -92,10 +88,7 @@ class BulletWorld:
     """A robot in a separate client; all indices are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot from the text of a URDF with absolute paths, and a floor.
-
-        An error of pybullet raises an AssetError; a missing pybullet raises a ConfigError.
-        """
+        """Load a robot from a URDF, and a floor; an error of pybullet raises an AssetError."""
         self.client = Client()
         # pybullet caches a file by its descriptor, which the system can give to a later file.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
@@ -106,10 +99,9 @@ class BulletWorld:
             raise AssetError(f"pybullet cannot load the robot: {error}") from None
         client = self.client
         plane = client.createCollisionShape(pybullet.GEOM_PLANE)
-        self.floor = client.createMultiBody(0, plane)
-        """Index of the floor's body, the plane z = 0."""
+        self.floor = client.createMultiBody(0, plane)  # index of the floor's body, the plane z = 0
+        # indices by name; the root link has the index -1
         self.links, self.joints = {client.getBodyInfo(self.robot)[0].decode(): -1}, {}
-        """Index of each link and joint by its name; the root link has the index -1."""
         for i in range(client.getNumJoints(self.robot)):
             info = client.getJointInfo(self.robot, i)
             self.joints[info[1].decode()] = self.links[info[12].decode()] = i
@@ -122,10 +114,9 @@ class BulletWorld:
     def load(
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
-        """Load a body from a URDF's text, without damping, and return its index.
+        """Load a body from a URDF's text, with its root at `place` (3,) [m], and return its index.
 
-        Its root is at `place` (3,) [m]. With `self_collision`, links that are not neighbours can
-        touch, and the root is fixed.
+        With `self_collision`, links that are not neighbours can touch, and the root is fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:
@@ -162,9 +153,9 @@ class BulletWorld:
 
     def contacts(self) -> Contacts:
         """Contacts in the last step."""
-        if not (found := self.client.getContactPoints(self.robot)):
-            return NO_CONTACTS
-        groups = (self._contact_of.get(c[1:5]) for c in found if touches(c))
+        found = self.client.getContactPoints(self.robot)
+        # without a gap [m], or with a force [N]
+        groups = (self._contact_of.get(c[1:5]) for c in found if c[8] <= 0 or c[9] > 0)
         return Contacts.of(filter(None, groups))
 
     def depths(self) -> dict[str, float]:
@@ -177,19 +168,13 @@ class BulletWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] length of each ray from `begins` to `ends` (n, 3) [m] up to the first hit.
-
-        It is infinite without a hit.
-        """
+        """(n,) [m] lengths of rays from `begins` to `ends` (n, 3) [m] up to the first hit, or ∞."""
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares
 
     def rewind(self) -> None:
-        """Save the state at the first call; restore it, with contacts and solver, at later calls.
-
-        Without this, old contacts in the engine's memory would change equal runs in the last bits.
-        """
+        """Save the state at the first call, and restore it later, so that equal runs are equal."""
         if self._at_load is None:
             self._at_load = self.client.saveState()
         else:
@@ -198,9 +183,3 @@ class BulletWorld:
     def close(self) -> None:
         """End the client; a second call has no effect."""
         self.client.close()
-
-
-def touches(contact: tuple[Any, ...]) -> bool:
-    """Whether bodies touch at a contact point of pybullet: without a gap, or with a force."""
-    distance, normal_force = contact[8], contact[9]  # [m], [N]
-    return distance <= 0 or normal_force > 0

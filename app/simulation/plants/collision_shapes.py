@@ -1,7 +1,4 @@
-"""The pairs of parts between which a plant computes contacts, and the shapes of the parts.
-
-The shapes are the links' collision shapes, or the description's bodies if a mesh is not installed.
-"""
+"""The pairs of parts between which a plant computes contacts, and the shapes of the parts."""
 
 import logging
 from itertools import product
@@ -33,16 +30,10 @@ In pairs of `arm_base` the part of l_m is first, in pairs of `arm_floor` the flo
 
 
 class CollisionShape(NamedTuple):
-    """One convex shape."""
-
-    part: str
-    """Name of the shape's link or body."""
-    joint: int
-    """Pinocchio's index of the joint that moves the shape."""
-    T: pin.SE3
-    """Pose of the shape in the joint's frame."""
-    geometry: coal.CollisionGeometry | Array
-    """The box, sphere, cylinder or capsule; or points (n, 3) [m] whose convex hull is the shape."""
+    part: str  # name of the shape's link or body
+    joint: int  # Pinocchio's index of the joint that moves the shape
+    T: pin.SE3  # pose of the shape in the joint's frame
+    geometry: coal.CollisionGeometry | Array  # points (n, 3) [m] mean their convex hull
 
     @property
     def lowest(self) -> float:
@@ -59,8 +50,7 @@ class CollisionShapes(NamedTuple):
 
     shapes: tuple[CollisionShape, ...]
     pairs: ContactPairs
-    mobile: tuple[str, ...]
-    """Names of the parts of l_m."""
+    mobile: tuple[str, ...]  # names of the parts of l_m
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
@@ -103,7 +93,7 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
 def collision_shapes(model: RobotModel) -> CollisionShapes:
     """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed.
 
-    They are cached, because the meshes take half of the time that a plant needs to start. If the
+    The result is cached: the meshes take half of the time that a plant needs to start. If the
     meshes of a user's own robot exceed the limits of `within_budget`, this raises a RobotFileError.
     """
     description = model.description

@@ -1,4 +1,4 @@
-"""The geometry of a refrigerator and its door, and the door as a body of the arm (§4.2.3)."""
+"""The geometry of a refrigerator's door, and a door as a body of the arm (§4.2.3)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -31,34 +31,22 @@ _SINKING = 1e-5  # [m] depth of the resting cabinet in the floor
 class Door:
     """A vertical board on a hinge.
 
-    The door's frame turns with the door. The frame's origin is on the floor under the hinge's axis.
-    z is up. If the door is closed, x points into the refrigerator; y is to the left, seen along x.
+    The door's frame turns with the door. Its origin is on the floor under the hinge's axis; z is
+    up. If the door is closed, x points into the refrigerator; y is to the left, seen along x.
     """
 
-    hinge: Literal["left", "right"]
-    """Side of the hinge for a person in front of the closed door."""
-    hinge_position: tuple[float, float]
-    """[m] x and y of the hinge's axis in the world."""
-    yaw: float
-    """[rad] direction of the closed door's x axis in the world."""
-    width: float
-    """[m] distance from the hinge's axis to the free edge."""
-    friction: float
-    """[N m] dry friction of the hinge."""
+    hinge: Literal["left", "right"]  # side of the hinge for a person in front of the closed door
+    hinge_position: tuple[float, float]  # [m] x and y of the hinge's axis in the world
+    yaw: float  # [rad] direction of the closed door's x axis in the world
+    width: float  # [m] distance from the hinge's axis to the free edge
+    friction: float  # [N m] dry friction of the hinge
     height: float = 1.70
-    """[m] height of the board."""
     thickness: float = 0.06
-    """[m] thickness of the board."""
-    bottom: float = 0.05
-    """[m] height of the board's lower edge above the floor."""
+    bottom: float = 0.05  # [m] height of the board's lower edge above the floor
     mass: float = 8.0
-    """[kg] mass of the board."""
-    handle_inset: float = 0.06
-    """[m] distance from the handle to the free edge."""
-    handle_reach: float = 0.05
-    """[m] distance from the door's face to the handle."""
-    handle_height: float = 1.10
-    """[m] height of the handle above the floor."""
+    handle_inset: float = 0.06  # [m] distance from the handle to the free edge
+    handle_reach: float = 0.05  # [m] distance from the door's face to the handle
+    handle_height: float = 1.10  # [m] height of the handle above the floor
 
     @property
     def side(self) -> float:
@@ -67,12 +55,10 @@ class Door:
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """[m] thickness, width and height."""
         return self.thickness, self.width, self.height
 
     @property
     def handle_radius(self) -> float:
-        """[m] distance from the hinge's axis to the handle."""
         return math.hypot(self.width - self.handle_inset, self.thickness / 2 + self.handle_reach)
 
     @property
@@ -82,10 +68,7 @@ class Door:
 
     @property
     def joint_range(self) -> tuple[float, float]:
-        """[rad] limits of the hinge's joint, whose position is -side times the opening angle.
-
-        The closed door stops at the cabinet; the largest opening angle is 180 degrees.
-        """
+        """[rad] limits of the hinge's joint, whose position is -side times the opening angle."""
         stops = self.side * _GAP / self.width, -self.side * math.pi
         return min(stops), max(stops)
 
@@ -95,10 +78,7 @@ class Door:
         return pin.SE3(turn, np.array([*self.hinge_position, 0.0]))
 
     def handle(self, angle: float) -> pin.SE3:
-        """Pose in the world of an end-effector at the handle, at an opening angle [rad].
-
-        The z axis of the end-effector points into the door, and its x axis up.
-        """
+        """Pose of an end-effector at the handle at `angle` [rad]: z points into the door, x up."""
         place = np.array(
             [
                 -self.thickness / 2 - self.handle_reach,
@@ -115,7 +95,7 @@ class Door:
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the board's corners, for the pose T of the door's frame."""
+        """The hyper-ellipsoid through the board's corners; T is the pose of the door's frame."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
@@ -132,26 +112,25 @@ class Door:
 class DoorView(NamedTuple):
     """A door that the end-effector holds; after the scenario, both radial values are NaN."""
 
-    door: Door
-    """The door's constant geometry; `door.pose(angle)` is T_world_door."""
-    angle: float
-    """[rad] opening angle."""
-    force: Array
-    """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
-    radial_force: float = math.nan
-    """[N] component of the force towards the true position of the hinge."""
-    radial_error: float = math.nan
-    """[rad] error of the estimated radial direction, positive counter-clockwise."""
-    contact: bool = False
-    """Whether the door touches the base; always False in a `Step`, whose `contacts` has it."""
+    door: Door  # the door's constant geometry; `door.pose(angle)` is T_world_door
+    angle: float  # [rad] opening angle
+    force: Array  # (3,) [N] of the end-effector on the door, in the world; 0 after the scenario
+    radial_force: float = math.nan  # [N] component of `force` towards the true hinge
+    radial_error: float = math.nan  # [rad] error of the estimated direction, counter-clockwise
+    contact: bool = False  # whether the door touches the base
+
+    @property
+    def numbers(self) -> Array:
+        """(7,) the fields after `door`; a contact is 1."""
+        return np.array([self.angle, *self.force, *self[3:]])
+
+
+NO_DOOR = np.full(7, math.nan)  # `DoorView.numbers` without a door
 
 
 class OpenDoor(NamedTuple):
-    """A door with its initial opening angle."""
-
     door: Door
-    angle: float
-    """[rad] opening angle at the plant's reset."""
+    angle: float  # [rad] opening angle at the plant's reset
 
 
 class Cabinet:
@@ -159,21 +138,16 @@ class Cabinet:
 
     def __init__(self, door: Door) -> None:
         height = door.bottom + door.height
-        self.size = _DEPTH, door.width, height
-        """[m] depth, width and height."""
-        self.inertia = pin.Inertia.FromBox(_MASS, *self.size)
-        """Inertia of the box, in the frame of its centre."""
+        self.size = _DEPTH, door.width, height  # [m] depth, width and height
+        self.inertia = pin.Inertia.FromBox(_MASS, *self.size)  # in the frame of the centre
         back = door.thickness / 2 + _GAP + _DEPTH / 2
         self.T_world = door.pose(0.0) * pin.SE3(
             np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
         )
         """Pose of the box's centre in the world."""
-        self.T_hinge = self.T_world.inverse() * door.pose(0.0)
-        """Pose of the closed door's frame in the frame of the box's centre."""
-        self.T_centre = pin.SE3(np.eye(3), door.centre)
-        """Pose of the board's centre in the door's frame."""
+        self.T_hinge = self.T_world.inverse() * door.pose(0.0)  # the closed door in the box's frame
+        self.T_centre = pin.SE3(np.eye(3), door.centre)  # pose of the board in the door's frame
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
-        """Inertia of the door, in the door's frame."""
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:
@@ -194,10 +168,8 @@ def with_door(
 
     The body is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
     grasp is rigid. `T_ee_door` is the door's pose in the end-effector's frame. The door has the
-    reachability coefficients of the last body that has any, and no sampled border: the acting point
-    is found on the exact offset surface of l_m.
-
-    If no body has reachability coefficients, this raises a DescriptionError.
+    reachability coefficients of the last body that has any; if there is none, this raises a
+    DescriptionError. Its acting point is found on the exact offset surface of l_m, without samples.
     """
     description = model.description
     link = description.arm.end_effector_link

@@ -1,4 +1,4 @@
-"""The common interface of all plants, and their common parts: the drive of the base, and a load."""
+"""The common interface of all plants, the drive of the base, and a load."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -10,6 +10,7 @@ from typing_extensions import Self
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from app.simulation.plants.door import Door
 from app.strict import Array
 
 
@@ -17,11 +18,9 @@ class Contacts(NamedTuple):
     """Whether parts touched in the last step: pairs of `body_contact_pairs`, or base and door."""
 
     arm_base: bool = False
-    arm_arm: bool = False
-    """Two parts of the arm that are not neighbours."""
+    arm_arm: bool = False  # two parts of the arm that are not neighbours
     arm_floor: bool = False
     door_base: bool = False
-    """The base, and a door that the end-effector holds."""
 
     @classmethod
     def of(cls, groups: Iterable[str]) -> Self:
@@ -29,31 +28,25 @@ class Contacts(NamedTuple):
         return cls(**dict.fromkeys(groups, True))
 
 
-NO_CONTACTS = Contacts()
-
-
 class Wrench(NamedTuple):
     """A force and a torque about the end-effector's origin, in the world."""
 
-    force: Array
-    """(3,) [N] force."""
-    torque: Array
-    """(3,) [N m] torque."""
+    force: Array  # (3,) [N]
+    torque: Array  # (3,) [N m]
 
 
 class Push(NamedTuple):
     """A force on a point of the arm."""
 
-    joint: str
-    """Name of the joint that carries the point."""
-    p: Array
-    """(3,) [m] the point in the joint's frame."""
-    force: Array
-    """(3,) [N] force in the world."""
+    joint: str  # name of the joint that carries the point
+    p: Array  # (3,) [m] the point in the joint's frame
+    force: Array  # (3,) [N] in the world
 
 
 class HeldDoor(ABC):
     """A door in a plant, which the end-effector holds after the plant's reset."""
+
+    door: Door
 
     @abstractmethod
     def angle(self) -> float:
@@ -61,24 +54,18 @@ class HeldDoor(ABC):
 
     @abstractmethod
     def wrench(self) -> Wrench:
-        """Wrench of the end-effector on the door in the last step, as a sensor measures it."""
+        """Wrench of the end-effector on the door in the last step; zero before a step."""
 
 
 class Physics(ABC):
     """A plant with a velocity-controlled base and a torque-controlled arm, on the floor z = 0."""
 
-    dt: float
-    """[s] duration of one step."""
-    door: HeldDoor | None
-    """The door that the end-effector holds; None in a plant without a door."""
+    dt: float  # [s] duration of one step
+    door: HeldDoor | None  # the door that the end-effector holds, or None
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest; the end-effector grasps the door, if there is one.
-
-        `base_pose` (3,) has x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint
-        positions.
-        """
+        """Put the robot at rest at x, y [m], heading [rad] and `q_m` (n_m,), and grasp any door."""
 
     @abstractmethod
     def measure(self) -> Measurement:
@@ -92,8 +79,7 @@ class Physics(ABC):
 
         The arm's torques `u_a` (n_m,) [N m or N] are constant during the step. The drive follows
         the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
-        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin; the `pushes`
-        act on other points of the arm.
+        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin.
         """
 
     @abstractmethod
@@ -137,11 +123,7 @@ class PointLoad:
 
 
 class Drive:
-    """The drive of a base; the kind of base defines the response to commands.
-
-    The drive of a differential base has a first-order response to the commanded (v, ω), with limits
-    of velocity and acceleration.
-    """
+    """The drive of a base; the kind of base defines the response to commands."""
 
     def __init__(self, base: BaseKind, dt: float) -> None:
         """A drive at rest; `dt` [s] is the duration of one `step`."""
@@ -150,11 +132,8 @@ class Drive:
         self.reset()
 
     def reset(self) -> None:
-        """Set the drive to rest."""
-        self.velocity = [0.0] * self._base.n_b
-        """[m/s or rad/s] the n_b present velocities of the drive, along the base's axes."""
-        self.state = self._at_rest
-        """(n_d,) further states of the drive, such as a steering angle [rad]."""
+        self.velocity = [0.0] * self._base.n_b  # (n_b,) [m/s or rad/s] along the base's axes
+        self.state = self._at_rest  # (n_d,) further states, such as a steering angle [rad]
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
         """Execute one step with the command (n_b,) [m/s or rad/s], and return the new velocity."""

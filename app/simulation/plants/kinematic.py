@@ -1,9 +1,8 @@
-"""A simple plant without a physics engine, which integrates the equation of motion.
+"""A simple plant without a physics engine, for tests and as a check of the engines.
 
 The base moves exactly with its drive's velocity; the arm follows
 M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f with external forces f. Only joint limits stop the arm:
-contacts are overlaps of the convex bodies, which are reported and cause no force. The plant is for
-tests, and for an independent check of the engines.
+contacts are overlaps of the convex bodies, which are reported and cause no force.
 """
 
 import math
@@ -14,12 +13,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled, direct
-from app.control.qp import fill
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, distance_view
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
-from app.simulation.plants.interface import NO_CONTACTS, Contacts, Drive, Physics, Push
+from app.simulation.plants.interface import Contacts, Drive, Physics, Push
 from app.simulation.plants.planar import world_twist
 from app.strict import Array
 
@@ -62,9 +59,13 @@ class Kinematic(Physics):
         state.update(self.measure())
         before, now = self._drive.velocity, self._drive.step(base_velocity)
         qdd_b = model.J_m_inv @ np.array([b - a for a, b in zip(before, now, strict=True)]) / dt
-        torques = np.asarray(u_a, dtype=float), self._felt(hand_force, pushes)
-        limits, coupled = (model.q_lower, model.q_upper), state.M[n_b:, :n_b] @ qdd_b
-        _move_arm_once(state.M, state.h, *torques, coupled, self._q, self._qd, *limits, dt)
+        felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)  # J_aᵀ f of all forces
+        for push in pushes:
+            joint = model.pin.getJointId(push.joint)
+            J = state.point_jacobian(joint, state.data.oMi[joint].act(push.p))
+            felt = felt + J[:, n_b:].T @ push.force
+        b = np.asarray(u_a, dtype=float) + felt - state.h[n_b:] - state.M[n_b:, :n_b] @ qdd_b
+        self._move_arm(state.M[n_b:, n_b:].copy(), b)
         twist = world_twist((self._T @ now).tolist(), self._base_pose.item(2), dt)
         self._base_pose += np.array(twist) * dt
         self._stepped = True
@@ -72,69 +73,32 @@ class Kinematic(Physics):
     def contacts(self) -> Contacts:
         """Overlaps of the convex bodies, which are larger than the links; none before a step."""
         if not self._stepped:
-            return NO_CONTACTS
+            return Contacts()
         q, arm = self._model.configuration(self._base_pose, self._q), self._model.pin
         pin.computeDistances(arm, self._data, self._geometry, self._results, q)
-        overlaps = self._distances <= 0.0
-        if not np.count_nonzero(overlaps):
-            return NO_CONTACTS
-        return Contacts.of(compress(self._group_of, overlaps))
+        return Contacts.of(compress(self._group_of, self._distances <= 0.0))
 
-    def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
-        """(n_m,) [N m or N] Σ J_aᵀ f, the joint torques of the forces on the arm."""
-        state, n_b = self._state, self._model.n_b
-        felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)
-        for push in pushes:
-            joint = self._model.pin.getJointId(push.joint)
-            p_world = state.data.oMi[joint].act(push.p)
-            felt = felt + state.point_jacobian(joint, p_world)[:, n_b:].T @ push.force
-        return felt
-
-
-@compiled("void(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:], f8)")
-def _move_arm(
-    M: Array,
-    h: Array,
-    u_a: Array,
-    felt: Array,
-    coupled: Array,
-    q: Array,
-    qd: Array,
-    lower: Array,
-    upper: Array,
-    dt: float,
-) -> None:
-    """Integrate the arm's rows of the equation of motion over one step, changing q and q̇ in place.
-
-    The joints have ideal stops: each joint that would leave its range in this step moves to its
-    nearer limit. If an input is not finite, q and q̇ become NaN. `felt` (n_m,) are the joint torques
-    of the forces on the arm, `coupled` is M_ab q̈_b; M (n, n) and h = C q̇ + g (n,) are as in (26).
-    """
-    n = len(q)
-    A, b = M[len(h) - n :, len(h) - n :].copy(), u_a + felt - h[len(h) - n :] - coupled
-    if not math.isfinite(b.sum() + A.sum()):  # `solve` would raise an error
-        fill(q, np.nan)
-        fill(qd, np.nan)
-        return
-    stopped = np.zeros(n, np.bool_)
-    qdd = np.linalg.solve(A, b)
-    for _ in range(n):
-        beyond = False
-        for i in range(n):
-            after = q[i] + (qd[i] + qdd[i] * dt) * dt
-            if not stopped[i] and (after < lower[i] or after > upper[i]):
-                limit = lower[i] if q[i] - lower[i] < upper[i] - q[i] else upper[i]
-                A[i], A[i, i], b[i] = 0.0, 1.0, ((limit - q[i]) / dt - qd[i]) / dt
-                stopped[i] = beyond = True
-        if not beyond:
-            break
-        qdd = np.linalg.solve(A, b)
-    for i in range(n):
-        qd[i] += qdd[i] * dt
-        q[i] += qd[i] * dt
-
-
-_move_arm_once = direct(_move_arm)
+    def _move_arm(self, A: Array, b: Array) -> None:
+        """Integrate A q̈_a = b over one step; A (n_m, n_m) and b (n_m,) are overwritten."""
+        q, qd, dt = self._q, self._qd, self.dt
+        lower, upper = self._model.q_lower, self._model.q_upper
+        if not math.isfinite(b.sum() + A.sum()):  # `solve` would raise an error
+            q[:] = qd[:] = np.nan
+            return
+        # A joint that would leave its range moves to its nearer limit.
+        limit = np.where(q - lower < upper - q, lower, upper)
+        stopped = np.zeros(len(q), bool)
+        while True:
+            qdd = np.linalg.solve(A, b)
+            after = q + (qd + qdd * dt) * dt
+            beyond = ~stopped & ((after < lower) | (after > upper))
+            if not beyond.any():
+                break
+            A[beyond] = np.eye(len(q))[beyond]
+            b[beyond] = (((limit - q) / dt - qd) / dt)[beyond]
+            stopped |= beyond
+        qd += qdd * dt
+        q += qd * dt
 
 
 def _contact_geometry(model: RobotModel) -> tuple[pin.GeometryModel, list[str]]:

@@ -1,8 +1,4 @@
-"""A MuJoCo specification of a robot and a floor; a plant adds further parts.
-
-The specification has a body for each joint of pinocchio's model, with the same inertia, and the
-links' collision shapes. Only selected pairs can touch.
-"""
+"""A MuJoCo specification of a robot's bodies, joints and shapes, and of a floor."""
 
 from collections.abc import Iterable, Sequence
 from itertools import product
@@ -39,26 +35,21 @@ _PRIMITIVES = {
 
 
 class RobotSpec:
-    """A robot's specification."""
-
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
     ) -> None:
         """Specify the robot and the floor; `dt` [s] is the duration of one step.
 
         `free_root` is the inertia of a free root; the plant then adds bodies with the rest of the
-        base's mass. Without it, motors along x, y and yaw move the root.
+        base's mass. Without `free_root`, motors along x, y and yaw move the root.
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
-        self.pairs: dict[frozenset[str], str | None] = {}
-        """The field of `Contacts`, or None, for each pair of geoms that can touch, by name."""
-        self.motors: list[str] = []
-        """Names of the joints that have a motor."""
+        self.pairs: dict[frozenset[str], str | None] = {}  # the `group` of each pair, as in `allow`
+        self.motors: list[str] = []  # names of the joints that have a motor
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))
         self.shapes, pairs, self.mobile = collision_shapes(model)
-        """The robot's shapes, and the names of the parts of l_m."""
         bodies = self._add_joints(free_root)
         self.root = bodies[1]
         self._geoms = {FLOOR: [FLOOR]}
@@ -76,11 +67,8 @@ class RobotSpec:
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
-        """Add a body at the pose T in a parent body, and return the new body.
-
-        The inertia is written into the compiled model later, because MuJoCo's compiler refuses
-        inertias that other libraries accept, such as a link without mass that carries other links.
-        """
+        """Add a body at the pose T in a parent body; `compile` sets its inertia."""
+        # MuJoCo's compiler refuses some inertias, such as that of a massless link with a load.
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
         self._inertias[name] = inertia.mass, moments
@@ -103,11 +91,7 @@ class RobotSpec:
         T: pin.SE3 | None = None,
         mesh: str = "",
     ) -> None:
-        """Add a shape to a body at the pose T; it can touch only geoms of its pairs in `allow`.
-
-        `size` [m] has up to three sizes, as MuJoCo defines them for the kind of geom; `mesh` is the
-        name of the mesh.
-        """
+        """Add a shape at the pose T, with MuJoCo's sizes [m]; it touches only pairs of `allow`."""
         body.add_geom(
             name=name,
             type=kind,
@@ -149,7 +133,7 @@ class RobotSpec:
     ) -> None:
         """Let each geom of one list touch each geom of another list.
 
-        `group` is the field of `Contacts` that reports such a contact, or None. `friction` [-] is
+        `group` is the field of `Contacts` that reports their contact, or None. `friction` [-] is
         the coefficient; `firmness` has the time constant [s] and the damping ratio [-]; `contact`
         has further options of MuJoCo.
         """

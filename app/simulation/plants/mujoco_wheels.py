@@ -1,9 +1,9 @@
 """The high-fidelity plant: MuJoCo with wheels that roll and slip, and a free base that can tip.
 
-A skid-steer base stands on all its wheels; all wheels are driven and have the same friction along
-and across. The effective track depends on the load of each wheel. Therefore a turn on the spot at
-the start calibrates the drive. A base with all wheels on one axle also stands on casters, which are
-frictionless and slightly soft: the spheres at the floor in the URDF, or, without such spheres, one
+A skid-steer base stands on its wheels, which are all driven and have the same friction along and
+across. A turn on the spot at the start calibrates its drive, because the effective track depends on
+the load of each wheel. A base with all wheels on one axle also stands on casters, which are
+frictionless and slightly soft: the spheres at the floor in the URDF, or, without these spheres, one
 at each corner of the base.
 """
 
@@ -31,8 +31,8 @@ from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point
 _LOAD_RESERVE = 2.0
-"""[-] with casters, factor of the wheels' friction, because the casters carry a part of the weight;
-otherwise factor of each motor's torque limit, relative to an equal share of the traction limit."""
+"""[-] factor of the wheels' friction, because casters carry a part of the weight; without casters,
+factor of each motor's torque limit, relative to an equal share of the traction limit."""
 _SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and sliding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
 """A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
@@ -63,25 +63,20 @@ class Wheels:
             for frame in full.frames
             if frame.parentJoint in ids and frame.type == pin.FrameType.BODY
         }
-        """Names of the links that turn with the wheels."""
         places = [data.oMi[i] for i in ids] or [
             pin.SE3(np.eye(3), np.array([0.0, y, r]))
             for y in (-base.half_track_m, base.half_track_m)
         ]
-        self.centres = np.array([[*place.translation[:2], r] for place in places])
-        """(n, 3) [m] centres of the wheels."""
-        self.right = self.centres[:, 1] < 0.0
-        """(n,) whether each wheel is on the right side."""
+        self.centres = np.array([[*place.translation[:2], r] for place in places])  # (n, 3) [m]
+        self.right = self.centres[:, 1] < 0.0  # (n,) whether each wheel is on the right side
+        # inertias in frames at the wheels' centres
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
         small = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
         self.inertias = [I if I.mass > 0.0 else small for I in own] or [small] * len(places)
-        """Inertia of each wheel, in a frame at its centre."""
-        self.root = model.pin.inertias[1]
-        """The root's inertia in the robot model, minus the inertia of the wheels."""
+        self.root = model.pin.inertias[1]  # inertia without the wheels
         for centre, inertia in zip(self.centres, self.inertias, strict=True):
             self.root = self.root - pin.SE3(np.eye(3), centre).act(inertia)
-        self.spans = bool(np.ptp(self.centres[:, 0]) > r)
-        """Whether the base can stand on its wheels; if False, it needs casters."""
+        self.spans = bool(np.ptp(self.centres[:, 0]) > r)  # False: casters are needed
 
 
 class MujocoWheels(Physics):

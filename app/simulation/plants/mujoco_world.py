@@ -1,27 +1,19 @@
-"""A compiled MuJoCo model of a robot, with its motors, torques, external forces and contacts.
-
-The end-effector can hold the door of a refrigerator, which stands on the floor.
-"""
+"""A compiled MuJoCo model of a robot, with its motors, torques, external forces and contacts."""
 
 import logging
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numba import types
-from numba.core.typing.templates import Signature
 
-from app.compiled import compiled, direct
-from app.control.qp import fill, put
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
-from app.simulation.plants.interface import NO_CONTACTS, Contacts, HeldDoor, Push, Wrench
+from app.simulation.plants.interface import Contacts, HeldDoor, Push, Wrench
 from app.simulation.plants.mujoco_spec import RobotSpec
 from app.strict import Array
-from app.structs import struct_type
 
 # Otherwise MuJoCo writes a file into the working directory.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
@@ -30,63 +22,29 @@ _AWAY = 100.0  # [m] displacement of the refrigerator while a base settles on it
 _SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
 _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
 _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
-_VECTOR, _ROWS = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "C")
-_FIELDS = {
-    "forces": _ROWS,  # (n, 6) [N, N m] on each body, torque about its centre of mass
-    "origins": _ROWS,  # (n, 3) [m] of the bodies
-    "centres": _ROWS,  # (n, 3) [m] centres of mass
-    "axes": types.Array(types.f8, 3, "C"),  # (n, 3, 3) orientations of the bodies
-    "motors": types.Array(types.i8, 1, "C"),  # (k,) indices of the motors' velocities
-    "speeds": types.Array(types.f8, 1, "C"),  # (k,) [m/s or rad/s] of the motors
-    "torques": types.Array(types.f8, 1, "C"),  # (n_m,) [N m or N] of the arm
-    "guess": types.Array(types.f8, 1, "C"),  # (n_v,) accelerations with which the solver starts
-    "per_step": types.f8,  # [1/s] reciprocal of the step's duration
-    "tip": types.i8,  # number of the body that carries the end-effector
-    "tool": types.Array(types.f8, 1, "C"),  # (3,) [m] the end-effector in this body's frame
-}
-_WORLD = struct_type("World", _FIELDS)
-"""Views of MuJoCo's memory: forces, origins, centres, axes (in the world), torques, guess."""
-_Views: Any = NamedTuple("_Views", [(name, Any) for name in _FIELDS])  # type: ignore[misc]
 
 
 class MujocoWorld:
-    """A compiled specification; the robot's root is on planar joints or free.
-
-    For a root on planar joints, it has the methods of `BulletRobot`.
-    """
+    """A compiled specification; for a root on planar joints, it has `BulletRobot`'s methods."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""
         self.door = None if door is None else MujocoDoor(robot, door)
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
-        self.q, self.v = self.data.qpos, self.data.qvel
-        """All positions and velocities, as views that MuJoCo updates."""
+        self.q, self.v = self.data.qpos, self.data.qvel  # all of them; views that MuJoCo updates
         source, arm = robot.model, robot.model.description.arm
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
         self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
-        """Indices of the arm's positions and velocities."""
         self._planar_q = self.q[: self.arm_q.stop]
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
-        data, tool = self.data, source.pin.frames[source.ee_frame]
-        self._speeds = np.zeros(len(robot.motors))
-        self._bodies = _WORLD.made_of(
-            _Views(
-                data.xfrc_applied,
-                data.xpos,
-                data.xipos,
-                data.xmat.reshape(-1, 3, 3),
-                np.array([model.joint(name).dofadr[0] for name in robot.motors], dtype=np.int64),
-                self._speeds,
-                data.qfrc_applied[self.arm_v],
-                data.qacc_warmstart,
-                1.0 / model.opt.timestep,
-                self._body_of[source.pin.names[tool.parentJoint]],
-                tool.placement.translation.copy(),
-            )
-        )
+        self._motors = [int(model.joint(name).dofadr[0]) for name in robot.motors]
+        self._per_step = 1.0 / model.opt.timestep
+        tool = source.pin.frames[source.ee_frame]
+        self._tip = self._body_of[source.pin.names[tool.parentJoint]]
+        self._tool = tool.placement.translation.copy()
         ids = {model.geom(i).name: i for i in range(model.ngeom)}
         self._group = {}
         for pair, group in robot.pairs.items():
@@ -129,21 +87,34 @@ class MujocoWorld:
         """Advance by one step, as in `BulletRobot`; `speeds` has the command of each motor."""
         data = self.data
         mujoco.mj_step1(self.model, data)
+        # MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint.
+        # That of a motor is (speed - v) / dt. The solver starts from the accelerations with which
+        # the motors have their commanded speeds after the step; from the last step's solution it
+        # would need three iterations.
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
-        self._speeds[:] = speeds
-        forces = np.asarray(u_a, dtype=float), np.asarray(hand_force, dtype=float)
-        _drive_once(self._bodies, data.efc_aref, row, *forces)
+        motors = data.efc_aref[row : row + len(self._motors)]
+        motors += self._per_step * np.asarray(speeds)
+        data.qacc_warmstart[self._motors] = motors
+        data.qfrc_applied[self.arm_v] = u_a
+        data.xfrc_applied[:] = 0.0
+        self._press(self._tip, self._tool, hand_force)
         for push in pushes:
-            _press_once(self._bodies, self._body_of[push.joint], push.p, push.force)
+            self._press(self._body_of[push.joint], push.p, push.force)
         mujoco.mj_step2(self.model, data)
+
+    def _press(self, body: int, point: Array, force: Array) -> None:
+        """Add a force (3,) [N], in the world, at a point (3,) [m] in a body's frame."""
+        data, (fx, fy, fz) = self.data, np.asarray(force).tolist()
+        turned = (data.xmat[body].reshape(3, 3) * point).sum(axis=1)
+        x, y, z = (data.xpos[body] + turned - data.xipos[body]).tolist()
+        torque = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+        data.xfrc_applied[body] += (fx, fy, fz, *torque)
 
     def close(self) -> None:
         """Do nothing: the plant has no resources to release."""
 
     def contacts(self) -> Contacts:
         """Contacts in the last step."""
-        if not self.data.ncon:
-            return NO_CONTACTS
         touching = self.data.contact.geom.tolist()
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
@@ -168,46 +139,10 @@ class MujocoWorld:
         return found
 
 
-@compiled(Signature(types.void, (_WORLD.type, types.i8, _VECTOR, _VECTOR), None))
-def _press(bodies: Any, body: int, point: Array, force: Array) -> None:
-    """Add a force (3,) [N], in the world, at a point (3,) [m] in a body's frame."""
-    R, arm, felt = bodies.axes[body], np.empty(3), bodies.forces[body]
-    for i in range(3):
-        turned = R[i, 0] * point[0] + R[i, 1] * point[1] + R[i, 2] * point[2]
-        arm[i] = bodies.origins[body, i] + turned - bodies.centres[body, i]
-        felt[i] += force[i]
-    felt[3] += arm[1] * force[2] - arm[2] * force[1]
-    felt[4] += arm[2] * force[0] - arm[0] * force[2]
-    felt[5] += arm[0] * force[1] - arm[1] * force[0]
-
-
-@compiled(Signature(types.void, (_WORLD.type, _VECTOR, types.i8, _VECTOR, _VECTOR), None))
-def _drive(bodies: Any, aref: Array, row: int, u_a: Array, force: Array) -> None:
-    """Set the motors' references, the arm's torques and `force`; remove all other forces.
-
-    MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint. A
-    motor's reference acceleration is (speed - v) / dt. The solver starts from the accelerations
-    with which the motors have their commanded speeds after the step; from the last step's solution
-    it would need three iterations. `aref` (m,) has the reference accelerations of all constraints,
-    those of the motors from `row` on; `u_a` (n_m,) is in N m or N, and `force` (3,) [N] acts on the
-    end-effector's origin, in the world.
-    """
-    for k in range(len(bodies.speeds)):
-        aref[row + k] += bodies.per_step * bodies.speeds[k]
-        bodies.guess[bodies.motors[k]] = aref[row + k]
-    put(bodies.torques, u_a)
-    fill(bodies.forces.ravel(), 0.0)
-    _press(bodies, bodies.tip, bodies.tool, force)
-
-
-_press_once, _drive_once = direct(_press), direct(_drive)
-
-
 class MujocoDoor(HeldDoor):
-    """The refrigerator in MuJoCo. Of the robot, only links of the base can touch the door.
+    """The refrigerator in MuJoCo; of the robot, only links of the base can touch the door.
 
-    The hinge has dry friction and two stops. The end-effector is welded to a massless body on
-    the door; a sensor between this body and the door measures force and torque.
+    The end-effector is welded to a body on the door, with a sensor of the wrench between them.
     """
 
     def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:

@@ -1,14 +1,9 @@
-"""The planar plant, with pybullet or MuJoCo: planar joints move with the drive's velocity.
-
-Motors on the joints x, y and yaw move the base. Their force is limited to the traction of the
-wheels. Wheels turn only in pictures, without an effect on the base. The base cannot tip.
-"""
+"""The planar plant, with pybullet or MuJoCo: motors of limited force move planar joints."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import itemgetter
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -32,9 +27,7 @@ class Planar(Physics):
         self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
         base = model.description.base
-        self._drive = Drive(base, dt)
-        self._axes = base.T.argmax(axis=0).tolist()  # each axis's index in the twist (v_x, v_y, ω)
-        self._along = itemgetter(*self._axes)
+        self._drive, self._T = Drive(base, dt), base.T
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -47,16 +40,14 @@ class Planar(Physics):
         self._heading = heading = pose.item(2)
         c, s = math.cos(heading), math.sin(heading)
         x, y, w = v
-        velocity = np.array(self._along((c * x + s * y, c * y - s * x, w)), ndmin=1)
+        velocity = np.array([c * x + s * y, c * y - s * x, w]) @ self._T
         return Measurement(pose, velocity, q_m, qd_m, self._drive.state)
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
         heading = self.world.read()[0].item(2) if self._heading is None else self._heading
-        twist = [0.0, 0.0, 0.0]
-        for axis, value in zip(self._axes, self._drive.step(base_velocity), strict=True):
-            twist[axis] = value
+        twist = (self._T @ self._drive.step(base_velocity)).tolist()
         self.world.step(u_a, world_twist(twist, heading, self.dt), hand_force, pushes)
         self._heading = None
 
@@ -97,11 +88,7 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """The mean twist (3,) in the world during a step, for a constant twist in the base's frame.
-
-    Both twists are v_x, v_y [m/s] and ω [rad/s]. `heading` [rad] is the base's heading at the start
-    of the step, which lasts `dt` [s]. The mean uses the heading in the middle of the step.
-    """
+    """Mean world twist (3,) in a step of `dt` [s] from `heading` [rad], with a constant `twist`."""
     x, y, w = twist
     phi = heading + 0.5 * w * dt
     c, s = math.cos(phi), math.sin(phi)

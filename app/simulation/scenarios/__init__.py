@@ -42,8 +42,7 @@ _LINES = (
         1.0,
     ),
 )
-LINES = {scenario.name: scenario for scenario in _LINES}
-"""Scenarios with a straight path of the end-effector."""
+LINES = {scenario.name: scenario for scenario in _LINES}  # scenarios with a straight path
 
 SCENARIOS: dict[str, Scenario] = {
     **LINES,
@@ -51,11 +50,9 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
-"""Scenarios with a path towards the side or the front of the base; each needs the robot's own line
-or a start from the user."""
+"""Scenarios towards the side or the front of the base, which need a robot's own line or start."""
 _FREE = "guiding-front"  # scenario whose start is also the start of the free motion
-_SAME_LINE = {"tracking": "guiding-lateral"}
-"""If the robot has no line for the first scenario, its line for the second one is used."""
+_SAME_LINE = {"tracking": "guiding-lateral"}  # used if the robot has no line for the first
 
 
 def scenario_by_name(name: str) -> Scenario:
@@ -70,12 +67,9 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
     A line of the robot's description (start and displacement of the end-effector) replaces the
     scenario's own line; `changes`, options as in `Scenario.changed`, override both.
 
-    Raises:
-        UnknownNameError: The scenario does not exist.
-        UnreachableError: The scenario needs a line of the description, there is none, and `changes`
-            has no start.
-        DescriptionError: A line of the description belongs to no scenario with a line.
-        ConfigError: An option does not exist, or its value is invalid.
+    This raises the errors of `scenario_by_name` and `Scenario.changed`; an UnreachableError if the
+    scenario needs a start, and neither description nor `changes` have one; and a DescriptionError
+    if a line of the description belongs to no scenario with a line.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
@@ -94,9 +88,9 @@ def free_start(
 ) -> Array:
     """The arm's joint positions (n_m,) [rad or m] at the start of the free motion.
 
-    `start` (3,) [m] is the position of the end-effector in the world, with the base at the origin;
-    None means the start of the robot's own line for `guiding-front`, or the ready posture if there
-    is no such line. If the search finds no posture, this raises an UnreachableError.
+    `start` (3,) [m] is the end-effector's position for a base at the origin, by default that of the
+    robot's own line for `guiding-front`; without a line, the result is the ready posture. If the
+    search finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start

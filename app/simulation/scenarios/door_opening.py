@@ -22,34 +22,19 @@ from app.strict import Array
 
 @dataclass(frozen=True)
 class DoorOpeningGains:
-    """Gains of the adaptive controller."""
-
-    speed: float = 0.02
-    """[m/s] v_d, speed of the end-effector along the estimated tangent."""
-    ramp: float = 1.5
-    """[s] rise time of the speed from zero."""
-    turn: float = math.radians(88)
-    """[rad] rotation since the start that ends the motion of the end-effector."""
-    braking: float = math.radians(4)
-    """[rad] length of the range before the angle `turn` in which the end-effector slows down."""
-    radial_force: float = 0.0
-    """[N] f_d, desired force along the estimated radius, towards the hinge."""
-    compliance: float = 0.002
-    """[m/(s N)] α_f, ratio of velocity to force error."""
-    integral_time: float = 4.0
-    """[s] integral time of the force's PI regulator."""
-    angular_compliance: float = 0.05
-    """[rad/(s N m)] α_τ, ratio of rotation rate to torque."""
-    learning_rate: float = 1.5
-    """[1/s] adaptation rate of both estimates at full speed."""
-    slow_from: float = 15.0
-    """[N] force above which the end-effector slows down."""
-    slow_until: float = 30.0
-    """[N] force at which the end-effector stops."""
-    smoothing: float = 0.02
-    """[s] time constant of the filter of force and torque, which prevents oscillation."""
-    leash: float = 0.03
-    """[m] largest distance of the reference from the end-effector."""
+    speed: float = 0.02  # [m/s] v_d, speed of the end-effector along the estimated tangent
+    ramp: float = 1.5  # [s] rise time of the speed from zero
+    turn: float = math.radians(88)  # [rad] rotation since the start at which the end-effector stops
+    braking: float = math.radians(4)  # [rad] range of rotation before `turn` with reduced speed
+    radial_force: float = 0.0  # [N] f_d, desired force along the estimated radius
+    compliance: float = 0.002  # [m/(s N)] α_f, ratio of velocity to force error
+    integral_time: float = 4.0  # [s] integral time of the force's PI regulator
+    angular_compliance: float = 0.05  # [rad/(s N m)] α_τ, ratio of rotation rate to torque
+    learning_rate: float = 1.5  # [1/s] adaptation rate of both estimates at full speed
+    slow_from: float = 15.0  # [N] force above which the end-effector slows down
+    slow_until: float = 30.0  # [N] force at which the end-effector stops
+    smoothing: float = 0.02  # [s] time constant of the filter of force and torque
+    leash: float = 0.03  # [m] largest distance of the reference from the end-effector
 
 
 def tangent(radial: Array, sense: float) -> Array:
@@ -64,9 +49,9 @@ def radial_update(
 
     If the estimated tangent t̂ deviates by the angle e from the true tangent, the door stops the
     radial part of the motion along t̂. In the steady state at full speed, the force's PI regulator
-    then has the output R with α_f R = -s v_d tan e. The rate is λ s (v/v_d) α_f R / v_d; the error
-    thus decreases by ė = -λ tan e. `regulated` is R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N] with
-    the radial force f_r, `progress` is v/v_d along t̂, `sense` is s, ±1.
+    R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N], with the radial force f_r, then satisfies
+    α_f R = -s v_d tan e. The rate is λ s (v/v_d) α_f R / v_d; the error thus decreases by
+    ė = -λ tan e. `regulated` is R, `progress` is v/v_d along t̂, `sense` is s, ±1.
     """
     return gains.learning_rate * sense * progress * gains.compliance * regulated / gains.speed
 
@@ -109,10 +94,9 @@ class DoorOpening:
         return np.array([math.cos(angle), math.sin(angle), 0.0])
 
     def step(self, T_world_ee: pin.SE3, velocity_ee: Array, wrench: Wrench) -> Reference:
-        """Update the estimates from sensor readings, and return the reference of the control step.
+        """Update the estimates with sensor readings, and return the step's reference.
 
-        The readings are the end-effector's pose, the velocity (3,) [m/s] of its origin in the
-        world, and its wrench on the door.
+        They are the end-effector's pose, the velocity (3,) [m/s] of its origin, and its wrench.
         """
         gains, dt = self._gains, self._dt
         share = -math.expm1(-dt / gains.smoothing)  # of a first-order filter
@@ -159,11 +143,7 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens the door in a session; the session is at its start.
-
-    `rate` [deg/s] is the desired rotation rate of the door. `guess` [deg] is the error of the first
-    estimate of the direction to the hinge, as in `RefrigeratorScenario.radial_guess`.
-    """
+    """The driver that opens the door at `rate` [deg/s]; `guess` [deg] is the `radial_guess`."""
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
     turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])

@@ -29,40 +29,29 @@ _FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one counts as a 
 class StepInput(NamedTuple):
     """The input of one control step: the arguments of `Session.step`."""
 
-    reference: Reference | None = None
-    """The end-effector's reference, or None while a person guides the arm."""
-    pull: Array | None = None
-    """(3,) [m] target of a person at the end-effector, in the world, or None."""
-    door: DoorView | None = None
-    """State of the door while the scenario opens it, otherwise None."""
-    holds: tuple[Hold, ...] = ()
-    """Other people who hold the robot, at the end-effector or another point."""
+    reference: Reference | None = None  # of the end-effector; None while a person guides
+    pull: Array | None = None  # (3,) [m] target of a person at the end-effector, in the world
+    door: DoorView | None = None  # state of the door while the scenario opens it, otherwise None
+    holds: tuple[Hold, ...] = ()  # other people who hold the robot at any point
 
 
-Driver = Callable[["Session"], StepInput]
-"""A function that computes the input of the next control step from the session."""
+Driver = Callable[["Session"], StepInput]  # computes the input of the next control step
 
 
 class Setting(NamedTuple):
-    """The robot, the base's pose, the arm's posture and the parameters at the start of a run."""
+    """The start of a run."""
 
-    model: RobotModel
-    """The robot model of the controller."""
-    data: BorderData
-    """Link pairs and border clouds of the model."""
-    base_pose: Array
-    """(3,) x, y [m] and heading [rad] of the base."""
-    q_m: Array
-    """(n_m,) [rad or m] joint positions of the arm."""
+    model: RobotModel  # model of the controller
+    data: BorderData  # link pairs and border clouds of the model
+    base_pose: Array  # (3,) x, y [m] and heading [rad] of the base
+    q_m: Array  # (n_m,) [rad or m] joint positions of the arm
     config: Config
-    """The parameters of the run."""
-    door: OpenDoor | None = None
-    """The door that the end-effector holds, or None."""
+    door: OpenDoor | None = None  # the door that the end-effector holds, or None
 
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """A scenario: the start and the motion of a run."""
+    """The start and the motion of a run."""
 
     name: str
     duration: float
@@ -86,10 +75,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """The configuration `config` with the changes that this scenario requires.
-
-        The live loop also adapts a configuration that the user changes during the scenario.
-        """
+        """`config` with the changes that this scenario requires; the live loop calls this too."""
         return config
 
     @abstractmethod
@@ -97,10 +83,7 @@ class Scenario(ABC):
         """Make the driver for a session at its start; only a scenario with a door can fail here."""
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with some fields changed; a value of None changes nothing.
-
-        An unknown field or an invalid value raises a ConfigError.
-        """
+        """A copy with changed fields, ignoring None; an invalid change raises a ConfigError."""
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
         for name in given:
@@ -122,7 +105,6 @@ class Scenario(ABC):
 
 @cache
 def _choices(kind: type[Scenario]) -> dict[str, tuple[str, ...]]:
-    """The valid values of each field whose type is a `Literal`."""
     hints = get_type_hints(kind).items()
     return {name: get_args(hint) for name, hint in hints if get_origin(hint) is Literal}
 

@@ -163,7 +163,7 @@ class StartedLine(LineScenario):
         return np.array(self.q_m)
 
 
+# the template of the cases of a study
 RANDOM_PULL = StartedLine(
     "random-pull", 8.0, "a random pull of a study", "guiding", (0, 0, 0), (0, 0, 0), 1.0, ()
 )
-"""The template of the cases of a study."""

@@ -29,21 +29,16 @@ better; otherwise zero, a negative number, or the reason."""
 class Target(NamedTuple):
     """A position of the end-effector, and optionally a direction."""
 
-    p: Array
-    """(3,) [m] position of the end-effector's origin, in the world."""
-    z: Array | None = None
-    """(3,) unit vector of the end-effector's z axis, or None for any direction."""
+    p: Array  # (3,) [m] position of the end-effector's origin, in the world
+    z: Array | None = None  # (3,) unit vector of the end-effector's z axis, or None for any
 
 
 class Found(NamedTuple):
     """The best of the tried postures."""
 
-    q_m: Array | None
-    """(n_m,) [rad or m] joint positions, or None if no posture is valid."""
-    quality: float
-    """[-] quality of the posture, 0 without a posture."""
-    flaws: Counter[str]
-    """Number of failed tries for each reason."""
+    q_m: Array | None  # (n_m,) [rad or m] joint positions, or None if no posture is valid
+    quality: float  # [-] quality of the posture, 0 without a posture
+    flaws: Counter[str]  # number of failed tries for each reason
 
 
 class PostureSearch:
@@ -51,13 +46,11 @@ class PostureSearch:
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare the search for a robot, its link pairs and a buffer distance `d_b` [m]."""
-        self.model, self.d_b, self.state = model, d_b, RobotState(model)
-        """The robot, the buffer distance [m], and the state in the last posture."""
+        self.model, self.d_b = model, d_b
+        self.state = RobotState(model)  # in the last posture
         self.span = model.q_upper - model.q_lower
-        self.middle = (model.q_upper + model.q_lower) / 2
-        """(n_m,) [rad or m] length and middle of each joint's range."""
+        self.middle = (model.q_upper + model.q_lower) / 2  # of each joint's range
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
-        """Displayed names of the pairs, in the order of `distances`."""
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor, self._floor_data = _with_floor(model)
         self._base_pose = np.zeros(3)
@@ -89,8 +82,8 @@ class PostureSearch:
     ) -> Found:
         """Find the posture with the highest quality.
 
-        `guesses` are (n_m,) each: with a target, the starting points of the search; without a
-        target, the postures to judge. Before `judge` is called, the arm is placed into the posture.
+        `guesses` (n_m,) are the starting points of the search for the `target`; without a target,
+        the postures to judge. Before `judge` is called, the arm is placed into the posture.
         `enough` [-] is the quality at which the search ends.
         """
         best = Found(None, 0.0, Counter())
@@ -107,11 +100,7 @@ class PostureSearch:
         return best
 
     def reach(self, target: Target | pin.SE3, guess: Array) -> Array:
-        """Find the posture (n_m,) near a guess with the least squared error from the target.
-
-        The joints keep a margin to their position limits. A small additional error draws them to
-        the middle of their ranges.
-        """
+        """Find the posture (n_m,) near a guess with the least squared error from the target."""
 
         def residual(q: Array) -> Array:
             drawn = _TO_MIDDLE * (q - self.middle) / self.span
@@ -177,10 +166,7 @@ class PostureSearch:
         return min(result.min_distance for result in data.distanceResults)
 
     def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
-        """The reason why the present posture is invalid, or an empty string if it is valid.
-
-        The arm must be higher than `floor` [m], and the smallest distance above d_b + `margin` [m].
-        """
+        """The reason why the arm is not above `floor` [m] or `margin` [m] beyond d_b, or ""."""
         if self.above_floor() <= floor:
             return "the arm would touch the floor"
         return "" if self.beyond_buffer() > margin else self.buffer_flaw()
@@ -197,11 +183,7 @@ class PostureSearch:
 
 
 def _arm_length(model: RobotModel) -> tuple[Array, float]:
-    """Position (3,) [m] of the arm's first joint for a base at the origin, and the arm's reach [m].
-
-    The reach is an upper bound: the sum of all offsets from joint to joint and to the end-effector,
-    and of the largest displacements of prismatic joints from zero.
-    """
+    """Position (3,) [m] of the arm's first joint, and an upper bound [m] of the arm's reach."""
     arm, ee = model.pin, model.pin.frames[model.ee_frame]
     chain = [j for j in arm.supports[ee.parentJoint] if j > 1]
     links = [*(arm.jointPlacements[j] for j in chain[1:]), ee.placement]

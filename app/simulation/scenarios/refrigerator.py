@@ -121,8 +121,7 @@ class RefrigeratorScenario(Scenario):
         """Raise the posture task's gains and the cost of base motion to the minima for a held door.
 
         The controller does not model the door's force. With low gains, this force would swing the
-        elbow, in the null space of the end-effector's task. With a low cost of base motion, the
-        base would move to maintain the arm's posture.
+        elbow. With a low cost, the base would move to maintain the arm's posture.
         """
         firm = {path: max(float(config.value(path)), low) for path, low in _FIRMNESS.items()}
         return config.changed(firm)

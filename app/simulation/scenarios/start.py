@@ -36,8 +36,7 @@ _AHEAD = np.radians(np.arange(3, 94, 3))  # [rad] further door angles that are c
 _CORRECTIONS = 4  # [-] Newton steps for each door angle
 _TO_START = 0.5  # [-] share of the return to the starting posture in each step
 
-OUT_OF_REACH = "out of the arm's reach"
-"""The reason of a failed try in which the end-effector did not reach its position."""
+OUT_OF_REACH = "out of the arm's reach"  # the reason if the end-effector misses its position
 
 
 class StartSolver:
@@ -45,8 +44,8 @@ class StartSolver:
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its position limits.
-    Any direction of the end-effector is accepted if the arm cannot choose this direction freely,
-    and the search finds no posture as above from which the arm can follow the whole path.
+    If the arm cannot choose the direction of the end-effector freely, and cannot follow the whole
+    path from a posture as above, any direction is accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -71,11 +70,9 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        `along` has further positions (3,) [m], a path. The best posture is the one from which the
-        arm follows most of the path, while the base is at rest and the orientation of the
-        end-effector is constant. Among postures that are equal in this, or without a path, the one
-        with the largest margins is best. The arm need not reach the end of the path, because the
-        base can move during a run.
+        From the best posture, the arm follows most of the path `along`, positions (3,) [m] in
+        order, while the base is at rest and the orientation of the end-effector is constant. Among
+        equal postures, the one with the largest margins is best.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -83,15 +80,11 @@ class StartSolver:
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
-            raise UnreachableError(
-                f"start {point_text(p_ee)}: the end-effector must be at a finite position "
-                "above the floor, z = 0"
-            )
+            why = "the end-effector must be at a finite position above the floor, z = 0"
+            raise UnreachableError(f"start {point_text(p_ee)}: {why}")
         if (beyond := self._search.beyond(target)) > 0.0:
-            raise UnreachableError(
-                f"start {point_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m or more",
-                {OUT_OF_REACH: 1},
-            )
+            why = f"{OUT_OF_REACH} by {beyond:.2f} m or more"
+            raise UnreachableError(f"start {point_text(p_ee)}: {why}", {OUT_OF_REACH: 1})
         turned, rng = pin.utils.rotate("z", turn), np.random.default_rng(seed)
         directions = [turned @ self._direction(target, pitch) for pitch in _PITCHES]
         best, flaws = Found(None, 0.0, Counter()), Counter[str]()
@@ -103,9 +96,8 @@ class StartSolver:
             flaws.update(found.flaws)
         if best.q_m is not None:
             return best.q_m
-        raise UnreachableError(
-            f"start {point_text(p_ee)}: no posture of the arm reaches it: {_reasons(flaws)}", flaws
-        )
+        why = f"no posture of the arm reaches it: {_reasons(flaws)}"
+        raise UnreachableError(f"start {point_text(p_ee)}: {why}", flaws)
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
         for k, anywhere in enumerate(self._search.guesses(rng, tries)):
@@ -115,26 +107,17 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Find the posture (n_m,) near a known one, q_m (n_m,), for a new position p_ee (3,) [m].
-
-        The direction of the end-effector and the branch of the inverse kinematics do not change. An
-        invalid posture raises an UnreachableError with the reason.
-        """
+        """Move a posture to `p_ee` with the same direction, or raise an UnreachableError."""
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
         found = self._try(Target(np.array(p_ee, dtype=float), direction), [q_m])
         if found.q_m is None:
-            raise UnreachableError(
-                f"start {point_text(p_ee)}: {next(iter(found.flaws))}", found.flaws
-            )
+            why = next(iter(found.flaws))
+            raise UnreachableError(f"start {point_text(p_ee)}: {why}", found.flaws)
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether a search finds a posture with the end-effector at `p_ee` (3,) [m].
-
-        The end-effector can have any direction; distances of pairs and floor are not checked. With
-        few `tries` from random starting points, the search can miss the posture.
-        """
+        """Whether a search finds a posture at `p_ee` (3,) [m]; direction and distances are free."""
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
             return False
@@ -171,12 +154,7 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] number of positions that the arm reaches on the path, plus the margins up to there.
-
-        The positions are tried in their order, with the base at rest, until the first failure. The
-        margins are the smallest joint margin, at most 0.15, and the smallest manipulability, at
-        most 0.1.
-        """
+        """[-] number of reached positions on the path, in order, plus joint margin and mobility."""
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
         joints, mobility, followed = search.joint_room(q_m), manipulability(search.J_ee), 0
@@ -204,10 +182,7 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """Find a posture of the arm (n_m,), read-only and cached, by `StartSolver.solve`.
-
-    With `move` (3,) [m], the path of `solve` is the straight line of this displacement from `p_ee`.
-    """
+    """The cached, read-only result of `StartSolver.solve` for a displacement `move` [m]."""
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
 
@@ -227,11 +202,8 @@ def find_grasp(
 
     The end-effector is horizontal and points into the door; every pair is outside its buffer. From
     the best posture, the arm can follow the door over the largest range of further angles while the
-    base moves back. Among postures with the same range, the one with the largest margins (joint
-    limits, manipulability, buffers) is best. The result is cached.
-
-    `base_pose` (3,) has x, y [m] and heading [rad] of the base, `angle` [rad] is the opening angle
-    of the door. If the search finds no posture, this raises an UnreachableError.
+    base moves back from its pose (x, y [m], heading [rad]). The result is cached. If the search
+    finds no posture, this raises an UnreachableError.
     """
     search = PostureSearch(model, pairs, d_b)
     q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)
@@ -239,8 +211,6 @@ def find_grasp(
 
 
 class _GraspSearch:
-    """The search of `find_grasp`."""
-
     def __init__(self, search: PostureSearch, base_pose: Array, door: Door, angle: float) -> None:
         self._search, self._base_pose, self._door, self._angle = search, base_pose, door, angle
         self._front = float(MobileBody(search.model).upper[0])
@@ -284,11 +254,7 @@ class _GraspSearch:
         return room
 
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
-        """[-] number of further door angles that the arm can reach, plus the smallest `_room`.
-
-        `room` is the `_room` of the starting posture. As in the controller, the arm stays near this
-        posture in the task's null space.
-        """
+        """[-] number of further door angles that the arm can reach, plus the smallest `_room`."""
         q_m, followed = q_start, 0
         for turned in _AHEAD:
             angle = self._angle + turned
@@ -319,11 +285,7 @@ class _GraspSearch:
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float | str:
-        """[-] margins of a posture, below one; or the reason why the posture is invalid.
-
-        The end-effector must be at `target` within the `tolerance` [m and rad], each pair at least
-        `least` [m] outside its buffer (inside, if negative), and no joint near its limit.
-        """
+        """[-] margins of a posture at `target`, with pairs `least` [m] beyond d_b; or its flaw."""
         search = self._search
         search.place(q_m)
         if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:
@@ -343,7 +305,6 @@ def _frozen(q_m: Array) -> Array:
 
 
 def _reasons(flaws: Counter[str]) -> str:
-    """The three most frequent reasons of failed tries, as a text."""
     return "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
 
 

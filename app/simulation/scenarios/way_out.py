@@ -46,9 +46,9 @@ class WayOutScenario(Scenario):
         """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
 
         A case is drawn first, because some cases are rare among random postures: a pair and, for a
-        pair of arm and base, whether the arm is above the base or beside it. Then random postures
-        are tried until one belongs to the case; if all fail, another case is drawn. If all cases
-        fail, this raises an UnreachableError. It also raises the error of `check_avoidance`.
+        pair of arm and base, whether the arm is above the base or beside it. Random postures are
+        tried until one belongs to the case; if all fail, another case is drawn. If all cases fail,
+        this raises an UnreachableError; `check_avoidance` can raise a DescriptionError.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
@@ -87,12 +87,7 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if the search's present posture is a valid start, otherwise 0.
-
-    Pair i must be the nearest one, and its distance in the range `depth` [m]. The arm must be more
-    than 1 cm above the floor. It must be above the base if `above` is True, beside the base if
-    `above` is False, and anywhere if `above` is None.
-    """
+    """1 if pair i is the nearest one in the posture, at a distance in `depth` [m]; else 0."""
     closest = search.monitor.find_closest_points()
     pair = closest[i]
     if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):

@@ -1,7 +1,4 @@
-"""Tables as files: CSV with a leading comment, or Parquet with schema metadata.
-
-This module imports little, because a child process uses it to read files.
-"""
+"""Tables as files: CSV with a leading comment, or Parquet with schema metadata."""
 
 import io
 import re
@@ -23,10 +20,7 @@ pa.set_memory_pool(pa.system_memory_pool())  # the default pool reserves 1 GB of
 
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
-    """Read the header and the table of an untrusted file.
-
-    A missing or damaged file, or one beyond the limits of `within_budget`, raises a LogError.
-    """
+    """Read the header and the table of an untrusted file; a fault raises a LogError."""
     try:
         # A small Parquet file can contain millions of equal rows.
         smallest = 0 if path.suffix.lower() == ".csv" else SMALL + 1
@@ -48,11 +42,7 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write a table completely or not at all: as CSV if the name ends in .csv, else as Parquet.
-
-    A header that is not empty becomes a comment on the first line of CSV, or metadata of Parquet.
-    Equal tables produce equal bytes.
-    """
+    """Write a table and a header as CSV or Parquet, by the ending; equal tables, equal bytes."""
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":
         sink.write(f"{_COMMENT}{header}\n".encode() if header else b"")

@@ -32,44 +32,28 @@ _CASTS: dict[Kind, Callable[[Any], Any]] = {"float": float, "int": int, "bool": 
 
 
 class TraceMeta(Strict):
-    """Constant data of a run, which also determine the names of the columns."""
+    """Constant data of a run; they also determine the names of the columns."""
 
-    format: Literal[2] = 2
-    """[-] version of the file format; files of other versions cannot be read."""
+    format: Literal[2] = 2  # [-] version of the file format; files of other versions cannot be read
     robot: str
-    joints: tuple[str, ...]
-    """Names of the arm's joints, in the order of q_m."""
+    joints: tuple[str, ...]  # names of the arm's joints, in the order of q_m
     joint_units: tuple[Literal["rad", "m"], ...]
-    joint_speeds: tuple[Positive, ...] = ()
-    """(n_m,) [rad/s or m/s] speed limits of the joints; empty if unknown."""
-    joint_torques: tuple[Positive, ...] = ()
-    """(n_m,) [N m or N] torque limits of the joints; empty if unknown."""
-    velocities: tuple[str, ...] = ("v_mps", "w_radps")
-    """Names of the base's velocities in the columns, in the order of the base's axes."""
+    joint_speeds: tuple[Positive, ...] = ()  # (n_m,) [rad/s or m/s] limits; empty if unknown
+    joint_torques: tuple[Positive, ...] = ()  # (n_m,) [N m or N] limits; empty if unknown
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # ends of names of columns, by axis
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
-    wheels: tuple[str, ...] = ("right", "left")
-    """Names of the angles of the base's wheels."""
-    pairs: tuple[str, ...]
-    """Names of all link pairs, in the order of the distances."""
-    mobile_pairs: tuple[str, ...]
-    """Names of the pairs with the base (L_m)."""
+    wheels: tuple[str, ...] = ("right", "left")  # names of the angles of the base's wheels
+    pairs: tuple[str, ...]  # names of all link pairs, in the order of the distances
+    mobile_pairs: tuple[str, ...]  # names of the pairs with the base (L_m)
     scenario: str = ""
-    """Name of the scenario; empty without a scenario."""
-    physics: str = ""
-    """Name of the plant; empty if unknown."""
-    seed: int | None = Field(default=None, ge=0)
-    """[-] seed of all random numbers of the run; None if unknown."""
-    config: Config
-    """Parameters at the first row; a column has the later changes."""
-    stuck: dict[str, Any] | None = None
-    """Position of the end-effector and reasons (`Stuck`), if it is more than 1 mm away from a
-    resting reference at the end; otherwise None."""
+    physics: str = ""  # name of the plant; empty if unknown
+    seed: int | None = Field(default=None, ge=0)  # seed of all random numbers
+    config: Config  # parameters at the first row; a column has the later changes
+    stuck: dict[str, Any] | None = None  # `Stuck` at the end, if the arm is stuck
     left_way: dict[str, Any] | None = None
-    """The same at the largest distance of the end-effector from its reference, if this distance
-    exceeds 1 mm; otherwise None."""
+    """`Stuck` at the largest tracking error, if this exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)
-    """[s] time of the controller's first report of each fault of the readings, by the fault's
-    name."""
+    """[s] time of the controller's first report of each fault of the readings, by name."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -138,103 +122,61 @@ def column_names(template: str, meta: TraceMeta) -> list[str]:
 
 
 class Column(NamedTuple):
-    """A column of a trace."""
-
-    name: str
-    """Name, which ends in the unit, if any."""
+    name: str  # name, which ends in the unit, if any
     kind: Kind = "float"
-    optional: bool = False
-    """Whether a cell can be empty; in memory, an empty cell is NaN."""
-    often: bool = False
-    """Whether the column has a number at each control step, not only at snapshots."""
+    optional: bool = False  # whether a cell can be empty; in memory, an empty cell is NaN
+    often: bool = False  # whether it has a number at each control step
 
 
 class Quantity(NamedTuple):
     """A quantity of a run."""
 
     columns: Callable[[TraceMeta], Sequence[Column]]
-    cells: Callable[[Any, TraceMeta], Sequence[Cell]]
-    """Conversion of a snapshot's value to cells."""
-    value: Callable[[Sequence[Any], TraceMeta], Any]
-    """Conversion of cells to a snapshot's value."""
-    take: Take | None = None
-    """Computation of the value from a control step and the session after the step; None if the
-    publisher of the snapshot sets the value."""
-    single: bool = False
-    """Whether the quantity is one number or text."""
+    cells: Callable[[Any, TraceMeta], Sequence[Cell]]  # conversion of a snapshot's value to cells
+    value: Callable[[Sequence[Any], TraceMeta], Any]  # conversion of cells to a snapshot's value
+    take: Take | None = None  # None if the publisher of the snapshot sets the value
+    single: bool = False  # whether the quantity is one number or text
     paths: tuple[str, ...] = ()
-    """Attributes of a control step, such as `truth.q_m`, with the numbers and float arrays that are
-    recorded at each control step."""
-    row: Take | None = None
-    """Computation of the numbers in the table that are not attributes of a control step; None for a
-    quantity with `paths`, and for one that is recorded at snapshots only. In a session with a door,
-    it is called at each control step, otherwise at 50 Hz: the cells of the other steps are then
-    empty."""
+    """Attributes of `Step`, such as `truth.q_m`, that are recorded at each control step. Without
+    any, `take` computes the columns that are `often` at 50 Hz, with NaN in between."""
 
 
 def number(
-    name: str,
-    kind: Kind,
+    template: str,
     source: str | Take | None = None,
+    kind: Kind = "float",
     *,
     often: bool = True,
     optional: bool = False,
-    row: Take | None = None,
 ) -> Quantity:
-    """A quantity of one number or text.
+    """A quantity of one number or text, or of an array (k,) if the `template` names k columns.
 
-    `source` is the name of the value's attribute of `Step`, as in `Quantity.paths`, or the value's
-    computation, as in `Quantity.take`. If `often`, the value is recorded at each control step;
-    then a quantity without an attribute requires `row`, or a ValueError is raised. If not `often`,
-    the value is recorded only at snapshots. If `optional`, the value can be None.
+    `template` is as in `column_names`. `source` is the value's attribute of `Step`, as in
+    `Quantity.paths`, or its computation, as in `Quantity.take`. If not `often`, the value is
+    recorded only at snapshots. If `optional`, the value can be None.
     """
-    if often and row is None and not isinstance(source, str):
-        raise ValueError(
-            f"{name}: `source` must be an attribute of `Step`, such as a property, because the "
-            "value is recorded at each control step; otherwise use `drawn`, or set `row`"
-        )
-    column, cast = Column(name, kind, optional, often), _CASTS[kind]
-
-    def value(cells: Sequence[Any], _: TraceMeta) -> Any:
-        return None if optional and np.isnan(cells[0]) else cast(cells[0])
-
-    def cells(value: Any, _: TraceMeta) -> Sequence[Cell]:
-        return (NAN if value is None else value,)
-
-    take, paths = _source(source, cast)
-    return Quantity(lambda _: (column,), cells, value, take, single=True, paths=paths, row=row)
-
-
-def numbers(
-    template: str, source: str | Take, *, often: bool = True, optional: bool = False
-) -> Quantity:
-    """A quantity of an array (k,); `template` is as in `column_names`, the rest as in `number`."""
+    single = "{" not in template
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
-        return [Column(n, "float", optional, often) for n in column_names(template, meta)]
+        return [Column(name, kind, optional, often) for name in column_names(template, meta)]
 
-    def cells(value: Array | None, meta: TraceMeta) -> Sequence[Cell]:
-        return [NAN] * len(columns(meta)) if value is None else value.tolist()
+    def cells(value: Any, meta: TraceMeta) -> Sequence[Cell]:
+        if value is None:
+            return [NAN] * len(columns(meta))
+        return (value,) if single else value.tolist()
 
-    def value(cells: Sequence[float], _: TraceMeta) -> Array | None:
-        return None if optional and np.isnan(cells).all() else frozen(cells)
+    def value(cells: Sequence[Any], _: TraceMeta) -> Any:
+        if optional and np.isnan(cells).all():
+            return None
+        return _CASTS[kind](cells[0]) if single else frozen(cells)
 
-    take, paths = _source(source, np.asarray)
-    return Quantity(columns, cells, value, take, paths=paths)
-
-
-def _source(
-    source: str | Take | None, convert: Callable[[Any], Any]
-) -> tuple[Take | None, tuple[str, ...]]:
-    """`take` and `paths` of a quantity with a `source`; `convert` converts an attribute's value."""
     if not isinstance(source, str):
-        return source, ()
-    read = attrgetter(source)
-    return lambda _, step: convert(read(step)), (source,)
+        return Quantity(columns, cells, value, source, single)
+    read, convert = attrgetter(source), _CASTS[kind] if single else np.asarray
+    return Quantity(columns, cells, value, lambda _, step: convert(read(step)), single, (source,))
 
 
-drawn, drawn_numbers = partial(number, often=False), partial(numbers, often=False)
-"""A quantity of one number or text, or of an array (k,), recorded at snapshots."""
+drawn = partial(number, often=False)  # a quantity that is recorded at snapshots
 
 
 def config_changes(take: Take) -> Quantity:

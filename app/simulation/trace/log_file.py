@@ -30,8 +30,6 @@ _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": 
 
 
 class LogHeader(Strict):
-    """The header of a log file."""
-
     dbb_log: TraceMeta
     rows: int = Field(ge=1, strict=True)
 
@@ -60,11 +58,7 @@ class LogHeader(Strict):
 
 
 def write_trace(path: Path, trace: Trace) -> None:
-    """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
-
-    Another ending raises a LogError; if the file cannot be written, an OutputError is raised.
-    `read_trace` cannot read the file of a trace without snapshots.
-    """
+    """Write a trace as CSV or Parquet, by the ending; raises a LogError or an OutputError."""
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)
     cells: dict[Column, Any] = {column: [None] * rows for column in columns}

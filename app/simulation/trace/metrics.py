@@ -33,11 +33,9 @@ class Figure(NamedTuple):
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """Compute all figures of a run; the key of a figure with a unit ends in the unit.
+    """Compute all figures of a run; those for which the trace has no data are None.
 
-    The figures of `DOOR` are included only if a door was opened in the run. Figures of changes
-    between control steps are None if the trace does not have a row for each control step. Figures
-    of a quantity that an older log does not have are None.
+    The figures of `DOOR` are included only if a door was opened in the run.
     """
     figures = {key: _value(figure, run) for key, figure in FIGURES.items()}
     if not run.each_step:
@@ -62,33 +60,31 @@ def touches(figures: dict[str, Any]) -> list[str]:
 
 
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
-    """The result of a run in words: contact, smallest distance and remaining error.
+    """The result of a run in words: contact, smallest distance, remaining error, missing values.
 
-    The text also names missing values: distances and a final error that are None or not finite.
-    `chain` has the names of the robot's bodies from the base outwards, for the displayed names of
-    link pairs; if it is empty, the pairs' own names are used.
+    With `chain`, the bodies from the base outwards, link pairs have their displayed names.
     """
-    touched = touches(figures)
-    distances = figures["min_distance_m"].items()
-    known = [(pair, d) for pair, d in distances if d is not None and math.isfinite(d)]
-    least = min(known, key=lambda item: item[1], default=None)
-    result = outcome(least[1] if least else math.inf, touched=bool(touched))
+
+    def name(pair: str) -> str:
+        return spoken(pair, chain) if chain else pair
+
+    touched, distances = touches(figures), figures["min_distance_m"]
+    known = {pair: d for pair, d in distances.items() if d is not None and math.isfinite(d)}
+    least, larger = min(known.values(), default=math.inf), ""
+    result = outcome(least, touched=bool(touched))
     text = f"The arm touched {' and '.join(touched)}" if touched else result.capitalize()
-    larger = ""
-    if least is not None:
-        pair, distance = spoken(least[0], chain) if chain else least[0], 1000 * least[1]
-        near = f"smallest distance {distance:.0f}"
-        if distance < 0:
-            near = f"bodies overlapped by {-distance:.1f}"
-        text += f"; {near} mm ({pair})"
-        if result == "overlap":
-            larger = (
-                " Distances are between convex bodies that enclose the links: they can overlap"
-                " without contact."
-            )
-    if lost := sorted({pair for pair, _ in distances} - {pair for pair, _ in known}):
-        named = (spoken(pair, chain) if chain else pair for pair in lost)
-        text += f"; without a distance: {', '.join(named)}"
+    if known:
+        near = f"smallest distance {1000 * least:.0f}"
+        if least < 0:
+            near = f"bodies overlapped by {-1000 * least:.1f}"
+        text += f"; {near} mm ({name(min(known, key=known.__getitem__))})"
+    if result == "overlap":
+        larger = (
+            " Distances are between convex bodies that enclose the links: they can overlap without"
+            " contact."
+        )
+    if lost := sorted(distances.keys() - known.keys()):
+        text += f"; without a distance: {', '.join(map(name, lost))}"
     error, final = figures["ee_error_final_m"], "is missing"
     if error is not None and math.isfinite(error):
         final = f"{1000 * error:.1f} mm"
@@ -187,7 +183,6 @@ def _finite(value: float) -> float | None:
 
 
 def _total(quantity: str) -> Callable[[Trace], int]:
-    """A function that counts the rows in which a flag is true."""
     return lambda run: int(run.of(quantity).sum())
 
 
@@ -373,5 +368,5 @@ def extremes(run: Trace) -> dict[str, Any]:
         "duration_s": float(run.t[-1] - run.t[0]),
         "base_speed_max_mps": float(np.hypot.reduce(speeds[:, ~run.angular], axis=1).max()),
         "base_turn_max_radps": largest(speeds[:, run.angular]),
-        "effort_max": dict(zip(run.names("u_a"), efforts.tolist(), strict=True)),
+        "effort_max": dict(zip(run.groups["u_a"], efforts.tolist(), strict=True)),
     }

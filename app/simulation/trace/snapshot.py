@@ -1,8 +1,7 @@
 """The quantities of a run: one declaration for each, with columns, units and computation.
 
-A `Snapshot` has all quantities at one instant, for display; a `Trace` has their columns over time.
-A new quantity is one more field here, at the end and with a default value, because older log files
-do not have it.
+A `Snapshot` has all quantities at one instant, a `Trace` has their columns over time. A new
+quantity is one more field at the end of `Snapshot`, with a default value for older log files.
 """
 
 import json
@@ -23,13 +22,12 @@ from app.config import BorderConfig, Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound, steady_torques
-from app.control.quantities import STEP, ControlStep
-from app.robot.state import RobotState
+from app.control.quantities import STEP
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import PullReading
-from app.simulation.plants.door import Door, DoorView
-from app.simulation.session import DT, Session, Step
+from app.simulation.plants.door import NO_DOOR, Door, DoorView
+from app.simulation.session import Session, Step
 from app.simulation.trace.columns import (
     NAN,
     Cell,
@@ -39,100 +37,78 @@ from app.simulation.trace.columns import (
     column_names,
     config_changes,
     drawn,
-    drawn_numbers,
     frozen,
     number,
-    numbers,
     records,
 )
-from app.simulation.trace.words import outcome_text
+from app.simulation.trace.words import millimetres, outcome
 from app.strict import Array
 
 _D_B_STEP = 0.005  # [m] step of a changing d_b after which the border is drawn again
 EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop and in logs
 
 _DOOR = TypeAdapter(Door)
+_WXYZ = [3, 0, 1, 2]  # pinocchio's order of a quaternion is x, y, z, w
 
 
 class PairReading(NamedTuple):
     """One link pair at one instant; the points are those of the controller, in the world."""
 
-    name: str
-    """Name of the pair, such as `lm-lEE`."""
-    mobile: bool
-    """Whether one of the two bodies is the base (a pair of L_m)."""
-    d: float
-    """[m] true signed distance."""
-    beta: float
-    """[-] activation β."""
-    p_a: Array
-    """(3,) [m] closest point on the link nearer to the base."""
-    p_b: Array
-    """(3,) [m] closest point on the link farther from the base."""
+    name: str  # name of the pair, such as `lm-lEE`
+    mobile: bool  # whether one body is the base (a pair of L_m)
+    d: float  # [m] true signed distance
+    beta: float  # [-] activation β
+    p_a: Array  # (3,) [m] closest point on the link nearer to the base
+    p_b: Array  # (3,) [m] closest point on the link farther from the base
 
 
 class ActingReading(NamedTuple):
     """The acting point of one active pair with the base; positions and force are in the world."""
 
     name: str
-    p_n: Array
-    """(3,) [m] point of the border nearest to p_b, at the height of p_b."""
-    p_t: Array
-    """(3,) [m] p_n moved along the tangent, (12)."""
-    p_act: Array
-    """(3,) [m] acting point: the point of the border nearest to p_t."""
-    f: Array
-    """(3,) [N] force f_m,i of (14)."""
+    p_n: Array  # (3,) [m] point of the border nearest to p_b, at the height of p_b
+    p_t: Array  # (3,) [m] p_n moved along the tangent, (12)
+    p_act: Array  # (3,) [m] acting point: the point of the border nearest to p_t
+    f: Array  # (3,) [N] force f_m,i of (14)
 
 
 class GhostReading(NamedTuple):
     """A compared robot at one instant."""
 
     controller: str
-    base_pose: Array
-    """(3,) x, y [m] and heading φ [rad] of the base."""
-    q_m: Array
-    """(n_m,) [rad or m] joint positions of the arm."""
-    wheel_angles: Array
-    """(n_w,) [rad] angles of the base's wheels, for drawing."""
-    p_ee: Array
-    """(3,) [m] position of the end-effector in the world."""
-    clearance: float
-    """[m] present smallest distance of the pairs with the base."""
+    base_pose: Array  # (3,) x, y [m] and heading φ [rad] of the base
+    q_m: Array  # (n_m,) [rad or m] joint positions of the arm
+    wheel_angles: Array  # (n_w,) [rad] angles of the base's wheels, for drawing
+    p_ee: Array  # (3,) [m] position of the end-effector in the world
+    clearance: float  # [m] present smallest distance of the pairs with the base
 
 
 class Score(NamedTuple):
     """Results of a robot in a comparison; steps after its scenario's motion do not count."""
 
     controller: str
-    clearance: float
-    """[m] smallest distance of any pair with the base."""
-    error: float
-    """[m] last distance of the end-effector from its target, as `Snapshot.ee_error`."""
-    error_max: float
-    """[m] largest distance of the end-effector from its target."""
-    base_path: float
-    """[m] length of the path of the base's centre."""
-    acceleration_jump: float
-    """[m/s²] largest change of a commanded linear acceleration of the base in one step."""
-    angular_jump: float
-    """[rad/s²] largest change of the commanded angular acceleration of the base in one step."""
-    torque_jump: float
-    """[N m or N] largest change of a joint's torque or force in one step."""
-    contacts: int
-    """Number of control steps with a contact of any kind (`Contacts`)."""
+    clearance: float  # [m] smallest distance of any pair with the base
+    error: float  # [m] last distance of the end-effector from its target, as `Snapshot.ee_error`
+    error_max: float  # [m] largest distance of the end-effector from its target
+    base_path: float  # [m] length of the path of the base's centre
+    acceleration_jump: float  # [m/s²] largest change of a commanded linear acceleration in a step
+    angular_jump: float  # [rad/s²] the same for the commanded angular acceleration
+    torque_jump: float  # [N m or N] largest change of a joint's torque or force in one step
+    contacts: int  # number of control steps with a contact of any kind (`Contacts`)
 
     @property
     def text(self) -> str:
         """The result in words, such as "no contact, smallest distance 105 mm"."""
-        return outcome_text(self.clearance, touched=bool(self.contacts))
+        least, touched = self.clearance, bool(self.contacts)
+        if least < 0.0:
+            return f"{'contact, ' * touched}bodies overlap by {millimetres(-least)}"
+        return f"{outcome(least, touched=touched)}, smallest distance {millimetres(least)}"
 
 
 class Refusal(NamedTuple):
     """The failure of a command; the run continues."""
 
-    number: int
-    """Number of the refusal since the start of the loop, from 1 on."""
+    number: int  # number of the refusal since the start of the loop, from 1 on
     message: str
 
 
@@ -145,13 +121,11 @@ def _pairs() -> Quantity:
         return [*(Column(name, often=True) for name in often), *map(Column, points)]
 
     def take(session: Session, step: Step) -> tuple[PairReading, ...]:
-        base = session.model.body_names[0]
-        w = step.control
+        base, w = session.model.body_names[0], step.control
         numbers = step.distances.tolist(), w.beta.tolist()
-        of_pair = zip(w.pairs, *numbers, w.p_a, w.p_b, strict=False)
         return tuple(
             PairReading(pair.name, pair.a == base, d, beta, frozen(p_a), frozen(p_b))
-            for pair, d, beta, p_a, p_b in of_pair
+            for pair, d, beta, p_a, p_b in zip(w.pairs, *numbers, w.p_a, w.p_b, strict=False)
         )
 
     def cells(pairs: Sequence[PairReading], _: TraceMeta) -> Sequence[Cell]:
@@ -177,11 +151,13 @@ def _acting() -> Quantity:
         return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
 
     def take(session: Session, step: Step) -> tuple[ActingReading, ...]:
-        w = step.control
-        if not w.B[0] > 0.0:
-            return ()
-        acting = [i for i in range(w.n_mob) if not np.isnan(w.p_act[i, 0])]
-        return tuple(_acting_reading(session.state, w, i) for i in acting)
+        found, w, place = [], step.control, session.state.to_world
+        for i in range(w.n_mob):
+            if w.B[0] > 0.0 and not np.isnan(w.p_act[i, 0]):
+                force = session.state.R_world_base @ w.f[i]
+                vectors = place(w.p_n[i]), place(w.p_t[i]), place(w.p_act[i]), force
+                found.append(ActingReading(w.pairs[i].name, *map(frozen, vectors)))
+        return tuple(found)
 
     def cells(acting: Sequence[ActingReading], meta: TraceMeta) -> Sequence[Cell]:
         points = {name: points for name, *points in acting}
@@ -218,7 +194,7 @@ def _buffer() -> Quantity:
 
 
 def _door() -> Quantity:
-    """Make the quantity `door`: its geometry as JSON (empty without a door), and its state."""
+    """Make the quantity `door`: its geometry as JSON (empty without a door), and its numbers."""
     names = [f"door_force_{axis}_n" for axis in "xyz"]
     names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (
@@ -227,20 +203,12 @@ def _door() -> Quantity:
         Column("door_contact", "bool", True, True),
     )
 
-    def take(session: Session, step: Step) -> DoorView | None:
-        if session.door is None:
-            return None
-        held = session.physics.door
-        assert held is not None, "a plant with a door"
-        view = step.door or DoorView(session.door.door, held.angle(), np.zeros(3))
-        return view._replace(force=frozen(view.force), contact=step.contacts.door_base)
+    def take(_: Session, step: Step) -> DoorView | None:
+        return step.door and step.door._replace(force=frozen(step.door.force))
 
-    nothing = (NAN,) * (len(columns) - 1)
-
-    def cells_of(view: DoorView | None) -> Sequence[Cell]:
-        if view is None:
-            return ("", *nothing)
-        return (_door_text(view.door), view.angle, *view.force.tolist(), *view[3:])
+    def cells(view: DoorView | None, _: TraceMeta) -> Sequence[Cell]:
+        text, numbers = (_door_text(view.door), view.numbers) if view else ("", NO_DOOR)
+        return (text, *numbers.tolist())
 
     def value(cells: Sequence[Any], _: TraceMeta) -> DoorView | None:
         text, angle, x, y, z, *radial, contact = cells
@@ -248,30 +216,12 @@ def _door() -> Quantity:
             return None
         return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
 
-    def row(session: Session, step: Step) -> Sequence[Any]:
-        return cells_of(take(session, step))[1:]  # without the text
-
-    return Quantity(lambda _: columns, lambda view, _: cells_of(view), value, take, row=row)
-
-
-def _force_bound() -> Quantity:
-    """Make the quantity `force_bound`, which is computed at 50 Hz."""
-
-    def row(session: Session, step: Step) -> Sequence[float]:
-        return (NAN if round(step.t / DT) % EVERY else _smallest_force_bound(session, step),)
-
-    return number("force_bound_n", "float", _smallest_force_bound, row=row)
+    return Quantity(lambda _: columns, cells, value, take, paths=("door_numbers",))
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] largest force of a person that the arm can resist.
-
-    It is the smallest result of `force_bound` for the pairs inside their buffers and for the force
-    on the end-effector, which has no distance in which the arm must stop. It is NaN without such a
-    pair and force, if no person holds the robot, and in a step with the fallback command, which
-    does not respect limits.
-    """
-    if not (step.pulls and step.control.solved):
+    """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
+    if not (step.pulls and step.control.solved):  # the fallback command respects no limits
         return NAN
     force, size = step.person.hand, math.hypot(*step.person.hand.tolist())
     return _least_bound_once(step.control.struct, force, size, session.model.tau_max)
@@ -303,79 +253,77 @@ _least_bound_once = direct(_least_bound)
 class Snapshot:
     """The whole simulation at one instant.
 
-    Most fields are quantities with one or several columns in a trace. A quantity that `number` or
-    `numbers` declares is recorded at each control step; `drawn` and `drawn_numbers` declare
-    quantities that are recorded only at snapshots. A declaration names the attribute of `Step` with
-    the value, or computes the value from the session s after the step and the step o; otherwise the
-    publisher of the snapshot sets the value. Of the fields without columns, files store only
-    `physics` and `seed`.
+    Fields with a declaration are quantities, with columns in a trace: `number` declares one that is
+    recorded at each control step, `drawn` one that is recorded at snapshots. A declaration names
+    the attribute of `Step` with the value, or computes the value from the session s after the step
+    and the step o; if it does neither, the caller of `make_snapshot` sets the value. Of the fields
+    without a declaration, files store only `physics` and `seed`.
     """
 
-    t: Annotated[float, number("t_s", "float", "t")]
+    t: Annotated[float, number("t_s", "t")]
     """[s] simulated time since the last reset."""
-    base_pose: Annotated[Array, numbers("base_{pose}", "truth.base_pose")]
+    base_pose: Annotated[Array, number("base_{pose}", "truth.base_pose")]
     """(3,) x, y [m] and heading φ [rad] of the base."""
-    base_velocity: Annotated[Array, numbers("base_{velocity}", "truth.base_velocity")]
+    base_velocity: Annotated[Array, number("base_{velocity}", "truth.base_velocity")]
     """(n_b,) [m/s or rad/s] true velocity along the base's axes; v and ω of a differential base."""
-    base_velocity_command: Annotated[Array, numbers("command_{velocity}", "base_command")]
+    base_velocity_command: Annotated[Array, number("command_{velocity}", "base_command")]
     """(n_b,) [m/s or rad/s] velocity command; it changes once in each `admittance.period`."""
-    base_acceleration: Annotated[Array, numbers("base_{acceleration}", "control.a_base_cmd")]
+    base_acceleration: Annotated[Array, number("base_{acceleration}", "control.a_base_cmd")]
     """(n_b,) [m/s² or rad/s²] commanded base acceleration, the input of the admittance law."""
     avoidance_acceleration: Annotated[
-        Array, numbers("avoidance_{acceleration}", "control.base_avoidance")
+        Array, number("avoidance_{acceleration}", "control.base_avoidance")
     ]
-    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 if the controller does
-    not move the base out of the way."""
-    wheel_angles: Annotated[Array, drawn_numbers("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
+    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 without avoidance."""
+    wheel_angles: Annotated[Array, drawn("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] angles of the base's wheels, for drawing."""
-    q_m: Annotated[Array, numbers("q_{joint}_{position}", "truth.q_m")]
+    q_m: Annotated[Array, number("q_{joint}_{position}", "truth.q_m")]
     """(n_m,) [rad or m] joint positions of the arm."""
-    u_a: Annotated[Array, numbers("u_{joint}_{effort}", "control.u_cmd")]
+    u_a: Annotated[Array, number("u_{joint}_{effort}", "control.u_cmd")]
     """(n_m,) [N m or N] commanded joint torques of the arm."""
-    p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", "state.p_ee")]
+    p_ee: Annotated[Array, number("p_ee_{xyz}_m", "state.p_ee")]
     """(3,) [m] position of the end-effector in the world."""
-    wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
+    wxyz_ee: Annotated[
+        Array, drawn("q_ee_{wxyz}", lambda s, o: pin.Quaternion(s.state.R_ee).coeffs()[_WXYZ])
+    ]
     """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
     """All link pairs; the pairs with the base (L_m) are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs with the base inside their buffer, if the controller uses them."""
-    beta_m: Annotated[float, number("beta_m", "float", "control.beta_m")]
+    beta_m: Annotated[float, number("beta_m", "control.beta_m")]
     """[-] β_m of (28)."""
     hand_target: Annotated[
-        Array | None,
-        drawn_numbers("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
+        Array | None, drawn("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True)
     ]
     """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
-    hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", "hand_force")]
+    hand_force: Annotated[Array, number("hand_force_{xyz}_n", "hand_force")]
     """(3,) [N] force of all people on the end-effector, in the world; while a scenario opens a
     door, the force of the end-effector on the door."""
-    ee_error: Annotated[float, number("ee_error_m", "float", "ee_error")]
+    ee_error: Annotated[float, number("ee_error_m", "ee_error")]
     """[m] true distance of the end-effector from the target of the (first) person who holds it;
     without such a person, from its reference; 0 if there is neither."""
-    in_contact: Annotated[bool, number("contact", "bool", "contacts.arm_base")]
+    in_contact: Annotated[bool, number("contact", "contacts.arm_base", "bool")]
     """Whether arm and base touch."""
-    arm_in_contact: Annotated[bool, number("arm_contact", "bool", "contacts.arm_arm")]
+    arm_in_contact: Annotated[bool, number("arm_contact", "contacts.arm_arm", "bool")]
     """Whether parts of the arm touch."""
-    solver_failures: Annotated[int, number("solver_failures", "int", "control.failures")]
+    solver_failures: Annotated[int, number("solver_failures", "control.failures", "int")]
     """Number of steps with the fallback command since the last reset."""
-    step_time_us: Annotated[float, drawn("step_time_us", "float")]
+    step_time_us: Annotated[float, drawn("step_time_us")]
     """[µs] mean real time of a control step in the last simulated second; NaN without a clock."""
-    realtime_factor: Annotated[float, drawn("realtime_factor", "float")]
+    realtime_factor: Annotated[float, drawn("realtime_factor")]
     """[-] ratio of simulated to real time in the last second; NaN in a run without a clock."""
-    overruns: Annotated[int, drawn("overruns", "int")]
-    """Number of control steps since the last reset that took longer than their period (1 ms divided
-    by the speed), or started after the end of their period."""
-    paused: Annotated[bool, drawn("paused", "bool")]
+    overruns: Annotated[int, drawn("overruns", kind="int")]
+    """Number of control steps since the last reset that exceeded their period or began late."""
+    paused: Annotated[bool, drawn("paused", kind="bool")]
     """Whether the simulation is paused."""
     mode: Annotated[
-        str, drawn("mode", "text", lambda s, o: "tracking" if o.control.tracking else "guiding")
+        str, drawn("mode", lambda s, o: "tracking" if o.control.tracking else "guiding", "text")
     ]
     """"guiding", or "tracking" while the arm follows a reference."""
-    controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
+    controller: Annotated[str, drawn("controller", lambda s, o: s.controller.name, "text")]
     config: Annotated[Config, config_changes(lambda s, o: s.config)]
     """The parameters in use, which include the changes of `Scenario.adapted`."""
-    d_b: Annotated[float, drawn("d_b_m", "float", lambda s, o: s.controller.d_b)]
+    d_b: Annotated[float, drawn("d_b_m", lambda s, o: s.controller.d_b)]
     """[m] present buffer distance, which slowly approaches `config.border.d_b`."""
     buffer: Annotated[BufferReading, _buffer()]
     """Whether d_b is sufficient for the arm's approach speed."""
@@ -387,46 +335,39 @@ class Snapshot:
     ghosts: Annotated[tuple[GhostReading, ...], records("ghosts_json", GhostReading)] = ()
     """Compared robots at `t`, each with the same input and its own controller."""
     scores: Annotated[tuple[Score, ...], records("scores_json", Score)] = ()
-    """Scores of this robot and the ghosts since the start of the comparison; empty without
-    ghosts."""
-    same: Annotated[str, drawn("ghosts_have_the_same", "text")] = ""
+    """Scores of this robot and the ghosts in the present comparison; empty without ghosts."""
+    same: Annotated[str, drawn("ghosts_have_the_same", kind="text")] = ""
     """The common input of this robot and the ghosts, "path" or "force"; empty without ghosts."""
-    scenario: Annotated[str, drawn("scenario", "text")] = ""
+    scenario: Annotated[str, drawn("scenario", kind="text")] = ""
     """Name of the scenario that moves the end-effector; empty during free motion."""
-    scenario_ends: Annotated[float | None, drawn("scenario_ends_s", "float", optional=True)] = None
+    scenario_ends: Annotated[float | None, drawn("scenario_ends_s", optional=True)] = None
     """[s] simulated time at which the scenario ends; None during free motion."""
     door: Annotated[DoorView | None, _door()] = None
     """The door that the end-effector holds, also after the scenario."""
-    speed: Annotated[float, drawn("speed", "float")] = 1.0
+    speed: Annotated[float, drawn("speed")] = 1.0
     """[-] desired ratio of simulated to real time."""
-    qd_m: Annotated[Array | None, numbers("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
+    qd_m: Annotated[Array | None, number("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
     """(n_m,) [rad/s or m/s] joint velocities of the arm; None if unknown."""
-    activation: Annotated[float, number("activation", "float", "control.activation")] = 0.0
+    activation: Annotated[float, number("activation", "control.activation")] = 0.0
     """[-] largest activation of the rows that the controller has inserted; 0 without rows."""
-    floor_contact: Annotated[bool, number("floor_contact", "bool", "contacts.arm_floor")] = False
+    floor_contact: Annotated[bool, number("floor_contact", "contacts.arm_floor", "bool")] = False
     """Whether arm and floor touch."""
-    given_up: Annotated[int, number("solver_given_up", "int", "control.given_up")] = 0
+    given_up: Annotated[int, number("solver_given_up", "control.given_up", "int")] = 0
     """Number of steps since the last reset in which the base's QP had no solution."""
-    ee_speed: Annotated[float, number("hand_speed_mps", "float", "ee_speed")] = 0.0
+    ee_speed: Annotated[float, number("hand_speed_mps", "ee_speed")] = 0.0
     """[m/s] true speed of the end-effector."""
-    people: Annotated[int, number("people", "int", "people")] = 0
+    people: Annotated[int, number("people", "people", "int")] = 0
     """Number of people who hold the robot."""
-    duration_us: Annotated[float, number("duration_us", "float", "duration_us")] = NAN
+    duration_us: Annotated[float, number("duration_us", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
-    force_bound: Annotated[float, _force_bound()] = NAN
+    force_bound: Annotated[float, number("force_bound_n", _smallest_force_bound)] = NAN
     """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
-    physics: str = ""
-    """Name of the plant; empty if unknown."""
-    seed: int | None = None
-    """Seed of all random numbers; None if unknown."""
-    run: int = 0
-    """Number of the run since the start of the loop."""
-    busy: str = ""
-    """The operation for which the simulation pauses, or empty."""
-    changing: str = ""
-    """A text about a parameter that is changing gradually, or empty."""
-    refusal: Refusal | None = None
-    """The newest failure of a command, or None."""
+    physics: str = ""  # name of the plant; empty if unknown
+    seed: int | None = None  # seed of all random numbers; None if unknown
+    run: int = 0  # number of the run since the start of the loop
+    busy: str = ""  # the operation for which the simulation pauses, or empty
+    changing: str = ""  # a text about a parameter that is changing gradually, or empty
+    refusal: Refusal | None = None  # the newest failure of a command, or None
     case: RunCase | None = None
     """Case of the scenario that started in the last simulated second, or None."""
     explanation: Explanation | None = None
@@ -438,10 +379,7 @@ class Snapshot:
 
     @property
     def border(self) -> BorderConfig:
-        """The border's parameters with the present buffer distance, in 5 mm steps while it changes.
-
-        The acting points of the controller already belong to the border at the configured d_b.
-        """
+        """The border's parameters with the present d_b, in 5 mm steps while it changes."""
         commanded = self.config.border
         if abs(self.d_b - commanded.d_b) < _D_B_STEP or not math.isfinite(self.d_b):
             return commanded  # it is not finite in a changed log
@@ -464,11 +402,6 @@ class Snapshot:
         door = self.door is not None and self.door.contact
         return self.in_contact or self.arm_in_contact or self.floor_contact or door
 
-    @property
-    def held(self) -> PullReading | None:
-        """The first of the present pulls, or None if no person holds the robot."""
-        return self.pulls[0] if self.pulls else None
-
 
 QUANTITIES: dict[str, Quantity] = {
     name: hint.__metadata__[0]
@@ -483,9 +416,9 @@ def make_snapshot(
 ) -> Snapshot:
     """Make a snapshot in separate, read-only memory, from the last step and the session after it.
 
-    The `pacer` has the real-time statistics. A run without a clock has no pacer; its snapshots are
-    reproducible except for `duration_us`. If `explained`, the snapshot has the explanation of the
-    motion, which no file stores. `fields` are values of further fields of `Snapshot`.
+    The `pacer` has the real-time statistics; without one, snapshots of equal runs are equal except
+    for `duration_us`. `explained` states whether the snapshot has the explanation of the motion,
+    which no file stores. `fields` are values of further fields of `Snapshot`.
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     computed = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
@@ -502,19 +435,9 @@ def make_snapshot(
     )
 
 
-def _acting_reading(state: RobotState, w: ControlStep, i: int) -> ActingReading:
-    points = (state.to_world(p[i]) for p in (w.p_n, w.p_t, w.p_act))
-    force = state.R_world_base @ w.f[i]
-    return ActingReading(w.pairs[i].name, *map(frozen, (*points, force)))
-
-
 def _frozen_pull(pull: PullReading) -> PullReading:
     who, link, *vectors = pull
     return PullReading(who, link, *map(frozen, vectors))
-
-
-def _wxyz(state: RobotState) -> Array:
-    return pin.Quaternion(state.R_ee).coeffs()[[3, 0, 1, 2]]
 
 
 @lru_cache(maxsize=64)

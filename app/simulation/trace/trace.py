@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import compress
+from itertools import compress, takewhile
 from operator import attrgetter
 from struct import Struct
 from typing import Any, Literal, NamedTuple
@@ -50,7 +50,7 @@ _PUSHED = 0.01  # [m/s²] smallest acceleration away from the target that counts
 
 
 class Trace:
-    """A run over time: a table with quantities of each recorded step, and snapshots."""
+    """A run over time: a table with a row for each recorded step, and snapshots."""
 
     def __init__(
         self,
@@ -59,26 +59,18 @@ class Trace:
         snapshots: Sequence[Snapshot] = (),
         names: Sequence[str] = tuple(QUANTITIES),
     ) -> None:
-        """Combine the parts of a trace.
-
-        `table` (N, C) has a row for each recorded step in order of time, and the columns of the
-        quantities `names`; each snapshot belongs to one of the rows.
-        """
+        """`table` (N, C) has rows in order of time, and the columns of the quantities `names`."""
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
-        self.columns: list[Column] = []
-        """The columns of the table, in order: those with a number at each control step."""
+        self.columns: list[Column] = []  # of the table, in order
         self._slices: dict[str, slice | int] = {}
         for name in names:
-            begin = len(self.columns)
-            self.columns += (column for column in QUANTITIES[name].columns(meta) if column.often)
-            end = len(self.columns)
-            if not QUANTITIES[name].single:
-                self._slices[name] = slice(begin, end)
-            elif end > begin:
-                self._slices[name] = begin
+            often = [column for column in QUANTITIES[name].columns(meta) if column.often]
+            begin, end = len(self.columns), len(self.columns) + len(often)
+            if often:
+                self._slices[name] = begin if QUANTITIES[name].single else slice(begin, end)
+            self.columns += often
         self.index = {column.name: k for k, column in enumerate(self.columns)}
-        """Index of each column in the table, by its name."""
 
     @property
     def controllers(self) -> tuple[str, ...]:
@@ -87,11 +79,7 @@ class Trace:
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
-        """Make a trace with a row for each snapshot; the first one determines `meta`.
-
-        If there are no snapshots, if their times do not increase, or if their pairs differ, this
-        raises a LogError.
-        """
+        """A trace of snapshots; none, unordered times or different pairs raise a LogError."""
         if not snapshots:
             raise LogError("there are no snapshots for a log")
         first = snapshots[0]
@@ -118,26 +106,17 @@ class Trace:
         return self.table[:, self.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) values of a quantity, a field of `Snapshot`, in each row of the table.
-
-        If the table does not have the quantity, as in an older log, this raises a LogError.
-        """
+        """(N,) or (N, k) values of a field of `Snapshot`; raises a LogError if there are none."""
         if quantity not in self._slices:
             raise LogError(f"the log does not have {quantity!r}")
         return self.table[:, self._slices[quantity]]
-
-    def names(self, quantity: str) -> list[str]:
-        """Names of the columns of a quantity with several columns."""
-        place = self._slices[quantity]
-        assert isinstance(place, slice)
-        return [column.name for column in self.columns[place]]
 
     @property
     def groups(self) -> dict[str, list[str]]:
         """Names of the columns of each quantity in the table, by quantity, without the time."""
         every = np.array([column.name for column in self.columns])
-        found = {name: every[at] for name, at in self._slices.items() if name != "t"}
-        return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
+        places = {name: place for name, place in self._slices.items() if name != "t"}
+        return {name: np.atleast_1d(every[place]).tolist() for name, place in places.items()}
 
     @property
     def t(self) -> Array:
@@ -211,14 +190,14 @@ class Recorder:
         if len(session.loop.reported) > len(self._faults):
             self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
         seldom = round(step.t / DT) % EVERY == 0
-        computed = self._nothing
-        if seldom or session.door is not None:
-            computed = [x for row in self._computed for x in row(session, step)]
+        computed = [f(session, step) for f in self._computed] if seldom else self._nothing
         control: Any = step.control.memory.take(self._places)
         numbers = self._packed(*self._numbers(step), *computed)
         self._rows += b"".join((control, *self._arrays(step), numbers))
         if seldom and self._drawn:
-            self._draw(session, step)
+            led = self._scenario
+            about = {"scenario": led.name, "scenario_ends": led.duration} if led else {}
+            self.snapshots.append(make_snapshot(session, step, None, explained=False, **about))
 
     def trace(self) -> Trace:
         """The recorded trace; at least one step must be recorded."""
@@ -239,14 +218,9 @@ class Recorder:
         """Prepare the rows: arrays of `ControlStep`, other arrays, numbers, computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
-        self._meta = TraceMeta.of(
-            session.model,
-            pairs,
-            session.config,
-            scenario=self._scenario.name if self._scenario else "",
-            physics=session.kind,
-            seed=session.seed,
-        )
+        scenario = self._scenario.name if self._scenario else ""
+        about = {"scenario": scenario, "physics": session.kind, "seed": session.seed}
+        self._meta = TraceMeta.of(session.model, pairs, session.config, **about)
         own = {f"control.{name}": places for name, places in step.control.places.items()}
         paths, kinds = (list[str](), list[str](), list[str]()), list[int]()
         self._computed = list[Take]()
@@ -256,26 +230,19 @@ class Recorder:
                 kind = 0 if path in own else 1 if isinstance(value, np.ndarray) else 2
                 paths[kind].append(path)
                 kinds += [kind] * np.size(value)
-            if quantity.row is not None:
-                self._computed.append(quantity.row)
-                kinds += [3] * len(quantity.row(session, step))
+            often = any(column.often for column in quantity.columns(self._meta))
+            if often and not quantity.paths and quantity.take is not None:
+                self._computed.append(quantity.take)
+                kinds.append(3)
         self._places = np.concatenate([own[path] for path in paths[0]])
         self._arrays, self._numbers = attrgetter(*paths[1]), attrgetter(*paths[2])
         self._packed = Struct(f"{kinds.count(2) + kinds.count(3)}d").pack
         self._nothing = [NAN] * kinds.count(3)
         self._order = np.argsort(np.argsort(kinds, kind="stable"))
 
-    def _draw(self, session: Session, step: Step) -> None:
-        led = self._scenario
-        about = {"scenario": led.name, "scenario_ends": led.duration} if led else {}
-        self.snapshots.append(make_snapshot(session, step, None, explained=False, **about))
-
 
 class Stored:
-    """A snapshot; `pack` converts it to bytes, which take about a fifth of an object's memory.
-
-    The configuration is not part of the bytes, because many snapshots share it.
-    """
+    """A snapshot that `pack` converts to bytes, except its configuration, which many share."""
 
     __slots__ = ("_config", "_content", "run", "t")
 
@@ -336,12 +303,8 @@ class History:
 
     def after(self, t: float) -> list[Stored]:
         """Snapshots later than `t` [s], oldest first."""
-        found = []
-        for stored in reversed(tuple(self._stored)):
-            if stored.t <= t:
-                break
-            found.append(stored)
-        return found[::-1]
+        later = takewhile(lambda stored: stored.t > t, reversed(tuple(self._stored)))
+        return list(later)[::-1]
 
 
 def columns_of(meta: TraceMeta) -> list[Column]:
@@ -357,18 +320,12 @@ def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
 class Stuck(NamedTuple):
     """Position of an end-effector that is not at its target, and the reasons."""
 
-    t_s: float
-    """[s] simulated time."""
-    ee_error_m: float
-    """[m] distance of the end-effector from its target."""
-    ee_m: tuple[float, ...]
-    """(3,) [m] position of the end-effector, in the world."""
-    target_m: tuple[float, ...]
-    """(3,) [m] target, in the world."""
-    reasons: tuple[Reason, ...]
-    """All reasons that apply, or "unknown"."""
-    joints: tuple[str, ...]
-    """Names of the joints at their position limits."""
+    t_s: float  # [s] simulated time
+    ee_error_m: float  # [m] distance of the end-effector from its target
+    ee_m: tuple[float, ...]  # (3,) [m] position of the end-effector, in the world
+    target_m: tuple[float, ...]  # (3,) [m] target, in the world
+    reasons: tuple[Reason, ...]  # all reasons that apply, or "unknown"
+    joints: tuple[str, ...]  # names of the joints at their position limits
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
@@ -384,9 +341,9 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Where the end-effector is in a step, and all reasons why it is not at its target.
 
-    "links too near" means that rows of T_sca for pairs within the arm are active: they precede the
-    end-effector's task. "border against end-effector" means that the avoidance moves the base, and
-    thus the end-effector, away from the target.
+    "links too near": rows of T_sca for pairs within the arm, which precede the end-effector's task,
+    are active. "border against end-effector": the avoidance moves the base, and thus the
+    end-effector, away from the target.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)

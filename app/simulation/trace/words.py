@@ -46,11 +46,7 @@ def spoken(name: str, chain: Sequence[str]) -> str:
 
 
 def outcome(least: float, *, touched: bool) -> Outcome:
-    """Classify a run by its smallest distance [m], and by whether bodies `touched` in the plant.
-
-    Distances are between convex bodies that enclose the links, so bodies can overlap without a
-    contact.
-    """
+    """Classify a run by its smallest distance [m], and by whether bodies `touched` in the plant."""
     return "contact" if touched else "overlap" if least < 0.0 else "no contact"
 
 
@@ -58,17 +54,6 @@ def millimetres(distance: float) -> str:
     """A distance [m] in whole millimetres, with a typographic minus; "– mm" if it is not finite."""
     text = f"{round(1000 * distance)}" if math.isfinite(distance) else "–"
     return f"{text} mm".replace("-", "−")
-
-
-def outcome_text(least: float, *, touched: bool) -> str:
-    """A text with the outcome of a run, such as "no contact, smallest distance 105 mm".
-
-    `least` is the smallest distance [m]; a negative one is an overlap of the convex bodies.
-    """
-    if least < 0.0:
-        overlap = f"bodies overlap by {millimetres(-least)}"
-        return f"contact, {overlap}" if touched else overlap
-    return f"{outcome(least, touched=touched)}, smallest distance {millimetres(least)}"
 
 
 def number_text(value: Any, none: str = "–") -> str:
