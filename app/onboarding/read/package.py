@@ -39,14 +39,8 @@ _LONGEST_NAME = 200  # [characters]
 _UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # These methods expand one chunk at a time; bzip2 and LZMA expand everything that they read.
-_UNREADABLE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    EOFError,
-    NotImplementedError,
-    OSError,
-    ValueError,  # a name that is not UTF-8
-)
+_UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, ValueError
+# A ValueError is a name that is not UTF-8.
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
@@ -101,7 +95,7 @@ def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInf
         raise RobotFileError(
             f"it expands to {total / 1e6:,.0f} MB; the limit is {LARGEST_CONTENT / 1e6:.0f} MB"
         )
-    if len(infos) > MOST_FILES:
+    if len(infos) > MOST_FILES:  # its record can state a smaller number
         raise RobotFileError(f"{len(infos):,} files; the limit is {MOST_FILES:,}")
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
     for info in infos:
@@ -196,7 +190,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     def search(package: str) -> list[Path]:
         return [*_named_folders(package, root), folder, *folder.parents]
 
-    places = (each.resolve() for name in printable for each in mesh_places(name, folder, search))
+    places = (each.resolve() for each in mesh_places(printable, folder, search))
     below = [place for place in places if place.is_relative_to(root)]
     if not below:
         raise RobotFileError(

@@ -58,10 +58,9 @@ def locate(source: str) -> Path:
 def read_robot(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, list[str], Collection[str]]:
-    """Read the `<robot>` of a URDF or xacro; each mesh gets its address by `mesh_address`.
+    """The results of `read_source`, and between them a sentence on each removed shape.
 
-    The arguments and errors, and the last result, are those of `read_source`. The second result has
-    a sentence on each removed shape. A required mesh that is missing raises as in `mesh_address`.
+    Each mesh of the `<robot>` gets its `mesh_address`. Errors are those of both functions.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
@@ -81,22 +80,20 @@ def _needless(element: Element, link: Element, folder: Path, packages: Folders |
     if (shape := element.find("geometry/*")) is None:
         return ""
     sizes = [shape.get(key, "") for key in ("size", "radius", "length", "scale")]
-    stated = [floats(size, n) or [1.0] for size in sizes for n in (1, 3)]
-    if not all(map(all, stated)):
+    if not all(all(floats(size, n) or [1.0]) for size in sizes for n in (1, 3)):
         return f"its {shape.tag} has the size 0"
-    if shape.tag != "mesh":
-        return ""
-    try:
-        if not (file := shape.get("filename")):
-            raise RobotFileError(
-                f"link {link.get('name')!r}: a mesh has no filename; name its file, or remove "
-                "the shape"
-            )
-        shape.set("filename", mesh_address(file, folder, packages))
-    except RobotFileError as error:
-        if element.tag == "collision" or link.find("collision") is None:
-            raise
-        return str(error)
+    if shape.tag == "mesh":
+        try:
+            if not (file := shape.get("filename")):
+                raise RobotFileError(
+                    f"link {link.get('name')!r}: a mesh has no filename; name its file, or remove "
+                    "the shape"
+                )
+            shape.set("filename", mesh_address(file, folder, packages))
+        except RobotFileError as error:
+            if element.tag == "collision" or link.find("collision") is None:
+                raise
+            return str(error)
     return ""
 
 
@@ -165,16 +162,15 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF: `package://…` in an installed package, else its path.
 
-    `reference` is its address in a URDF in `folder`. Each of its `spellings` is tried.
+    `reference` is its address in a URDF in `folder`.
 
     Raises:
         RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
     """
     search = partial(_package_folders, folder=folder, named=packages or {})
-    meant = spellings(reference)
-    places = chain.from_iterable(mesh_places(each, folder, search) for each in meant)
-    if (found := next(filter(isfile, places), None)) is None:
-        raise RobotFileError(f"mesh {reference}: {_missing(meant[-1], folder, search)}")
+    names = spellings(reference)
+    if (found := next(filter(isfile, mesh_places(names, folder, search)), None)) is None:
+        raise RobotFileError(f"mesh {reference}: {_missing(names[-1], folder, search)}")
     if found.suffix.lower() not in FORMATS:
         known = ", ".join(FORMATS[:-1])
         raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
@@ -185,10 +181,8 @@ def mesh_address(reference: str, folder: Path, packages: Folders | None = None) 
 
 
 def spellings(reference: str) -> list[str]:
-    """Possible spellings of an address in the file system, without repetition.
-
-    These are the unchanged address, without URL escapes (`%20`), with slashes instead of
-    backslashes, and with both changes; and each of them in the Unicode normal forms NFD and NFC.
+    """Possible spellings of an address in the file system: unchanged, without URL escapes (`%20`),
+    and with slashes instead of backslashes; and each in the Unicode normal forms NFD and NFC.
     """
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
@@ -209,14 +203,14 @@ def _split_address(reference: str) -> tuple[str, str, str]:
     return scheme, "", path.removeprefix("localhost") if scheme == "file" else path
 
 
-def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Path]:
-    """Possible files of a mesh: in its package, or relative to the URDF's folder or the two above.
-
-    Addresses with a scheme other than `package`, `model` or `file` have none.
+def mesh_places(names: Iterable[str], folder: Path, packages: Packages) -> Iterator[Path]:
+    """Possible files of a mesh by its `spellings`: in its package, or relative to the URDF's folder
+    or the two above. Addresses with a scheme other than `package`, `model` or `file` have none.
     """
-    scheme, package, path = _split_address(reference)
-    own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
-    yield from (top / path for top in (packages(package) if scheme in _IN_PACKAGE else own))
+    for name in names:
+        scheme, package, path = _split_address(name)
+        own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
+        yield from (top / path for top in (packages(package) if scheme in _IN_PACKAGE else own))
 
 
 def _missing(reference: str, folder: Path, packages: Packages) -> str:

@@ -65,7 +65,7 @@ class Tree:
 
     @cached_property
     def joint_of(self) -> dict[str, Joint]:
-        """The joint between each link and its parent, by the name of the link; not for the root."""
+        """The joint whose child is each link, by the name of the link; not for the root."""
         return {joint.child: joint for joint in self.joints.values()}
 
     @property
@@ -107,8 +107,8 @@ class Tree:
     ) -> tuple[str, ...]:
         """A link and its descendants, in the order from the link outwards.
 
-        Links beyond the joints in `without` are left out. If `moving` is False, links beyond joints
-        of the kinds `MOVING` are left out too.
+        Links beyond the joints in `without` are left out; if `moving` is False, also links beyond
+        joints of the kinds `MOVING`.
         """
         found = [link]
         for name in found:
@@ -124,15 +124,15 @@ class Tree:
 
 def _some(names: Iterable[str]) -> str:
     """A text with up to 40 names, and the number of the others."""
-    names = list(names)
-    rest = len(names) - _MAX_NAMES
-    return ", ".join(names[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
+    first, rest = [*names][:_MAX_NAMES], [*names][_MAX_NAMES:]
+    return ", ".join(first) + (f" and {len(rest)} more" if rest else "")
 
 
 def make_tree(robot: Element) -> Tree:
     """Read the links and joints of a URDF, and check that they form a tree.
 
-    Replaces the materials of the visuals in `robot`, see `_set_own_colour`.
+    The materials of each visual in `robot` become one material, which is named by its colour. Two
+    robots can have different materials of one name, and some libraries read only the first one.
 
     Raises:
         RobotFileError: A name is empty or not unique, a joint has an unknown type or a missing
@@ -160,22 +160,13 @@ def make_tree(robot: Element) -> Tree:
     _check_connected(tree)
     materials = {each.get("name"): each for each in robot.findall("material")}
     for visual in robot.iterfind("link/visual"):
-        _set_own_colour(visual, colour(visual, materials))
+        rgba = colour(visual, materials)
+        for material in visual.findall("material"):
+            visual.remove(material)
+        if rgba is not None:
+            words = " ".join(f"{value:.6g}" for value in rgba)
+            SubElement(SubElement(visual, "material", name=f"rgba {words}"), "color", rgba=words)
     return tree
-
-
-def _set_own_colour(visual: Element, rgba: Sequence[float] | None) -> None:
-    """Replace the materials of a visual by one of the colour `rgba`; without a colour, remove them.
-
-    The name of the new material is its colour. Two robots can have different materials of one name,
-    and some libraries read only the first material of a name.
-    """
-    for material in visual.findall("material"):
-        visual.remove(material)
-    if rgba is not None:
-        words = " ".join(f"{value:.6g}" for value in rgba)
-        material = SubElement(visual, "material", name=f"rgba {words}")
-        SubElement(material, "color", rgba=words)
 
 
 def _check_connected(tree: Tree) -> None:
@@ -198,13 +189,13 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     if kind not in kinds:
         near, known = did_you_mean(kind, kinds), ", ".join(kinds)
         raise RobotFileError(f"{where}: its type is {kind!r}{near}; {known} are possible")
-    ends = (element.find(role) for role in ("parent", "child"))
-    parent, child = ("" if end is None else str(end.get("link")) for end in ends)
-    for role, link in (("parent", parent), ("child", child)):
+    ends = {}
+    for role in ("parent", "child"):
+        end = element.find(role)
+        ends[role] = link = "" if end is None else str(end.get("link"))
         if link not in links:
             near = did_you_mean(link, links)
             raise RobotFileError(f"{where}: its {role} is {link!r}, which is not a link{near}")
-    T = origin(element, where)
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = float(np.linalg.norm(axis))
     if kind in MOVING and length < 1e-6:
@@ -219,14 +210,13 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     lacking = [key for key in keys if limits[key] is None]
     unstated = lacking[0] if len(lacking) == 1 else ""
     limits |= {unstated: 0.0} if unstated else {}
-    axis = axis / max(length, 1e-12)
-    return Joint(name, kind, parent, child, T, axis, mimic=mimic, unstated=unstated, **limits)
+    T, axis = origin(element, where), axis / max(length, 1e-12)
+    return Joint(name, kind, *ends.values(), T, axis, mimic=mimic, unstated=unstated, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:
     """The attribute `key` of the `<limit>` of the joint `where`, or None if it is not stated."""
-    limit = element.find("limit")
-    if limit is None or (word := limit.get(key)) is None:
+    if (word := next((each.get(key) for each in element.iterfind("limit")), None)) is None:
         return None
     if (value := floats(word, 1)) is None:
         raise RobotFileError(
