@@ -230,10 +230,9 @@ def _text(robot: Element) -> str:
 def mesh_name(address: str, home: Path | None) -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
-    `home` is the folder of the new URDF. A mesh in this folder gets a relative path, because the
-    folder may be moved. A mesh for which `is_foreign` is true is first converted to an STL file in
-    metres in `home`. This raises the errors of `load_mesh`. Other meshes keep `address`; without
-    `home`, all do.
+    `home` is the folder of the new URDF; without it, all addresses stay. A mesh in this folder gets
+    a relative path, because the folder may be moved. A mesh for which `is_foreign` is true is first
+    converted to an STL file in metres in `home`. This raises the errors of `load_mesh`.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -257,8 +256,9 @@ def _mesh_file(home: Path, name: str, key: str, end: str) -> Path:
 def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geometry]:
     """The text of a new URDF, and the geometry of its links, both with the shapes `in_pieces`.
 
-    For a shape of several pieces, the URDF names an OBJ file that is written in `home`, the folder
-    of the URDF. It has an object for each piece. The engines use the hull of each object.
+    For a shape of several pieces, the URDF names an OBJ file in `home`, the folder of the URDF; the
+    engines use the hull of each of its objects. Files of `MESH_FOLDER` that the text does not name,
+    such as a converted mesh that is now in pieces, are removed.
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     tree, cut = ElementTree.fromstring(urdf, parser), dict(geometry)
@@ -273,6 +273,9 @@ def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geom
                 scene.export(path, include_normals=False)
                 element[:] = [Element("geometry")]
                 SubElement(element[0], "mesh", filename=path.relative_to(home).as_posix())
+    named = {home / str(mesh.get("filename")) for mesh in tree.iter("mesh")}
+    for unused in {*(home / MESH_FOLDER).glob("*")} - named:
+        unused.unlink()
     return _text(tree), cut
 
 
