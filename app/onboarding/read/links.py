@@ -45,9 +45,7 @@ _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
 class LinkShape(NamedTuple):
     """One shape of a link."""
 
-    mesh: trimesh.Trimesh
-    """Triangles of the shape, in the link's frame [m]. A mesh file with more than `MOST_FACES`
-    triangles is simplified."""
+    mesh: trimesh.Trimesh  # triangles of the shape, simplified, in the link's frame [m]
     hull: trimesh.Trimesh  # convex hull of the shape, in the link's frame [m]
     kind: str  # tag of the geometry; "piece" after `in_pieces`
     radius: float | None  # [m] radius of a cylinder, sphere or capsule; None for other shapes
@@ -66,8 +64,16 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] points on the surface of all hulls, in the link's frame."""
-        return np.vstack([np.zeros((0, 3)), *(_surface(s.hull) for s in self.shapes)])
+        """(N, 3) [m] corners of all hulls and reproducible random points on their faces, in the
+        link's frame.
+        """
+        points = [np.zeros((0, 3))]
+        for hull in (shape.hull for shape in self.shapes):
+            count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
+            spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
+            step = -(-len(hull.vertices) // _MAX_POINTS)
+            points += [np.asarray(hull.vertices)[::step], np.asarray(spread)]
+        return np.vstack(points)
 
     @property
     def volume(self) -> float:
@@ -79,17 +85,12 @@ Geometry = Mapping[str, LinkGeometry]  # by the names of the links
 
 
 def read_geometry(tree: Tree) -> Geometry:
-    """The geometry of each link; errors of `link_geometry`."""
+    """The geometry of each link."""
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """The geometry of one link, from its elements with the first tag in `tags` that occurs.
-
-    Raises:
-        RobotFileError: A geometry is missing, a mesh is missing or unreadable, a number is
-            invalid, or a size is probably not in metres.
-    """
+    """The geometry of one link, from its elements with the first tag in `tags` that occurs."""
     for tag in tags:
         found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
         if found:
@@ -144,11 +145,7 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified.
-
-    Raises:
-        RobotFileError: The file cannot be read, or has no triangles.
-    """
+    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified."""
     name = f"mesh {path}"
     end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
     try:
@@ -275,14 +272,6 @@ def _outermost(points: Array, fineness: int) -> Array:
     return points[np.unique([int((points @ d).argmax()) for d in D])]
 
 
-def _surface(hull: trimesh.Trimesh) -> Array:
-    """(N, 3) [m] corners of a hull, then reproducible random points on its faces."""
-    count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
-    spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
-    step = -(-len(hull.vertices) // _MAX_POINTS)
-    return np.vstack([np.asarray(hull.vertices)[::step], np.asarray(spread)])
-
-
 class LinkInertia(NamedTuple):
     """The inertia of a link."""
 
@@ -297,10 +286,6 @@ def read_inertias(
 
     A link without an `<inertial>` gets a mass by its volume. So do the links from a joint to the
     next joint if they have no mass. `assume` permits a URDF that states no mass for the whole arm.
-
-    Raises:
-        RobotFileError: No link of the arm has a mass and `assume` is false, or an inertia is
-            impossible or probably in another unit.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     moving = [link for segment in arm.segments[1:] for link in segment]

@@ -46,9 +46,8 @@ _UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSE
 def unpack(archive: Path, folder: Path) -> list[str]:
     """Write URDFs, meshes and licences of a zip to a folder; return the paths of all its files.
 
-    Raises:
-        RobotFileError: The zip cannot be read, is too large, or has an entry with an invalid path,
-            a link, a password, a duplicate path or a compression other than deflate.
+    A zip is refused if it is too large, or if an entry has an invalid path, a link, a password, a
+    duplicate path or a compression other than deflate.
     """
     _check_size(archive)
     try:
@@ -135,10 +134,6 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip into a robot's folder; return the file of its URDF, with relative mesh paths.
 
     `file` is the path of the URDF in the zip, or None for the only URDF.
-
-    Raises:
-        RobotFileError: As for `unpack`; the URDF or one of its meshes is not in the zip, or is
-            refused; or `file` is None and the zip has several URDFs.
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):
@@ -184,7 +179,7 @@ def _urdfs(names: list[str]) -> list[str]:
 def _inside(reference: str, folder: Path, root: Path) -> Path:
     """The mesh below `root` to which an address refers; `folder` is the folder of the URDF."""
     names = spellings(reference)
-    names += [_as_stored(each) for name in names for each in _encoded(name)]
+    names += [stored for name in names for stored in _stored(name)]
     printable = filter(str.isprintable, dict.fromkeys(names))  # like all names in a zip
 
     def search(package: str) -> list[Path]:
@@ -201,8 +196,8 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
         return found
     files = [each.relative_to(root) for each in root.rglob("*") if each.is_file()]
     name = PurePosixPath(reference).name
-    same = [each.as_posix() for each in files if each.name == name]
-    near = f" (it has {same[0]!r}, but the paths differ)" if same else ""
+    same = next((each.as_posix() for each in files if each.name == name), "")
+    near = f" (it has {same!r}, but the paths differ)" if same else ""
     near = near or did_you_mean(name, (each.name for each in files))
     raise RobotFileError(
         f"mesh {reference}: there is no such file in the zip{near}; "
@@ -210,11 +205,11 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     )
 
 
-def _encoded(name: str) -> Iterator[bytes]:
-    """The bytes of a non-ASCII name in each of Python's encodings: a zip can lack its encoding."""
+def _stored(name: str) -> Iterator[str]:
+    """A non-ASCII name `_as_stored` in each of Python's encodings: a zip can lack its encoding."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
-            yield name.encode(code)
+            yield _as_stored(name.encode(code))
 
 
 def _as_stored(name: bytes) -> str:
@@ -243,10 +238,8 @@ class Contents(NamedTuple):
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The `Contents` of each readable URDF among the first 20 of a zip, by its path.
-
-    Raises:
-        RobotFileError: As for `unpack`, or none of these URDFs can be read.
+    """The `Contents` of each readable URDF among the first 20 of a zip, by its path; an error if
+    there is none.
     """
     with temporary_folder() as folder:
         with named_part(archive.name):

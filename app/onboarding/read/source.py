@@ -40,9 +40,7 @@ _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can 
 def locate(source: str) -> Path:
     """The file of a path, a `file://` address or a `package://` address.
 
-    Raises:
-        RobotFileError: The file does not exist.
-        AssetError: As for `resolve_package_uri`.
+    A wrong `package://` address raises the AssetError of `resolve_package_uri`.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
@@ -60,7 +58,7 @@ def read_robot(
 ) -> tuple[Element, list[str], Collection[str]]:
     """The results of `read_source`, and between them a sentence on each removed shape.
 
-    Each mesh of the `<robot>` gets its `mesh_address`. Errors are those of both functions.
+    Each mesh of the `<robot>` gets its `mesh_address`.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
@@ -102,12 +100,8 @@ def read_source(
 ) -> tuple[Element, Collection[str]]:
     """The `<robot>` of a URDF or xacro, and the names of arguments that a xacro declares or uses.
 
-    The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
-    elements lose the namespace of `<robot>`. With `arguments` None, a xacro is refused.
-
-    Raises:
-        RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
-            macros cannot be expanded.
+    The content decides whether the file is a xacro. With `arguments` None, a xacro is refused.
+    Attributes lose blanks at both ends, and elements lose the namespace of `<robot>`.
     """
     text, known = xml_text(path), frozenset[str]()
     robot = _plain_xml(text)
@@ -162,10 +156,8 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF: `package://…` in an installed package, else its path.
 
-    `reference` is its address in a URDF in `folder`.
-
-    Raises:
-        RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
+    `reference` is its address in a URDF in `folder`. A file that does not exist, has an unreadable
+    format, or is a placeholder is an error.
     """
     search = partial(_package_folders, folder=folder, named=packages or {})
     names = spellings(reference)
@@ -177,7 +169,11 @@ def mesh_address(reference: str, folder: Path, packages: Folders | None = None) 
     if found.suffix.lower() != ".3mf":  # an archive, which counts as a placeholder
         with found.open("rb") as file:
             refuse_placeholder(file.read(1024), f"mesh {found}")
-    return _installed_address(found) or str(followed(found))
+    full = found.resolve()
+    for folder in full.parents:
+        if folder in [root.resolve() for root in package_roots(folder.name)]:
+            return f"package://{full.relative_to(folder.parent).as_posix()}"
+    return str(followed(found))
 
 
 def spellings(reference: str) -> list[str]:
@@ -241,15 +237,6 @@ def _near(root: Path, path: str) -> str:
     return "" if found == Path(path) else f" (did you mean {found.as_posix()!r}?)"
 
 
-def _installed_address(path: Path) -> str | None:
-    """`package://…` of a file in an installed package, or None."""
-    full = path.resolve()
-    for each in full.parents:
-        if each in [root.resolve() for root in package_roots(each.name)]:
-            return f"package://{full.relative_to(each.parent).as_posix()}"
-    return None
-
-
 def _nowhere(package: str, inner: str, folder: Path) -> str:
     """Where a missing package was searched, and the option that helps; `inner` is a file in it."""
     holders = [each for each in (folder, *folder.parents) if isfile(each / inner)]
@@ -278,9 +265,8 @@ def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[
         for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
     )
     for top in filter(isdir, (*first, *(prefix / "share" for prefix in second))):
-        yield from (each for each in (top / package, *top.glob(f"*/{package}")) if isdir(each))
-        if top.name == package:
-            yield top
+        found = (top / package, *top.glob(f"*/{package}"), top)
+        yield from (each for each in found if each.name == package and isdir(each))
     yield from package_roots(package)
 
 

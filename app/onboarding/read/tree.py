@@ -74,7 +74,7 @@ class Tree:
         return next(link for link in self.links if link not in self.joint_of)
 
     def check_link(self, name: str, option: str) -> None:
-        """Raise a RobotFileError, which names `option` and the links, if no link has this name."""
+        """Refuse a name that no link has; the message names `option` and the links."""
         if name not in self.links:
             raise RobotFileError(
                 f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
@@ -133,10 +133,6 @@ def make_tree(robot: Element) -> Tree:
 
     The materials of each visual in `robot` become one material, which is named by its colour. Two
     robots can have different materials of one name, and some libraries read only the first one.
-
-    Raises:
-        RobotFileError: A name is empty or not unique, a joint has an unknown type or a missing
-            link, the links are not a tree, or a number is invalid or probably in another unit.
     """
     for tag in ("link", "joint"):
         for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():
@@ -157,7 +153,17 @@ def make_tree(robot: Element) -> Tree:
                 f"closed chain: the link {joint.child!r} is the child of two joints, "
                 f"{joint.name!r} and {other.name!r}; a URDF is a tree: remove one of them"
             )
-    _check_connected(tree)
+    roots = [name for name in links if name not in tree.joint_of]
+    if len(roots) > 1:
+        raise RobotFileError(
+            f"the links are not connected: {_some(roots)} are children of no joint; only one link, "
+            "the root, may be the child of no joint"
+        )
+    if lost := links.keys() - {link for root in roots for link in tree.below(root)}:
+        link = min(lost)
+        for _ in lost:  # from a descendant of the closed chain up into it
+            link = tree.joint_of[link].parent
+        raise RobotFileError(f"closed chain: the link {link!r} is its own descendant")
     materials = {each.get("name"): each for each in robot.findall("material")}
     for visual in robot.iterfind("link/visual"):
         rgba = colour(visual, materials)
@@ -167,20 +173,6 @@ def make_tree(robot: Element) -> Tree:
             words = " ".join(f"{value:.6g}" for value in rgba)
             SubElement(SubElement(visual, "material", name=f"rgba {words}"), "color", rgba=words)
     return tree
-
-
-def _check_connected(tree: Tree) -> None:
-    roots = [name for name in tree.links if name not in tree.joint_of]
-    if len(roots) > 1:
-        raise RobotFileError(
-            f"the links are not connected: {_some(roots)} are children of no joint; only one link, "
-            "the root, may be the child of no joint"
-        )
-    if lost := tree.links.keys() - {link for root in roots for link in tree.below(root)}:
-        link = min(lost)
-        for _ in lost:  # from a descendant of the closed chain up into it
-            link = tree.joint_of[link].parent
-        raise RobotFileError(f"closed chain: the link {link!r} is its own descendant")
 
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
@@ -201,10 +193,10 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     if kind in MOVING and length < 1e-6:
         raise RobotFileError(f"{where}: its axis is zero")
     mimic = None
-    if (found := element.find("mimic")) is not None:
-        factor = float(numbers(found, "multiplier", (1.0,), where)[0])
-        offset = float(numbers(found, "offset", (0.0,), where)[0])
-        mimic = str(found.get("joint")), factor, offset
+    if (leader := element.find("mimic")) is not None:
+        factors = (("multiplier", 1.0), ("offset", 0.0))
+        relation = (float(numbers(leader, key, (x,), where)[0]) for key, x in factors)
+        mimic = str(leader.get("joint")), *relation
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
     lacking = [key for key in keys if limits[key] is None]
@@ -255,11 +247,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """Find the arm between the links `base` and `tip`.
 
     With `mount` None, the mount is the parent link of the arm's first joint; if this parent is the
-    base, the mount is the child link of this joint.
-
-    Raises:
-        RobotFileError: A link does not exist, the joints between the two links do not form an arm,
-            or as for `_nothing_above`; the message names the option.
+    base, the mount is the child link of this joint. Errors name the option that is wrong.
     """
     tree.check_link(base, "--base")
     tree.check_link(tip, "--tip")
@@ -288,8 +276,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
             "arm's joints, or a --base before them"
         )
     first = joints[0]
-    on_chain = [joint.parent for joint in chain]
-    fixed_part = on_chain[: on_chain.index(first.parent) + 1]
+    fixed_part = [joint.parent for joint in chain[: chain.index(first) + 1]]
     if mount is None:
         mount = first.parent if first.parent != base else first.child
     tree.check_link(mount, "--mount")
@@ -301,23 +288,23 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     names = [joint.name for joint in joints]
     segments = [tree.below(mount, without=names) if mount in fixed_part[1:] else ()]
     segments += [tree.below(joint.child, without=names) for joint in joints]
-    beside = [_beside(tree, part, joints) for part in segments[:-1]]
-    cut = [first.name, *([tree.joint_of[mount].name] if segments[0] else [])]
-    base_links = tree.below(base, without=cut)
-    rigid = tuple(link for link in tree.below(base, moving=False) if link in base_links)
-    return Arm(base, tip, mount, tuple(joints), base_links, rigid, tuple(segments), (*beside, ()))
+    beside = (*(_beside(tree, part, joints) for part in segments[:-1]), ())
+    of_arm = {link for segment in segments for link in segment}
+    base_links, rigid_links = (
+        tuple(link for link in tree.below(base, moving=moving) if link not in of_arm)
+        for moving in (True, False)
+    )
+    return Arm(base, tip, mount, tuple(joints), base_links, rigid_links, tuple(segments), beside)
 
 
 def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
     """Links of a segment that a joint outside of the chain and of telescopes moves."""
     slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
-    hanging = [tree.joint_of[link] for link in segment if tree.joint_of[link].moves]
-    roots = [
-        joint.child
-        for joint in hanging
-        if joint not in chain and not any(extends(tree, slide, joint) for slide in slides)
-    ]
-    return tuple(dict.fromkeys(link for root in roots for link in tree.below(root)))
+    found: dict[str, None] = {}
+    for joint in (tree.joint_of[link] for link in segment):
+        if joint.moves and joint not in chain and not any(extends(tree, k, joint) for k in slides):
+            found |= dict.fromkeys(tree.below(joint.child))
+    return tuple(found)
 
 
 def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
@@ -326,8 +313,8 @@ def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
     Then `joint` and all joints between it and the slide that are not fixed are prismatic and
     parallel, with or without `<mimic>`.
     """
-    path, turn = (*tree.chain(slide.child, joint.parent), joint), np.eye(3)
-    for each in path:
+    turn = np.eye(3)
+    for each in (*tree.chain(slide.child, joint.parent), joint):
         turn = turn @ each.T_parent_child.rotation
         along = abs(float(slide.axis @ turn @ each.axis)) > PARALLEL
         if each.kind != "fixed" and not (each.kind == "prismatic" and along):

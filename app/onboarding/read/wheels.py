@@ -159,11 +159,8 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
     """Find the driven wheels of a base, and the steering of a car-like one.
 
     For a holonomic base, or with --wheel-radius, the URDF's wheels are not used: the floor is at
-    the lowest point of the base's shapes, and the base faces the x axis of its link.
-
-    Raises:
-        RobotFileError: The URDF lacks wheels, steering or shapes of the base; the message names an
-            option that helps.
+    the lowest point of the base's shapes, and the base faces the x axis of its link. An error names
+    an option that helps.
     """
     base = _Base(tree, arm, geometry)
     given = request.wheel_radius is not None and request.half_track is not None
@@ -213,7 +210,16 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
                 f"{right.r:.4f} m are not two equal wheels on one axle: name one wheel on each side"
             )
     elif pairs := _mirrored(wheels):
-        left, right = _driven(pairs)
+        lowest = min(left.bottom for left, _ in pairs)
+        pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
+        radii = [left.r for left, _ in pairs]
+        if max(radii) > (1 + _ALIKE) * min(radii):
+            names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
+            raise RobotFileError(
+                f"--wheels: pairs of different radius may be the driven ones: {names}; "
+                "set --wheels LEFT RIGHT"
+            )
+        left, right = pairs[0]
     else:
         if wheels:
             why.append(f"{', '.join(each.joint.name for each in wheels)}: no two are on one axle")
@@ -225,20 +231,6 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
             "sideways too"
         )
     return _drive(left, right, wheels)
-
-
-def _driven(pairs: list[tuple[_Wheel, _Wheel]]) -> tuple[_Wheel, _Wheel]:
-    """The first of the lowest pairs of wheels; all pairs at this level must have equal radii."""
-    lowest = min(left.bottom for left, _ in pairs)
-    pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
-    radii = [left.r for left, _ in pairs]
-    if max(radii) > (1 + _ALIKE) * min(radii):
-        names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
-        raise RobotFileError(
-            f"--wheels: pairs of different radius may be the driven ones: {names}; "
-            "set --wheels LEFT RIGHT"
-        )
-    return pairs[0]
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
@@ -315,17 +307,17 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     If some of these links are wheels on the floor, only the joints that carry these wheels count.
     Options override the measured numbers.
     """
-    upright: list[tuple[Joint, list[Joint], float]] = []
     tree, arm, floor = base.tree, base.arm, float(T_base_floor.translation[2])
+    found: dict[str, list[Joint]] = {}
     for joint in tree.joints.values():
-        if joint.parent not in arm.rigid_links or joint.name in arm.names or not joint.moves:
-            continue
-        T = T_base_floor.inverse() * base.pose(joint.child)
         on_it = [j for j in tree.children[joint.child] if j.kind in ("continuous", "revolute")]
-        if abs((T.rotation @ joint.axis)[2]) > _UPRIGHT and on_it:
-            upright.append((joint, on_it, float(T.translation[0])))
-    used = [e for e in upright if any(base.stands(j, floor) for j in e[1])] or upright
-    joints, places = [joint for joint, *_ in used], [x for *_, x in used]
+        own = joint.parent in arm.rigid_links and joint.name not in arm.names and joint.moves
+        if own and on_it and abs(T_base_floor.rotation[:, 2] @ base.axis(joint)) > _UPRIGHT:
+            found[joint.name] = on_it
+    wheeled = {k: each for k, each in found.items() if any(base.stands(j, floor) for j in each)}
+    found = wheeled or found
+    joints = [tree.joints[name] for name in found]
+    places = [(T_base_floor.inverse() * base.pose(j.child)).translation[0] for j in joints]
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
         raise RobotFileError(
             f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, but two on one axle "
@@ -345,14 +337,14 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     speeds = [joint.velocity for joint in joints if joint.velocity]
     slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
     rate = min(speeds, default=_STEERING_RATE)
-    found = {
+    numbers = {
         "wheelbase_m": (float(np.mean(places or 0.0)), "measured: from the rear to the front axle"),
         "steering_limit_rad": (tightest, "from the URDF: the tightest joint"),
         "steering_rate_radps": (rate, slowest),
     }
-    for name in found:
+    for name in numbers:
         field = name.rpartition("_")[0]
         if own := getattr(request, field):
-            found[name] = own, f"from {option(field)}"
-    rolling = tuple(joint.name for _, on_it, _ in used for joint in on_it)
-    return Steering(found, rolling, tuple(joint.name for joint in joints))
+            numbers[name] = own, f"from {option(field)}"
+    rolling = tuple(joint.name for on_it in found.values() for joint in on_it)
+    return Steering(numbers, rolling, tuple(found))
