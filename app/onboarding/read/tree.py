@@ -203,7 +203,8 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     unstated = lacking[0] if len(lacking) == 1 else ""
     limits |= {unstated: 0.0} if unstated else {}
     T, axis = origin(element, where), axis / max(length, 1e-12)
-    return Joint(name, kind, *ends.values(), T, axis, mimic=mimic, unstated=unstated, **limits)
+    parent, child = ends.values()
+    return Joint(name, kind, parent, child, T, axis, mimic=mimic, unstated=unstated, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:

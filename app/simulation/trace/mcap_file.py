@@ -38,8 +38,8 @@ from foxglove import messages as fg
 from foxglove.mcap import MCAPWriteOptions
 from google.protobuf import descriptor_pb2, message_factory
 from rosbags.typesys import Stores, get_typestore
+from trimesh.exchange.gltf import export_glb
 
-from app.config import Config
 from app.robot.assets import shown_urdf
 from app.robot.model import RobotModel, configured, whole_model
 from app.robot.shapes import shape_mesh
@@ -57,8 +57,10 @@ _BODY = fg.Color(r=0.25, g=0.6, b=0.9, a=0.4)
 _GREY = fg.Color(r=0.6, g=0.6, b=0.6, a=1)
 _INSIDE = fg.Color(r=1, g=0.7, b=0.1, a=1)  # of the buffer
 _CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
-_GLB, _STL = "model/gltf-binary", "model/stl"
-_MEDIA = {".glb": _GLB, ".stl": _STL, ".obj": "model/obj", ".dae": "model/vnd.collada+xml"}
+_MEDIA = {
+    **{".glb": "model/gltf-binary", ".stl": "model/stl"},
+    **{".obj": "model/obj", ".dae": "model/vnd.collada+xml"},
+}
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 _NONE = np.empty(0)  # no velocities or efforts in a message
 _STORE: Any = get_typestore(Stores.ROS2_JAZZY)
@@ -155,7 +157,7 @@ def _put_scene(log: foxglove.Context, trace: Trace, model: RobotModel) -> None:
         models = [_visual(each, materials, name) for each in link.iterfind("visual")]
         robot.append(fg.SceneEntity(frame_id=name, id=name, models=[*filter(None, models)]))
     for body in model.description.bodies:
-        shapes = [_model(each.placement(), _glb(shape_mesh(each)), _BODY) for each in body.shapes]
+        shapes = [_model(each.placement(), shape_mesh(each), _BODY) for each in body.shapes]
         bodies.append(fg.SceneEntity(frame_id=body.frame, id=body.name, models=shapes))
     _put_entities(log, "/robot", begin, robot)
     _put_entities(log, "/bodies", begin, bodies)
@@ -170,16 +172,14 @@ def _put_numbers(log: foxglove.Context, trace: Trace) -> None:
             values = row[[trace.index[name] for name in columns]]
             _put_ros(log, f"/curves/{quantity}", s.t, _joint_state(s.t, columns, values))
     changes = groupby(trace.snapshots, key=lambda s: s.config)
-    parameters = ((next(of).t, _flat(config)) for config, of in changes)
+    parameters = (
+        (next(of).t, {f"{name}_{key}": x for name, part in config for key, x in part})
+        for config, of in changes
+    )
     _put_records(log, "/parameters", "Config", parameters)
     names = _fields(column.name for column in trace.columns)
     rows = (dict(zip(names, row, strict=True)) for row in trace.table.tolist())
     _put_records(log, "/step", "Step", zip(trace.t.tolist(), rows, strict=True))
-
-
-def _flat(config: Config) -> dict[str, Any]:
-    sections = config.model_dump(mode="json").items()
-    return {f"{name}_{key}": x for name, section in sections for key, x in section.items()}
 
 
 def _put_records(
@@ -221,33 +221,29 @@ def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimiti
     T, rgba = origin(visual, where), colour(visual, materials)
     tint = fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
     if shape.tag != "mesh":
-        return _model(T, _glb(primitive(shape, where)[0]), tint or _GREY)
+        return _model(T, primitive(shape, where)[0], tint or _GREY)
     file = Path(unquote(urlsplit(shape.get("filename", "")).path))
-    media = _MEDIA.get(file.suffix.lower())
-    if media is None or file.stat().st_size > _LARGEST_MESH:
+    end = file.suffix.lower()
+    if end not in _MEDIA or file.stat().st_size > _LARGEST_MESH:
         return None
-    tint = tint or (_GREY if media == _STL else None)  # other formats have their own colours
-    return _model(T, file.read_bytes(), tint, media, numbers(shape, "scale", (1.0,) * 3, where))
-
-
-def _glb(mesh: trimesh.Trimesh) -> bytes:
-    return bytes(mesh.export(file_type="glb"))  # pyright: ignore[reportArgumentType]
+    tint = tint or (_GREY if end == ".stl" else None)  # other formats have their own colours
+    return _model(T, file, tint, numbers(shape, "scale", (1.0,) * 3, where))
 
 
 def _model(
     T: pin.SE3,
-    data: bytes,
+    shape: trimesh.Trimesh | Path,
     colour: fg.Color | None,
-    media: str = _GLB,
     scale: Iterable[float] = (1.0, 1.0, 1.0),
 ) -> fg.ModelPrimitive:
+    is_file = isinstance(shape, Path)
     return fg.ModelPrimitive(
         pose=_pose(T),
         scale=fg.Vector3(**_xyz(scale)),
         color=colour,
         override_color=colour is not None,
-        media_type=media,
-        data=data,
+        media_type=_MEDIA[shape.suffix.lower() if is_file else ".glb"],
+        data=shape.read_bytes() if is_file else export_glb(shape),
     )
 
 
