@@ -45,7 +45,7 @@ _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
 class LinkShape(NamedTuple):
     """One shape of a link."""
 
-    mesh: trimesh.Trimesh  # triangles of the shape, simplified, in the link's frame [m]
+    mesh: trimesh.Trimesh  # in the link's frame [m]; about `MOST_FACES` triangles or fewer
     hull: trimesh.Trimesh  # convex hull of the shape, in the link's frame [m]
     kind: str  # tag of the geometry; "piece" after `in_pieces`
     radius: float | None  # [m] radius of a cylinder, sphere or capsule; None for other shapes
@@ -127,7 +127,7 @@ def _hull(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """A mesh as nearly convex pieces, whose hulls meet only where links do; else the same shape."""
+    """The shape alone, or a mesh in nearly convex pieces, whose hulls meet only where links do."""
     if shape.kind != "mesh":
         return [shape]
     whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
@@ -194,7 +194,7 @@ def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
 def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
     """All triangles of a file as one simplified mesh [m]; with `merge`, equal vertices are merged.
 
-    Libraries read coordinates that are not finite in different ways, so they are an error.
+    Coordinates that are not finite are an error, because libraries read them in different ways.
     """
     scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
     for name, mesh in scene.geometry.items():
@@ -232,8 +232,8 @@ def _states_unit(path: Path) -> bool:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether `new-robot` has to convert a mesh file to STL: other libraries cannot read it, ignore
-    its unit or up axis, or read it very slowly.
+    """Whether `new-robot` has to convert a mesh file to STL, because other libraries cannot read
+    the file, ignore its unit or up axis, or read it very slowly.
     """
     end = path.suffix.lower()
     with path.open("rb") as file:
@@ -265,7 +265,7 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """Up to `_MANY` points, or the farthest ones in 642 (`fineness` 3) or 2,562 (4) directions."""
+    """Of more than `_MANY` points the farthest in 642 (`fineness` 3) or 2,562 (4) directions."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)

@@ -40,7 +40,7 @@ _UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # These methods expand one chunk at a time; bzip2 and LZMA expand everything that they read.
 _UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, ValueError
-# A ValueError is a name that is not UTF-8.
+"""Errors of a damaged zip; a ValueError is a name that is not UTF-8."""
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
@@ -137,7 +137,13 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):
-        path = root / _chosen_urdf(unpack(archive, root), file)
+        urdfs = _urdfs(unpack(archive, root))
+        if file is None and len(urdfs) > 1:
+            some = ", ".join(urdfs[:20])
+            raise RobotFileError(f"it has {len(urdfs)} URDFs; name one by --file: {some}")
+        if file not in (None, *urdfs):
+            raise RobotFileError(f"no URDF {file!r} in it; there are: {', '.join(urdfs)}")
+    path = root / (file or urdfs[0])
     robot = read_source(path)[0]
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
@@ -151,29 +157,21 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     return path
 
 
-def _chosen_urdf(names: list[str], file: str | None) -> str:
-    """The URDF `file` among the files `names` of a zip; with None, the only URDF."""
-    found = _urdfs(names)
-    if file in found or (file is None and len(found) == 1):
-        return file or found[0]
-    if file is not None:
-        there = ", ".join(found) or "(none)"
-        raise RobotFileError(f"no URDF {file!r} in it; there are: {there}")
-    if found:
-        some = ", ".join(found[:20])
-        raise RobotFileError(f"it has {len(found)} URDFs; name one by --file: {some}")
-    if xacro := next((name for name in names if name.endswith(".xacro")), ""):
+def _urdfs(names: list[str]) -> list[str]:
+    """The URDFs among the files of a zip, without hidden files and macOS's additions; an error if
+    there is none.
+    """
+    hidden = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")
+    found = sorted(n for n in names if n.lower().endswith(".urdf") and not hidden.fullmatch(n))
+    xacro = next((name for name in names if name.endswith(".xacro")), "")
+    if not found and xacro:
         raise RobotFileError(
             f"no .urdf in it, only {xacro}: a xacro can contain Python, and nothing in a zip is "
             "executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
         )
-    raise RobotFileError("no .urdf in it; zip the URDF together with its meshes")
-
-
-def _urdfs(names: list[str]) -> list[str]:
-    """The URDFs among the files of a zip, without hidden files and macOS's additions."""
-    hidden = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")
-    return sorted(n for n in names if n.lower().endswith(".urdf") and not hidden.fullmatch(n))
+    if not found:
+        raise RobotFileError("no .urdf in it; zip the URDF together with its meshes")
+    return found
 
 
 def _inside(reference: str, folder: Path, root: Path) -> Path:
@@ -238,13 +236,13 @@ class Contents(NamedTuple):
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The `Contents` of each readable URDF among the first 20 of a zip, by its path; an error if
-    there is none.
+    """The `Contents` of each readable URDF among the first 20 of a zip, by its path.
+
+    It is an error if none of these URDFs can be read.
     """
     with temporary_folder() as folder:
         with named_part(archive.name):
-            names = unpack(archive, folder)
-            found = _urdfs(names) or [_chosen_urdf(names, None)]  # this raises an error
+            found = _urdfs(unpack(archive, folder))
         contents, problem = {}, ""
         for name in found[:_MAX_URDFS]:
             try:

@@ -56,43 +56,35 @@ def locate(source: str) -> Path:
 def read_robot(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, list[str], Collection[str]]:
-    """The results of `read_source`, and between them a sentence on each removed shape.
+    """The `<robot>` of `read_source`, a sentence on each removed shape, and the arguments' names.
 
-    Each mesh of the `<robot>` gets its `mesh_address`.
+    Each mesh gets its `mesh_address`. Shapes of size 0 are removed. So are visual shapes whose mesh
+    is missing or unreadable, if their link also has a collision shape.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
-    for link, shape in shapes_of(robot):
-        if why := _needless(shape, link, path.parent, packages):
-            link.remove(shape)
-            said.append(f"a {shape.tag} of {link.get('name')} is left out: {why}")
+    for link, element in shapes_of(robot):
+        name, shape, why = link.get("name"), element.find("geometry/*"), ""
+        if shape is None:
+            continue
+        sizes = [shape.get(key, "") for key in ("size", "radius", "length", "scale")]
+        if not all(all(floats(size, n) or [1.0]) for size in sizes for n in (1, 3)):
+            why = f"its {shape.tag} has the size 0"
+        elif shape.tag == "mesh":
+            try:
+                if not (file := shape.get("filename")):
+                    raise RobotFileError(
+                        f"link {name!r}: a mesh has no filename; name its file, or remove the shape"
+                    )
+                shape.set("filename", mesh_address(file, path.parent, packages))
+            except RobotFileError as error:
+                if element.tag == "collision" or link.find("collision") is None:
+                    raise
+                why = str(error)
+        if why:
+            link.remove(element)
+            said.append(f"a {element.tag} of {name} is left out: {why}")
     return robot, said, known
-
-
-def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
-    """The reason to remove a visual or collision element; if empty, its mesh has its new address.
-
-    The reason can be a size of 0 or, for a visual element of a link with a collision element, a
-    mesh that is missing or unreadable. Any other such mesh raises a `RobotFileError`.
-    """
-    if (shape := element.find("geometry/*")) is None:
-        return ""
-    sizes = [shape.get(key, "") for key in ("size", "radius", "length", "scale")]
-    if not all(all(floats(size, n) or [1.0]) for size in sizes for n in (1, 3)):
-        return f"its {shape.tag} has the size 0"
-    if shape.tag == "mesh":
-        try:
-            if not (file := shape.get("filename")):
-                raise RobotFileError(
-                    f"link {link.get('name')!r}: a mesh has no filename; name its file, or remove "
-                    "the shape"
-                )
-            shape.set("filename", mesh_address(file, folder, packages))
-        except RobotFileError as error:
-            if element.tag == "collision" or link.find("collision") is None:
-                raise
-            return str(error)
-    return ""
 
 
 def read_source(
@@ -170,9 +162,9 @@ def mesh_address(reference: str, folder: Path, packages: Folders | None = None) 
         with found.open("rb") as file:
             refuse_placeholder(file.read(1024), f"mesh {found}")
     full = found.resolve()
-    for folder in full.parents:
-        if folder in [root.resolve() for root in package_roots(folder.name)]:
-            return f"package://{full.relative_to(folder.parent).as_posix()}"
+    for top in full.parents:
+        if top in [root.resolve() for root in package_roots(top.name)]:
+            return f"package://{full.relative_to(top.parent).as_posix()}"
     return str(followed(found))
 
 

@@ -58,7 +58,7 @@ class _Wheel(NamedTuple):
 
 
 class _Base(NamedTuple):
-    """A base, with all links and shapes of its robot; frames are those with all joints at zero."""
+    """A base, with all links and shapes of its robot, in the posture with all joints at zero."""
 
     tree: Tree
     arm: Arm

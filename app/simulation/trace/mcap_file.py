@@ -30,10 +30,10 @@ from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-import foxglove
 import numpy as np
 import pinocchio as pin
 import trimesh
+from foxglove import Channel, Context, Schema, open_mcap
 from foxglove import messages as fg
 from foxglove.mcap import MCAPWriteOptions
 from google.protobuf import descriptor_pb2, message_factory
@@ -51,16 +51,14 @@ from app.system import write_whole
 
 WORLD = "world"  # name of the world's frame
 Materials = Mapping[str | None, Element]  # materials of the robot by name
+Records = Iterable[tuple[float, Mapping[str, Any]]]  # time [s] and fields of each record
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
 _BODY = fg.Color(r=0.25, g=0.6, b=0.9, a=0.4)
 _GREY = fg.Color(r=0.6, g=0.6, b=0.6, a=1)
 _INSIDE = fg.Color(r=1, g=0.7, b=0.1, a=1)  # of the buffer
 _CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
-_MEDIA = {
-    **{".glb": "model/gltf-binary", ".stl": "model/stl"},
-    **{".obj": "model/obj", ".dae": "model/vnd.collada+xml"},
-}
+_MEDIA = {".glb": "gltf-binary", ".stl": "stl", ".obj": "obj", ".dae": "vnd.collada+xml"}
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 _NONE = np.empty(0)  # no velocities or efforts in a message
 _STORE: Any = get_typestore(Stores.ROS2_JAZZY)
@@ -75,8 +73,8 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     an AssetError, a DescriptionError or a RobotFileError.
     """
     file = io.BytesIO()  # in memory, so that a writing error occurs only at the end
-    log, options = foxglove.Context(), MCAPWriteOptions(profile="ros2" if ros else None)
-    with foxglove.open_mcap(file, context=log, writer_options=options) as writer:
+    log, options = Context(), MCAPWriteOptions(profile="ros2" if ros else None)
+    with open_mcap(file, context=log, writer_options=options) as writer:
         about = trace.meta.model_dump(mode="json", exclude={"config"})
         writer.write_metadata("dbb", {name: json.dumps(x) for name, x in about.items()})
         _put_motion(log, trace, model)
@@ -86,31 +84,27 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     write_whole(path, file.getvalue())
 
 
-def _put(
-    log: foxglove.Context, topic: str, t: float, content: bytes, schema: foxglove.Schema
-) -> None:
-    """Append a message at time t [s]; a context has one channel for all messages of a topic."""
+def _put(log: Context, topic: str, t: float, content: bytes, schema: Schema) -> None:
+    """Append a message at time t [s]; equal channels of a context are one and the same channel."""
     encoding = "cdr" if schema.encoding == "ros2msg" else schema.encoding
-    channel = foxglove.Channel(topic, schema=schema, message_encoding=encoding, context=log)
+    channel = Channel(topic, schema=schema, message_encoding=encoding, context=log)
     channel.log(content, log_time=round(1e9 * t))
 
 
-def _put_entities(
-    log: foxglove.Context, topic: str, t: float, entities: list[fg.SceneEntity]
-) -> None:
+def _put_entities(log: Context, topic: str, t: float, entities: list[fg.SceneEntity]) -> None:
     scene = fg.SceneUpdate(entities=entities)
     _put(log, topic, t, scene.encode(), scene.get_schema())
 
 
-def _put_ros(log: foxglove.Context, topic: str, t: float, message: Any) -> None:
+def _put_ros(log: Context, topic: str, t: float, message: Any) -> None:
     kind = message.__msgtype__
     _put(log, topic, t, bytes(_STORE.serialize_cdr(message, kind)), _ros_schema(kind))
 
 
 @cache
-def _ros_schema(kind: str) -> foxglove.Schema:
+def _ros_schema(kind: str) -> Schema:
     definition, _ = _STORE.generate_msgdef(kind, ros_version=2)
-    return foxglove.Schema(name=kind, encoding="ros2msg", data=definition.encode())
+    return Schema(name=kind, encoding="ros2msg", data=definition.encode())
 
 
 def _joint_state(
@@ -120,10 +114,10 @@ def _joint_state(
     return kind(_header(t, ""), names, positions, velocities, efforts)
 
 
-def _put_motion(log: foxglove.Context, trace: Trace, model: RobotModel) -> None:
+def _put_motion(log: Context, trace: Trace, model: RobotModel) -> None:
     """Write the robot's URDF, the states of arm joints and wheels, and the poses of all links.
 
-    Unknown velocities and torques of wheels are NaN. The last pose is that of the end-effector.
+    Unknown speeds and torques of wheels are NaN. The last pose is that of the end-effector's frame.
     """
     whole, urdf = whole_model(model.description), shown_urdf(model.description)
     _put_ros(log, "/robot_description", trace.snapshots[0].t, _ROS["std_msgs/msg/String"](urdf))
@@ -148,7 +142,7 @@ def _put_motion(log: foxglove.Context, trace: Trace, model: RobotModel) -> None:
         _put_ros(log, "/tf", s.t, _ROS["tf2_msgs/msg/TFMessage"](poses))
 
 
-def _put_scene(log: foxglove.Context, trace: Trace, model: RobotModel) -> None:
+def _put_scene(log: Context, trace: Trace, model: RobotModel) -> None:
     begin, urdf = trace.snapshots[0].t, ElementTree.fromstring(shown_urdf(model.description))
     materials = {each.get("name"): each for each in urdf.iterfind("material")}
     robot, bodies = [], []
@@ -165,7 +159,7 @@ def _put_scene(log: foxglove.Context, trace: Trace, model: RobotModel) -> None:
         _put_entities(log, "/markers", s.t, _markers(s))
 
 
-def _put_numbers(log: foxglove.Context, trace: Trace) -> None:
+def _put_numbers(log: Context, trace: Trace) -> None:
     for s in trace.snapshots:
         row = trace.table[trace.row_at(s.t)]
         for quantity, columns in trace.groups.items():
@@ -182,12 +176,7 @@ def _put_numbers(log: foxglove.Context, trace: Trace) -> None:
     _put_records(log, "/step", "Step", zip(trace.t.tolist(), rows, strict=True))
 
 
-def _put_records(
-    log: foxglove.Context,
-    topic: str,
-    name: str,
-    records: Iterable[tuple[float, Mapping[str, Any]]],
-) -> None:
+def _put_records(log: Context, topic: str, name: str, records: Records) -> None:
     """Write records of numbers and texts, each with a time [s]; the first defines the fields."""
     records = iter(records)
     begin, example = next(records)
@@ -196,7 +185,7 @@ def _put_records(
     for number, (field, value) in enumerate(example.items(), 1):
         fields.add(name=field, number=number, label=1, type=9 if isinstance(value, str) else 1)
     data, name = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), f"dbb.{name}"
-    schema = foxglove.Schema(name=name, encoding="protobuf", data=data)
+    schema = Schema(name=name, encoding="protobuf", data=data)
     kind = message_factory.GetMessages([file])[name]
     for t, values in chain([(begin, example)], records):
         _put(log, topic, t, kind(**values).SerializeToString(), schema)
@@ -242,7 +231,7 @@ def _model(
         scale=fg.Vector3(**_xyz(scale)),
         color=colour,
         override_color=colour is not None,
-        media_type=_MEDIA[shape.suffix.lower() if is_file else ".glb"],
+        media_type=f"model/{_MEDIA[shape.suffix.lower() if is_file else '.glb']}",
         data=shape.read_bytes() if is_file else export_glb(shape),
     )
 
