@@ -194,9 +194,9 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         raise RobotFileError(f"{where}: its axis is zero")
     mimic = None
     if (leader := element.find("mimic")) is not None:
-        factors = (("multiplier", 1.0), ("offset", 0.0))
-        relation = (float(numbers(leader, key, (x,), where)[0]) for key, x in factors)
-        mimic = str(leader.get("joint")), *relation
+        usual = ("multiplier", 1.0), ("offset", 0.0)
+        factor, offset = (float(numbers(leader, key, (x,), where)[0]) for key, x in usual)
+        mimic = str(leader.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
     lacking = [key for key in keys if limits[key] is None]

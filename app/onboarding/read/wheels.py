@@ -92,7 +92,7 @@ class _Base(NamedTuple):
         return _Wheel(joint, centre, axis, r, how, float(centre[2] - r))
 
     def rigid_wheel(self, joint: Joint) -> _Wheel:
-        """The `wheel` on a joint whose parent link does not move on the base; else an error too."""
+        """The `wheel` on a joint that `turns_round` on a link that is rigidly fixed to the base."""
         if not turns_round(joint):
             raise RobotFileError(f"{joint.name} is not a wheel: it is {joint.kind}")
         if joint.parent in self.arm.rigid_links:
