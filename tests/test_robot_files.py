@@ -20,7 +20,7 @@ from app.onboarding.read.package import open_package
 from app.onboarding.read.source import locate
 from app.onboarding.read.tree import find_arm, make_tree
 from app.onboarding.request import Request
-from app.onboarding.write import rebased_urdf
+from app.onboarding.write import in_pieces_urdf, rebased_urdf
 from app.robot.assets import xml_text
 from benchmarks.urdf_mutants import collada
 from tests.onboarding import (
@@ -348,6 +348,20 @@ def test_a_stated_limit_on_one_side_is_preserved(
     assert (limits.lower[1], limits.upper[1]) == pytest.approx((low, high))
     sides = ("lower", "upper")
     assert [k for k in sides if "assumed for lift: " in limits.source[f"position_{k}"]] == assumed
+
+
+def test_only_meshes_that_the_new_urdf_names_remain(tmp_path: Path) -> None:
+    """A converted collision mesh is not needed if it is cut into pieces."""
+    boxes = [trimesh.creation.box(HAND).apply_translation((x, 0.0, 0.0)) for x in (0.0, 0.5)]
+    trimesh.util.concatenate(boxes).export(tmp_path / "m.ply")
+    made, home = parsed(tmp_path, with_mesh(TOY, "m.ply")), tmp_path / "home"
+    home.mkdir()
+    text = rebased_urdf(made, name="toy", header="", home=home)
+    assert [path.suffix for path in (home / "meshes").iterdir()] == [".stl"]
+    text, _ = in_pieces_urdf(text, made.geometry, home)
+    named = [mesh.get("filename") for mesh in ElementTree.fromstring(text).iter("mesh")]
+    assert [f"meshes/{path.name}" for path in (home / "meshes").iterdir()] == named
+    assert named[0].endswith(".obj")
 
 
 @pytest.mark.parametrize("unit", ["0", "-1", "0,001", "mm", ""])

@@ -20,7 +20,7 @@ from tomlkit.items import Item
 
 from app.config import Config
 from app.errors import DescriptionError, named_part
-from app.jobs.bounded import BudgetError, within_budget
+from app.jobs.bounded import within_budget
 from app.onboarding import ROOT
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.travel import held_at
@@ -60,19 +60,15 @@ def write_robot(robot: NewRobot, folder: Path) -> None:
 
 def _sources_text(robot: NewRobot) -> str:
     """The text of `SOURCES.md`, which lists the files that the robot consists of."""
-    request, lines = robot.request, []
-    copied = "No mesh is copied: `robot.urdf` refers to the original files."
-    for what, path in (("robot", request.shown_source), ("arm", request.arm_urdf)):
-        if path is not None:
-            lines.append(f"- URDF of the {what}: `{path}`")
+    request, copied = robot.request, "No mesh is copied: `robot.urdf` refers to the original files."
+    urdfs = ("robot", request.shown_source), ("arm", request.arm_urdf)
+    lines = [f"- URDF of the {what}: `{path}`" for what, path in urdfs if path is not None]
     urdf = ElementTree.fromstring(robot.urdf)
     meshes = sorted({str(mesh.get("filename")) for mesh in urdf.iter("mesh")})
-    installed = [mesh for mesh in meshes if mesh.startswith("package://")]
-    if installed:
-        packages = sorted({mesh.split("/")[2] for mesh in installed})
+    if packages := sorted({m.split("/")[2] for m in meshes if m.startswith("package://")}):
         lines.append(f"- Meshes of the installed packages: {', '.join(f'`{p}`' for p in packages)}")
     lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in meshes if mesh[0] == "/"]
-    folders = {mesh.partition("/")[0] for mesh in meshes if mesh not in installed}
+    folders = {mesh.partition("/")[0] for mesh in meshes}
     if FOLDER in folders:
         lines.append(f"- Meshes of the zip, in the folder `{FOLDER}` beside this file")
         copied = "Meshes of installed packages are not copied."
@@ -111,8 +107,8 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     with a new name and title.
 
     Raises:
-        DescriptionError: The result is not a valid description, the present description cannot be
-            read, or the change exceeds the time or memory that `within_budget` allows.
+        DescriptionError: The description cannot be read, its change exceeds the time or memory of
+            `within_budget`, or the result is invalid.
         OutputError: `out` is another folder that is not empty, or cannot be written.
     """
     file, in_place = source / "robot.toml", out.resolve() == source.resolve()
@@ -123,7 +119,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
         raise DescriptionError(f"{file}: cannot be read: {error}") from None
     try:
         text = within_budget(_changed_text, before, name, changes, size=len(before))
-    except (BudgetError, ValueError) as error:
+    except ValueError as error:  # also a BudgetError
         raise DescriptionError(f"{file}: cannot be changed: {error}") from None
     with temporary_folder() as tried:  # an invalid description must not replace a valid one
         write_whole(tried / "robot.toml", text)
@@ -210,13 +206,11 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     robot.append(ElementTree.Comment(f" {header.replace('--', '- -')} "))
     _add_inertial(SubElement(robot, "link", name=ROOT), pin.Inertia.Zero())
     root = Joint(f"{ROOT}_joint", "fixed", ROOT, base, parsed.wheels.T_base_floor.inverse())
-    below = [tree.joint_of[link] for link in tree.below(base) if link != base]
-    rest = {joint.name: held_at(joint) for joint in below}
+    joints = {link: tree.joint_of[link] for link in tree.below(base)[1:]}
+    rest = {joint.name: held_at(joint) for joint in joints.values()}
     rest |= {joint.name: 0.0 for joint in parsed.arm.joints}
-    robot.append(_joint(root, {}))
-    for link in tree.below(base):
-        if link != base:
-            robot.append(_joint(tree.joint_of[link], rest))
+    for link, joint in {base: root, **joints}.items():
+        robot.append(_joint(joint, rest))
         shapes, inertia = parsed.geometry[link], parsed.inertias[link]
         robot.append(_link(link, tree.links[link], shapes, inertia, home))
     return _text(robot)
@@ -230,10 +224,9 @@ def _text(robot: Element) -> str:
 def mesh_name(address: str, home: Path | None) -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
-    `home` is the folder of the new URDF. A mesh in this folder gets a relative path, because the
-    folder may be moved. A mesh for which `is_foreign` is true is first converted to an STL file in
-    metres in `home`. This raises the errors of `load_mesh`. Other meshes keep `address`; without
-    `home`, all do.
+    `home` is the folder of the new URDF; without it, all addresses stay. A mesh in this folder gets
+    a relative path, because the folder may be moved. A mesh for which `is_foreign` is true is first
+    converted to an STL file in metres in `home`. This raises the errors of `load_mesh`.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -257,8 +250,9 @@ def _mesh_file(home: Path, name: str, key: str, end: str) -> Path:
 def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geometry]:
     """The text of a new URDF, and the geometry of its links, both with the shapes `in_pieces`.
 
-    For a shape of several pieces, the URDF names an OBJ file that is written in `home`, the folder
-    of the URDF. It has an object for each piece. The engines use the hull of each object.
+    For a shape of several pieces, the URDF names an OBJ file in `home`, the folder of the URDF; the
+    engines use the hull of each of its objects. Files of `MESH_FOLDER` that the text does not name,
+    such as a converted mesh that is now in pieces, are removed.
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     tree, cut = ElementTree.fromstring(urdf, parser), dict(geometry)
@@ -273,6 +267,9 @@ def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geom
                 scene.export(path, include_normals=False)
                 element[:] = [Element("geometry")]
                 SubElement(element[0], "mesh", filename=path.relative_to(home).as_posix())
+    named = {home / str(mesh.get("filename")) for mesh in tree.iter("mesh")}
+    for unused in {*(home / MESH_FOLDER).glob("*")} - named:
+        unused.unlink()
     return _text(tree), cut
 
 

@@ -45,9 +45,7 @@ _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
 class LinkShape(NamedTuple):
     """One shape of a link."""
 
-    mesh: trimesh.Trimesh
-    """Triangles of the shape, in the link's frame [m]. A mesh file with more than `MOST_FACES`
-    triangles is simplified."""
+    mesh: trimesh.Trimesh  # in the link's frame [m]; about `MOST_FACES` triangles or fewer
     hull: trimesh.Trimesh  # convex hull of the shape, in the link's frame [m]
     kind: str  # tag of the geometry; "piece" after `in_pieces`
     radius: float | None  # [m] radius of a cylinder, sphere or capsule; None for other shapes
@@ -66,8 +64,16 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] points on the surface of all hulls, in the link's frame."""
-        return np.vstack([np.zeros((0, 3)), *(_surface(s.hull) for s in self.shapes)])
+        """(N, 3) [m] corners of all hulls and reproducible random points on their faces, in the
+        link's frame.
+        """
+        points = [np.zeros((0, 3))]
+        for hull in (shape.hull for shape in self.shapes):
+            count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
+            spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
+            step = -(-len(hull.vertices) // _MAX_POINTS)
+            points += [np.asarray(hull.vertices)[::step], np.asarray(spread)]
+        return np.vstack(points)
 
     @property
     def volume(self) -> float:
@@ -79,17 +85,12 @@ Geometry = Mapping[str, LinkGeometry]  # by the names of the links
 
 
 def read_geometry(tree: Tree) -> Geometry:
-    """The geometry of each link; raises the RobotFileError of `link_geometry`."""
+    """The geometry of each link."""
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """The geometry of one link, from its elements with the first tag in `tags` that occurs.
-
-    Raises:
-        RobotFileError: A geometry is missing, a mesh is missing or unreadable, a number is
-            invalid, or a size is probably not in metres.
-    """
+    """The geometry of one link, from its elements with the first tag in `tags` that occurs."""
     for tag in tags:
         found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
         if found:
@@ -104,8 +105,7 @@ def _shape(element: Element, where: str) -> LinkShape:
             f"{where}: a {element.tag} has no geometry; add a geometry, or remove the {element.tag}"
         )
     mesh, radius = urdf_mesh(shape, where, load_mesh)
-    hull = hull_mesh(_outermost(np.asarray(mesh.vertices), 4))
-    hull.apply_transform(T)
+    hull = _hull(mesh).apply_transform(T)
     if (size := float(hull.extents.max())) > _LARGEST:
         scale = 0.001 if unit_of(size) == "millimetres" else 0.0254
         raise RobotFileError(
@@ -122,18 +122,18 @@ def _shape(element: Element, where: str) -> LinkShape:
     return LinkShape(mesh.apply_transform(T), hull, shape.tag, radius)
 
 
-def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """A shape, as nearly convex pieces if it is a mesh, so that hulls meet only where links do.
+def _hull(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    return hull_mesh(_outermost(np.asarray(mesh.vertices), 4))
 
-    A primitive shape or a piece is returned unchanged.
-    """
+
+def in_pieces(shape: LinkShape) -> list[LinkShape]:
+    """The shape alone, or a mesh in nearly convex pieces, whose hulls meet only where links do."""
     if shape.kind != "mesh":
         return [shape]
     whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
     if len(pieces) < 2:
         return [whole]
-    corners = (_outermost(np.asarray(piece.vertices), 4) for piece in pieces)
-    return [whole._replace(mesh=m, hull=hull_mesh(p)) for m, p in zip(pieces, corners, strict=True)]
+    return [whole._replace(mesh=mesh, hull=_hull(mesh)) for mesh in pieces]
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
@@ -145,11 +145,7 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified.
-
-    Raises:
-        RobotFileError: The file cannot be read, or has no triangles.
-    """
+    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified."""
     name = f"mesh {path}"
     end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
     try:
@@ -170,22 +166,20 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     except ImportError as error:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers' errors have no common base class
-        why = " ".join(str(error).split())
-        if end == "gltf":
-            # For a damaged file, trimesh looks for another .gltf.
-            missing = isinstance(error, FileNotFoundError) and not why.endswith(".gltf")
-            lacks = " is missing beside it: add this file, or export the mesh as .glb"
-            why += lacks if missing else "; it is damaged: export it again"
-        else:
-            why += _damage(begin, size, end)
+        why = f"{' '.join(str(error).split())}{_damage(error, begin, size, end)}"
         raise RobotFileError(f"{name}: it cannot be read as .{end}: {why}") from None
 
 
 load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 
-def _damage(begin: bytes, size: int, end: str) -> str:
+def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
     """Advice for an unreadable mesh file, or empty; `begin` is its first part, `end` its format."""
+    if end == "gltf":
+        # For a damaged file, trimesh looks for another .gltf.
+        if isinstance(error, FileNotFoundError) and not str(error).endswith(".gltf"):
+            return " is missing beside it: add this file, or export the mesh as .glb"
+        return "; it is damaged: export it again"
     if b"\0" not in begin and _COMMA.search(begin):
         return "; its numbers have decimal commas: export it with points"
     facets, stated = stated_stl(begin)
@@ -200,8 +194,7 @@ def _damage(begin: bytes, size: int, end: str) -> str:
 def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
     """All triangles of a file as one simplified mesh [m]; with `merge`, equal vertices are merged.
 
-    A file without triangles is an error. So are coordinates that are not finite numbers, because
-    libraries read them differently.
+    Coordinates that are not finite are an error, because libraries read them in different ways.
     """
     scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
     for name, mesh in scene.geometry.items():
@@ -226,12 +219,9 @@ def _states_unit(path: Path) -> bool:
     not well-formed XML. An invalid unit is an error.
     """
     try:
-        with path.open("rb") as file:
-            events = iterparse(file, ("start", "end"))
-            _, root = next(events)
-            ends = (element for event, element in events if event == "end")  # not of a library
-            assets = (each for each in ends if each.tag.endswith("asset") and each in root)
-            asset = next(assets, Element("asset"))
+        with path.open("rb") as file:  # the file's own <asset> is the first one
+            found = (each for _, each in iterparse(file) if each.tag.endswith("asset"))
+            asset = next(found, Element("asset"))
     except (SyntaxError, ValueError, LookupError):  # XML that is not well-formed; an encoding
         return True
     unit, up = asset.find("{*}unit"), asset.findtext("{*}up_axis", "").strip()
@@ -242,8 +232,8 @@ def _states_unit(path: Path) -> bool:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether `new-robot` has to convert a mesh file to STL: other libraries cannot read it, ignore
-    its unit or up axis, or read it very slowly.
+    """Whether `new-robot` has to convert a mesh file to STL, because other libraries cannot read
+    the file, ignore its unit or up axis, or read it very slowly.
     """
     end = path.suffix.lower()
     with path.open("rb") as file:
@@ -255,8 +245,8 @@ def is_foreign(path: Path) -> bool:
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
     """A mesh of at most about `MOST_FACES` triangles, whose hull is nearly that of `mesh`.
 
-    `cell` is the edge of the cubic cells in which vertices are merged, in the unit of the mesh. A
-    mesh with few triangles does not change. Extreme merged vertices are included (`_outermost`).
+    If `mesh` has more triangles, its vertices are merged in cubic cells with the edge `cell`, in
+    the unit of the mesh.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh
@@ -275,21 +265,11 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; all if at most `_MANY`."""
+    """Of more than `_MANY` points the farthest in 642 (`fineness` 3) or 2,562 (4) directions."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
     return points[np.unique([int((points @ d).argmax()) for d in D])]
-
-
-def _surface(hull: trimesh.Trimesh) -> Array:
-    """(N, 3) [m] corners of a hull, then reproducible random points on its faces."""
-    count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
-    spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
-    corners = np.asarray(hull.vertices)
-    if len(corners) > _MAX_POINTS:
-        corners = corners[:: -(-len(corners) // _MAX_POINTS)]
-    return np.vstack([corners, np.asarray(spread)])
 
 
 class LinkInertia(NamedTuple):
@@ -306,10 +286,6 @@ def read_inertias(
 
     A link without an `<inertial>` gets a mass by its volume. So do the links from a joint to the
     next joint if they have no mass. `assume` permits a URDF that states no mass for the whole arm.
-
-    Raises:
-        RobotFileError: No link of the arm has a mass and `assume` is false, or an inertia is
-            impossible or probably in another unit.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     moving = [link for segment in arm.segments[1:] for link in segment]

@@ -39,22 +39,15 @@ _LONGEST_NAME = 200  # [characters]
 _UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # These methods expand one chunk at a time; bzip2 and LZMA expand everything that they read.
-_UNREADABLE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    EOFError,
-    NotImplementedError,
-    OSError,
-    ValueError,  # a name that is not UTF-8
-)
+_UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, ValueError
+"""Errors of a damaged zip; a ValueError is a name that is not UTF-8."""
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
     """Write URDFs, meshes and licences of a zip to a folder; return the paths of all its files.
 
-    Raises:
-        RobotFileError: The zip cannot be read, is too large, or has an entry with an invalid path,
-            a link, a password, a duplicate path or a compression other than deflate.
+    A zip is refused if it is too large, or if an entry has an invalid path, a link, a password, a
+    duplicate path or a compression other than deflate.
     """
     _check_size(archive)
     try:
@@ -101,7 +94,7 @@ def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInf
         raise RobotFileError(
             f"it expands to {total / 1e6:,.0f} MB; the limit is {LARGEST_CONTENT / 1e6:.0f} MB"
         )
-    if len(infos) > MOST_FILES:
+    if len(infos) > MOST_FILES:  # its record can state a smaller number
         raise RobotFileError(f"{len(infos):,} files; the limit is {MOST_FILES:,}")
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
     for info in infos:
@@ -141,14 +134,16 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip into a robot's folder; return the file of its URDF, with relative mesh paths.
 
     `file` is the path of the URDF in the zip, or None for the only URDF.
-
-    Raises:
-        RobotFileError: As for `unpack`; the URDF or one of its meshes is not in the zip, or is
-            refused; or `file` is None and the zip has several URDFs.
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):
-        path = root / _chosen_urdf(unpack(archive, root), file)
+        urdfs = _urdfs(unpack(archive, root))
+        if file is None and len(urdfs) > 1:
+            some = ", ".join(urdfs[:20])
+            raise RobotFileError(f"it has {len(urdfs)} URDFs; name one by --file: {some}")
+        if file not in (None, *urdfs):
+            raise RobotFileError(f"no URDF {file!r} in it; there are: {', '.join(urdfs)}")
+    path = root / (file or urdfs[0])
     robot = read_source(path)[0]
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
@@ -162,41 +157,33 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     return path
 
 
-def _chosen_urdf(names: list[str], file: str | None) -> str:
-    """The URDF `file` among the files `names` of a zip; with None, the only URDF."""
-    found = _urdfs(names)
-    if file in found or (file is None and len(found) == 1):
-        return file or found[0]
-    if file is not None:
-        there = ", ".join(found) or "(none)"
-        raise RobotFileError(f"no URDF {file!r} in it; there are: {there}")
-    if found:
-        some = ", ".join(found[:20])
-        raise RobotFileError(f"it has {len(found)} URDFs; name one by --file: {some}")
-    if xacro := next((name for name in names if name.endswith(".xacro")), ""):
+def _urdfs(names: list[str]) -> list[str]:
+    """The URDFs among the files of a zip, without hidden files and macOS's additions; an error if
+    there is none.
+    """
+    hidden = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")
+    found = sorted(n for n in names if n.lower().endswith(".urdf") and not hidden.fullmatch(n))
+    xacro = next((name for name in names if name.endswith(".xacro")), "")
+    if not found and xacro:
         raise RobotFileError(
             f"no .urdf in it, only {xacro}: a xacro can contain Python, and nothing in a zip is "
             "executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
         )
-    raise RobotFileError("no .urdf in it; zip the URDF together with its meshes")
-
-
-def _urdfs(names: list[str]) -> list[str]:
-    """The URDFs among the files of a zip, without hidden files and macOS's additions."""
-    hidden = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")
-    return sorted(n for n in names if n.lower().endswith(".urdf") and not hidden.fullmatch(n))
+    if not found:
+        raise RobotFileError("no .urdf in it; zip the URDF together with its meshes")
+    return found
 
 
 def _inside(reference: str, folder: Path, root: Path) -> Path:
     """The mesh below `root` to which an address refers; `folder` is the folder of the URDF."""
     names = spellings(reference)
-    names += [_as_stored(each) for name in names for each in _encoded(name)]
+    names += [stored for name in names for stored in _stored(name)]
     printable = filter(str.isprintable, dict.fromkeys(names))  # like all names in a zip
 
     def search(package: str) -> list[Path]:
         return [*_named_folders(package, root), folder, *folder.parents]
 
-    places = (each.resolve() for name in printable for each in mesh_places(name, folder, search))
+    places = (each.resolve() for each in mesh_places(printable, folder, search))
     below = [place for place in places if place.is_relative_to(root)]
     if not below:
         raise RobotFileError(
@@ -207,8 +194,8 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
         return found
     files = [each.relative_to(root) for each in root.rglob("*") if each.is_file()]
     name = PurePosixPath(reference).name
-    same = [each.as_posix() for each in files if each.name == name]
-    near = f" (it has {same[0]!r}, but the paths differ)" if same else ""
+    same = next((each.as_posix() for each in files if each.name == name), "")
+    near = f" (it has {same!r}, but the paths differ)" if same else ""
     near = near or did_you_mean(name, (each.name for each in files))
     raise RobotFileError(
         f"mesh {reference}: there is no such file in the zip{near}; "
@@ -216,11 +203,11 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     )
 
 
-def _encoded(name: str) -> Iterator[bytes]:
-    """The bytes of a non-ASCII name in each of Python's encodings: a zip can lack its encoding."""
+def _stored(name: str) -> Iterator[str]:
+    """A non-ASCII name `_as_stored` in each of Python's encodings: a zip can lack its encoding."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
-            yield name.encode(code)
+            yield _as_stored(name.encode(code))
 
 
 def _as_stored(name: bytes) -> str:
@@ -251,13 +238,11 @@ class Contents(NamedTuple):
 def look_into(archive: Path) -> dict[str, Contents]:
     """The `Contents` of each readable URDF among the first 20 of a zip, by its path.
 
-    Raises:
-        RobotFileError: As for `unpack`, or none of these URDFs can be read.
+    It is an error if none of these URDFs can be read.
     """
     with temporary_folder() as folder:
         with named_part(archive.name):
-            names = unpack(archive, folder)
-            found = _urdfs(names) or [_chosen_urdf(names, None)]  # this raises an error
+            found = _urdfs(unpack(archive, folder))
         contents, problem = {}, ""
         for name in found[:_MAX_URDFS]:
             try:

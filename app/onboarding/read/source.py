@@ -40,9 +40,7 @@ _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can 
 def locate(source: str) -> Path:
     """The file of a path, a `file://` address or a `package://` address.
 
-    Raises:
-        RobotFileError: The file does not exist.
-        AssetError: As for `resolve_package_uri`.
+    A wrong `package://` address raises the AssetError of `resolve_package_uri`.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
@@ -58,46 +56,35 @@ def locate(source: str) -> Path:
 def read_robot(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, list[str], Collection[str]]:
-    """Read the `<robot>` of a URDF or xacro; each mesh gets its address by `mesh_address`.
+    """The `<robot>` of `read_source`, a sentence on each removed shape, and the arguments' names.
 
-    The arguments and errors, and the last result, are those of `read_source`. The second result has
-    a sentence on each removed shape. A required mesh that is missing raises as in `mesh_address`.
+    Each mesh gets its `mesh_address`. Shapes of size 0 are removed. So are visual shapes whose mesh
+    is missing or unreadable, if their link also has a collision shape.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
-    for link, shape in shapes_of(robot):
-        if why := _needless(shape, link, path.parent, packages):
-            link.remove(shape)
-            said.append(f"a {shape.tag} of {link.get('name')} is left out: {why}")
+    for link, element in shapes_of(robot):
+        name, shape, why = link.get("name"), element.find("geometry/*"), ""
+        if shape is None:
+            continue
+        sizes = [shape.get(key, "") for key in ("size", "radius", "length", "scale")]
+        if not all(all(floats(size, n) or [1.0]) for size in sizes for n in (1, 3)):
+            why = f"its {shape.tag} has the size 0"
+        elif shape.tag == "mesh":
+            try:
+                if not (file := shape.get("filename")):
+                    raise RobotFileError(
+                        f"link {name!r}: a mesh has no filename; name its file, or remove the shape"
+                    )
+                shape.set("filename", mesh_address(file, path.parent, packages))
+            except RobotFileError as error:
+                if element.tag == "collision" or link.find("collision") is None:
+                    raise
+                why = str(error)
+        if why:
+            link.remove(element)
+            said.append(f"a {element.tag} of {name} is left out: {why}")
     return robot, said, known
-
-
-def _needless(element: Element, link: Element, folder: Path, packages: Folders | None) -> str:
-    """The reason to remove a visual or collision element; if empty, its mesh has its new address.
-
-    The reason can be a size of 0 or, for a visual element of a link with a collision element, a
-    mesh that is missing or unreadable. Any other such mesh raises a `RobotFileError`.
-    """
-    if (shape := element.find("geometry/*")) is None:
-        return ""
-    sizes = [shape.get(key, "") for key in ("size", "radius", "length", "scale")]
-    stated = [floats(size, n) or [1.0] for size in sizes for n in (1, 3)]
-    if not all(map(all, stated)):
-        return f"its {shape.tag} has the size 0"
-    if shape.tag != "mesh":
-        return ""
-    try:
-        if not (file := shape.get("filename")):
-            raise RobotFileError(
-                f"link {link.get('name')!r}: a mesh has no filename; name its file, or remove "
-                "the shape"
-            )
-        shape.set("filename", mesh_address(file, folder, packages))
-    except RobotFileError as error:
-        if element.tag == "collision" or link.find("collision") is None:
-            raise
-        return str(error)
-    return ""
 
 
 def read_source(
@@ -105,12 +92,8 @@ def read_source(
 ) -> tuple[Element, Collection[str]]:
     """The `<robot>` of a URDF or xacro, and the names of arguments that a xacro declares or uses.
 
-    The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
-    elements lose the namespace of `<robot>`. With `arguments` None, a xacro is refused.
-
-    Raises:
-        RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
-            macros cannot be expanded.
+    The content decides whether the file is a xacro. With `arguments` None, a xacro is refused.
+    Attributes lose blanks at both ends, and elements lose the namespace of `<robot>`.
     """
     text, known = xml_text(path), frozenset[str]()
     robot = _plain_xml(text)
@@ -165,30 +148,29 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF: `package://…` in an installed package, else its path.
 
-    `reference` is its address in a URDF in `folder`. Each of its `spellings` is tried.
-
-    Raises:
-        RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
+    `reference` is its address in a URDF in `folder`. A file that does not exist, has an unreadable
+    format, or is a placeholder is an error.
     """
     search = partial(_package_folders, folder=folder, named=packages or {})
-    meant = spellings(reference)
-    places = chain.from_iterable(mesh_places(each, folder, search) for each in meant)
-    if (found := next(filter(isfile, places), None)) is None:
-        raise RobotFileError(f"mesh {reference}: {_missing(meant[-1], folder, search)}")
+    names = spellings(reference)
+    if (found := next(filter(isfile, mesh_places(names, folder, search)), None)) is None:
+        raise RobotFileError(f"mesh {reference}: {_missing(names[-1], folder, search)}")
     if found.suffix.lower() not in FORMATS:
         known = ", ".join(FORMATS[:-1])
         raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
     if found.suffix.lower() != ".3mf":  # an archive, which counts as a placeholder
         with found.open("rb") as file:
             refuse_placeholder(file.read(1024), f"mesh {found}")
-    return _installed_address(found) or str(followed(found))
+    full = found.resolve()
+    for top in full.parents:
+        if top in [root.resolve() for root in package_roots(top.name)]:
+            return f"package://{full.relative_to(top.parent).as_posix()}"
+    return str(followed(found))
 
 
 def spellings(reference: str) -> list[str]:
-    """Possible spellings of an address in the file system, without repetition.
-
-    These are the unchanged address, without URL escapes (`%20`), with slashes instead of
-    backslashes, and with both changes; and each of them in the Unicode normal forms NFD and NFC.
+    """Possible spellings of an address in the file system: unchanged, without URL escapes (`%20`),
+    and with slashes instead of backslashes; and each in the Unicode normal forms NFD and NFC.
     """
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
@@ -209,14 +191,14 @@ def _split_address(reference: str) -> tuple[str, str, str]:
     return scheme, "", path.removeprefix("localhost") if scheme == "file" else path
 
 
-def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Path]:
-    """Possible files of a mesh: in its package, or relative to the URDF's folder or the two above.
-
-    Addresses with a scheme other than `package`, `model` or `file` have none.
+def mesh_places(names: Iterable[str], folder: Path, packages: Packages) -> Iterator[Path]:
+    """Possible files of a mesh by its `spellings`: in its package, or relative to the URDF's folder
+    or the two above. Addresses with a scheme other than `package`, `model` or `file` have none.
     """
-    scheme, package, path = _split_address(reference)
-    own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
-    yield from (top / path for top in (packages(package) if scheme in _IN_PACKAGE else own))
+    for name in names:
+        scheme, package, path = _split_address(name)
+        own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
+        yield from (top / path for top in (packages(package) if scheme in _IN_PACKAGE else own))
 
 
 def _missing(reference: str, folder: Path, packages: Packages) -> str:
@@ -247,15 +229,6 @@ def _near(root: Path, path: str) -> str:
     return "" if found == Path(path) else f" (did you mean {found.as_posix()!r}?)"
 
 
-def _installed_address(path: Path) -> str | None:
-    """`package://…` of a file in an installed package, or None."""
-    full = path.resolve()
-    for each in full.parents:
-        if each in [root.resolve() for root in package_roots(each.name)]:
-            return f"package://{full.relative_to(each.parent).as_posix()}"
-    return None
-
-
 def _nowhere(package: str, inner: str, folder: Path) -> str:
     """Where a missing package was searched, and the option that helps; `inner` is a file in it."""
     holders = [each for each in (folder, *folder.parents) if isfile(each / inner)]
@@ -284,9 +257,8 @@ def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[
         for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
     )
     for top in filter(isdir, (*first, *(prefix / "share" for prefix in second))):
-        yield from (each for each in (top / package, *top.glob(f"*/{package}")) if isdir(each))
-        if top.name == package:
-            yield top
+        found = (top / package, *top.glob(f"*/{package}"), top)
+        yield from (each for each in found if each.name == package and isdir(each))
     yield from package_roots(package)
 
 

@@ -65,7 +65,7 @@ class Tree:
 
     @cached_property
     def joint_of(self) -> dict[str, Joint]:
-        """The joint between each link and its parent, by the name of the link; not for the root."""
+        """The joint whose child is each link, by the name of the link; not for the root."""
         return {joint.child: joint for joint in self.joints.values()}
 
     @property
@@ -74,7 +74,7 @@ class Tree:
         return next(link for link in self.links if link not in self.joint_of)
 
     def check_link(self, name: str, option: str) -> None:
-        """Raise a RobotFileError, which names `option` and the links, if no link has this name."""
+        """Refuse a name that no link has; the message names `option` and the links."""
         if name not in self.links:
             raise RobotFileError(
                 f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
@@ -107,8 +107,8 @@ class Tree:
     ) -> tuple[str, ...]:
         """A link and its descendants, in the order from the link outwards.
 
-        Links beyond the joints in `without` are left out. If `moving` is False, links beyond joints
-        of the kinds `MOVING` are left out too.
+        Links beyond the joints in `without` are left out; if `moving` is False, also links beyond
+        joints of the kinds `MOVING`.
         """
         found = [link]
         for name in found:
@@ -124,19 +124,15 @@ class Tree:
 
 def _some(names: Iterable[str]) -> str:
     """A text with up to 40 names, and the number of the others."""
-    names = list(names)
-    rest = len(names) - _MAX_NAMES
-    return ", ".join(names[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
+    first, rest = [*names][:_MAX_NAMES], [*names][_MAX_NAMES:]
+    return ", ".join(first) + (f" and {len(rest)} more" if rest else "")
 
 
 def make_tree(robot: Element) -> Tree:
     """Read the links and joints of a URDF, and check that they form a tree.
 
-    Replaces the materials of the visuals in `robot`, see `_set_own_colour`.
-
-    Raises:
-        RobotFileError: A name is empty or not unique, a joint has an unknown type or a missing
-            link, the links are not a tree, or a number is invalid or probably in another unit.
+    The materials of each visual in `robot` become one material, which is named by its colour. Two
+    robots can have different materials of one name, and some libraries read only the first one.
     """
     for tag in ("link", "joint"):
         for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():
@@ -157,39 +153,26 @@ def make_tree(robot: Element) -> Tree:
                 f"closed chain: the link {joint.child!r} is the child of two joints, "
                 f"{joint.name!r} and {other.name!r}; a URDF is a tree: remove one of them"
             )
-    _check_connected(tree)
-    materials = {each.get("name"): each for each in robot.findall("material")}
-    for visual in robot.iterfind("link/visual"):
-        _set_own_colour(visual, colour(visual, materials))
-    return tree
-
-
-def _set_own_colour(visual: Element, rgba: Sequence[float] | None) -> None:
-    """Replace the materials of a visual by one of the colour `rgba`; without a colour, remove them.
-
-    The name of the new material is its colour. Two robots can have different materials of one name,
-    and some libraries read only the first material of a name.
-    """
-    for material in visual.findall("material"):
-        visual.remove(material)
-    if rgba is not None:
-        words = " ".join(f"{value:.6g}" for value in rgba)
-        material = SubElement(visual, "material", name=f"rgba {words}")
-        SubElement(material, "color", rgba=words)
-
-
-def _check_connected(tree: Tree) -> None:
-    roots = [name for name in tree.links if name not in tree.joint_of]
+    roots = [name for name in links if name not in tree.joint_of]
     if len(roots) > 1:
         raise RobotFileError(
             f"the links are not connected: {_some(roots)} are children of no joint; only one link, "
             "the root, may be the child of no joint"
         )
-    if lost := tree.links.keys() - {link for root in roots for link in tree.below(root)}:
+    if lost := links.keys() - {link for root in roots for link in tree.below(root)}:
         link = min(lost)
         for _ in lost:  # from a descendant of the closed chain up into it
             link = tree.joint_of[link].parent
         raise RobotFileError(f"closed chain: the link {link!r} is its own descendant")
+    materials = {each.get("name"): each for each in robot.findall("material")}
+    for visual in robot.iterfind("link/visual"):
+        rgba = colour(visual, materials)
+        for material in visual.findall("material"):
+            visual.remove(material)
+        if rgba is not None:
+            words = " ".join(f"{value:.6g}" for value in rgba)
+            SubElement(SubElement(visual, "material", name=f"rgba {words}"), "color", rgba=words)
+    return tree
 
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
@@ -198,35 +181,35 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     if kind not in kinds:
         near, known = did_you_mean(kind, kinds), ", ".join(kinds)
         raise RobotFileError(f"{where}: its type is {kind!r}{near}; {known} are possible")
-    ends = (element.find(role) for role in ("parent", "child"))
-    parent, child = ("" if end is None else str(end.get("link")) for end in ends)
-    for role, link in (("parent", parent), ("child", child)):
+    ends = {}
+    for role in ("parent", "child"):
+        end = element.find(role)
+        ends[role] = link = "" if end is None else str(end.get("link"))
         if link not in links:
             near = did_you_mean(link, links)
             raise RobotFileError(f"{where}: its {role} is {link!r}, which is not a link{near}")
-    T = origin(element, where)
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = float(np.linalg.norm(axis))
     if kind in MOVING and length < 1e-6:
         raise RobotFileError(f"{where}: its axis is zero")
     mimic = None
-    if (found := element.find("mimic")) is not None:
-        factor = float(numbers(found, "multiplier", (1.0,), where)[0])
-        offset = float(numbers(found, "offset", (0.0,), where)[0])
-        mimic = str(found.get("joint")), factor, offset
+    if (leader := element.find("mimic")) is not None:
+        usual = ("multiplier", 1.0), ("offset", 0.0)
+        factor, offset = (float(numbers(leader, key, (x,), where)[0]) for key, x in usual)
+        mimic = str(leader.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
     lacking = [key for key in keys if limits[key] is None]
     unstated = lacking[0] if len(lacking) == 1 else ""
     limits |= {unstated: 0.0} if unstated else {}
-    axis = axis / max(length, 1e-12)
+    T, axis = origin(element, where), axis / max(length, 1e-12)
+    parent, child = ends.values()
     return Joint(name, kind, parent, child, T, axis, mimic=mimic, unstated=unstated, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:
     """The attribute `key` of the `<limit>` of the joint `where`, or None if it is not stated."""
-    limit = element.find("limit")
-    if limit is None or (word := limit.get(key)) is None:
+    if (word := next((each.get(key) for each in element.iterfind("limit")), None)) is None:
         return None
     if (value := floats(word, 1)) is None:
         raise RobotFileError(
@@ -265,11 +248,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """Find the arm between the links `base` and `tip`.
 
     With `mount` None, the mount is the parent link of the arm's first joint; if this parent is the
-    base, the mount is the child link of this joint.
-
-    Raises:
-        RobotFileError: A link does not exist, the joints between the two links do not form an arm,
-            or as for `_nothing_above`; the message names the option.
+    base, the mount is the child link of this joint. Errors name the option that is wrong.
     """
     tree.check_link(base, "--base")
     tree.check_link(tip, "--tip")
@@ -298,8 +277,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
             "arm's joints, or a --base before them"
         )
     first = joints[0]
-    on_chain = [joint.parent for joint in chain]
-    fixed_part = on_chain[: on_chain.index(first.parent) + 1]
+    fixed_part = [joint.parent for joint in chain[: chain.index(first) + 1]]
     if mount is None:
         mount = first.parent if first.parent != base else first.child
     tree.check_link(mount, "--mount")
@@ -311,23 +289,23 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     names = [joint.name for joint in joints]
     segments = [tree.below(mount, without=names) if mount in fixed_part[1:] else ()]
     segments += [tree.below(joint.child, without=names) for joint in joints]
-    beside = [_beside(tree, part, joints) for part in segments[:-1]]
-    cut = [first.name, *([tree.joint_of[mount].name] if segments[0] else [])]
-    base_links = tree.below(base, without=cut)
-    rigid = tuple(link for link in tree.below(base, moving=False) if link in base_links)
-    return Arm(base, tip, mount, tuple(joints), base_links, rigid, tuple(segments), (*beside, ()))
+    beside = (*(_beside(tree, part, joints) for part in segments[:-1]), ())
+    of_arm = {link for segment in segments for link in segment}
+    base_links, rigid_links = (
+        tuple(link for link in tree.below(base, moving=moving) if link not in of_arm)
+        for moving in (True, False)
+    )
+    return Arm(base, tip, mount, tuple(joints), base_links, rigid_links, tuple(segments), beside)
 
 
 def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
     """Links of a segment that a joint outside of the chain and of telescopes moves."""
     slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
-    hanging = [tree.joint_of[link] for link in segment if tree.joint_of[link].moves]
-    roots = [
-        joint.child
-        for joint in hanging
-        if joint not in chain and not any(extends(tree, slide, joint) for slide in slides)
-    ]
-    return tuple(dict.fromkeys(link for root in roots for link in tree.below(root)))
+    found: dict[str, None] = {}
+    for joint in (tree.joint_of[link] for link in segment):
+        if joint.moves and joint not in chain and not any(extends(tree, k, joint) for k in slides):
+            found |= dict.fromkeys(tree.below(joint.child))
+    return tuple(found)
 
 
 def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
@@ -336,8 +314,8 @@ def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
     Then `joint` and all joints between it and the slide that are not fixed are prismatic and
     parallel, with or without `<mimic>`.
     """
-    path, turn = (*tree.chain(slide.child, joint.parent), joint), np.eye(3)
-    for each in path:
+    turn = np.eye(3)
+    for each in (*tree.chain(slide.child, joint.parent), joint):
         turn = turn @ each.T_parent_child.rotation
         along = abs(float(slide.axis @ turn @ each.axis)) > PARALLEL
         if each.kind != "fixed" and not (each.kind == "prismatic" and along):

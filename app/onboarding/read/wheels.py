@@ -10,12 +10,12 @@ import pinocchio as pin
 from scipy.linalg import null_space
 
 from app.errors import RobotFileError
-from app.onboarding.read.links import Geometry, LinkShape, link_geometry
+from app.onboarding.read.links import Geometry, link_geometry
 from app.onboarding.read.tree import Arm, Joint, Tree
 from app.onboarding.request import Request, option
 from app.strict import Array
 
-_LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
+_LEVEL = np.sin(np.radians(2.0))  # an axle may be tilted by 2 degrees
 _ROUND = 0.08  # [-] largest relative difference of the widths of a wheel in different directions
 _ALIKE = 0.03  # [-] largest relative difference of the wheels' radii
 _SAME_PLACE = 0.01  # [m] largest difference of wheels' coordinates that count as equal
@@ -30,8 +30,7 @@ class Steering(NamedTuple):
     """The steered front wheels of a car-like base."""
 
     numbers: dict[str, tuple[float, str]]
-    """Wheelbase [m], largest angle [rad] and rate [rad/s], by the fields of a description, with
-    their sources."""
+    """Wheelbase [m], largest angle [rad] and rate [rad/s] with their sources, by field names."""
     rolling: tuple[str, ...]  # joints about which the steered wheels roll
     joints: tuple[str, ...]  # steering joints
 
@@ -53,28 +52,24 @@ class _Wheel(NamedTuple):
     joint: Joint
     centre: Array  # (3,) [m] in the base's link
     axis: Array  # (3,) unit vector in the base's link
-    r: float
+    r: float  # [m]
     how: str
-
-    @property
-    def bottom(self) -> float:
-        """[m] z of the lowest point of the wheel in the frame of the base's link."""
-        return float(self.centre[2] - self.r)
+    bottom: float  # [m] z of the lowest point in the base's link
 
 
 class _Base(NamedTuple):
-    """A base, with all links and shapes of its robot."""
+    """A base, with all links and shapes of its robot, in the posture with all joints at zero."""
 
     tree: Tree
     arm: Arm
     geometry: Geometry
 
     def pose(self, link: str) -> pin.SE3:
-        """The pose of a link in the frame of the base's link, with all joints at zero."""
+        """T_base_link."""
         return self.tree.pose(link, self.arm.base)
 
     def axis(self, joint: Joint) -> Array:
-        """(3,) axis of a joint in the frame of the base's link, with all joints at zero."""
+        """(3,) axis of a joint in the frame of the base's link."""
         return self.pose(joint.child).rotation @ joint.axis
 
     def lowest(self, links: Sequence[str]) -> float | None:
@@ -85,23 +80,21 @@ class _Base(NamedTuple):
 
     def wheel(self, joint: Joint) -> _Wheel:
         """The wheel on a joint; a `RobotFileError` names the reason why there is none."""
-        tree, axis = self.tree, self.axis(joint)
-        if not _is_level(axis):
+        tree, axis, centre = self.tree, self.axis(joint), self.pose(joint.child).translation.copy()
+        if abs(axis[2]) > _LEVEL:
             raise RobotFileError(f"{joint.name} is not a wheel: its axis is not horizontal")
         places = {k: tree.pose(k, joint.child) for k in tree.below(joint.child, moving=False)}
-        touched = [(s, T) for link, T in places.items() for s in self.geometry[link].shapes]
-        if not touched:
-            raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
         try:
-            r, how = _radius(touched, joint)
+            r, how = _radius(joint, places, self.geometry)
         except RobotFileError:  # a wheel may collide as a box: then its visual shape counts
             looks = {k: link_geometry(tree.links[k], ("visual", "collision")) for k in places}
-            seen = [(s, places[link]) for link, each in looks.items() for s in each.shapes]
-            r, how = _radius(seen, joint)
-        return _Wheel(joint, self.pose(joint.child).translation.copy(), axis, r, how)
+            r, how = _radius(joint, places, looks)
+        return _Wheel(joint, centre, axis, r, how, float(centre[2] - r))
 
     def rigid_wheel(self, joint: Joint) -> _Wheel:
-        """The result of `wheel`; an error too if the joint's parent link moves on the base."""
+        """The `wheel` on a joint that `turns_round` on a link that is rigidly fixed to the base."""
+        if not turns_round(joint):
+            raise RobotFileError(f"{joint.name} is not a wheel: it is {joint.kind}")
         if joint.parent in self.arm.rigid_links:
             return self.wheel(joint)
         above = self.tree.joint_of[joint.parent]
@@ -111,6 +104,22 @@ class _Base(NamedTuple):
         if above.kind == "prismatic":
             why = f"moves by {_range(above):g} m: too far for a spring"
         raise RobotFileError(f"{joint.name} hangs on {above.name}, which {why}")
+
+    def named_wheel(self, name: str) -> _Wheel:
+        """The `rigid_wheel` on a joint, or on the joint of a link; errors name --wheels."""
+        joints = self.tree.joints
+        joint = joints.get(name) or self.tree.joint_of.get(name)
+        try:
+            if joint is None:
+                raise RobotFileError(f"there is no joint or link {name!r}")
+            if joint.child not in self.arm.base_links[1:]:
+                raise RobotFileError(f"{name!r} is not on the base")
+            return self.rigid_wheel(joint)
+        except RobotFileError as error:
+            turning = ", ".join(each.name for each in joints.values() if turns_round(each))
+            raise RobotFileError(
+                f"--wheels: {error}; joints without limits: {turning or '(none)'}"
+            ) from None
 
     def stands(self, joint: Joint, floor: float) -> bool:
         """Whether a joint carries a wheel that touches the floor, at the height `floor` [m]."""
@@ -128,11 +137,7 @@ class _Base(NamedTuple):
             return _range(joint) < _TRAVEL * min(wheel.r for wheel in wheels)
         axis, at = self.axis(joint), self.pose(joint.child).translation
         rises = [float(np.cross(axis, wheel.centre - at)[2]) for wheel in wheels]
-        return _is_level(axis) and min(rises) < 0.0 < max(rises)
-
-
-def _is_level(axis: Array) -> bool:
-    return bool(np.linalg.norm(axis[:2]) >= _LEVEL)
+        return abs(axis[2]) <= _LEVEL and min(rises) < 0.0 < max(rises)
 
 
 def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Geometry) -> Arm:
@@ -143,7 +148,7 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Geometry) -> Arm:
             if joint.name in arm.names or joint.kind not in ("prismatic", "revolute"):
                 continue
             below = [tree.joint_of[name] for name in tree.below(joint.child)]
-            rolling = [j for j in below if turns_round(j) and _is_level(base.axis(j))]
+            rolling = [j for j in below if turns_round(j) and abs(base.axis(j)[2]) <= _LEVEL]
             with suppress(RobotFileError):  # one of them is no wheel
                 if rolling and base.suspends(joint, [base.wheel(j) for j in rolling]):
                     rigid += tree.below(joint.child, moving=False)
@@ -154,11 +159,8 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
     """Find the driven wheels of a base, and the steering of a car-like one.
 
     For a holonomic base, or with --wheel-radius, the URDF's wheels are not used: the floor is at
-    the lowest point of the base's shapes, and the base faces the x axis of its link.
-
-    Raises:
-        RobotFileError: The URDF lacks wheels, steering or shapes of the base; the message names an
-            option that helps.
+    the lowest point of the base's shapes, and the base faces the x axis of its link. An error names
+    an option that helps.
     """
     base = _Base(tree, arm, geometry)
     given = request.wheel_radius is not None and request.half_track is not None
@@ -190,33 +192,37 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
 def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
     """The driven wheels: the two on the joints or links `named`, or the lowest pair; and all other
     wheels of the same radius and height in line with one of these two.
-
-    A wheel is a link of circular cross-section on a joint that `turns_round`; its parent is
-    rigidly fixed to the base.
     """
-    found: dict[str, _Wheel] = {}
-    reasons: dict[str, str] = {}
+    wheels: list[_Wheel] = []
+    rigid, why, fixed = base.arm.rigid_links, list[str](), False
     for joint in base.tree.joints.values():
         if joint.child in base.arm.base_links[1:] and turns_round(joint):
+            fixed = fixed or joint.parent in rigid
             try:
-                found[joint.name] = base.rigid_wheel(joint)
+                wheels.append(base.rigid_wheel(joint))
             except RobotFileError as error:
-                reasons[joint.name] = str(error)
-    wheels = list(found.values())
+                why.append(str(error))
     if named is not None:
-        left, right = (_named(base, found, reasons, name) for name in named)
+        left, right = map(base.named_wheel, named)
         if not _mirrored([left, right]):
             raise RobotFileError(
                 f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
                 f"{right.r:.4f} m are not two equal wheels on one axle: name one wheel on each side"
             )
     elif pairs := _mirrored(wheels):
-        left, right = _driven(pairs)
+        lowest = min(left.bottom for left, _ in pairs)
+        pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
+        radii = [left.r for left, _ in pairs]
+        if max(radii) > (1 + _ALIKE) * min(radii):
+            names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
+            raise RobotFileError(
+                f"--wheels: pairs of different radius may be the driven ones: {names}; "
+                "set --wheels LEFT RIGHT"
+            )
+        left, right = pairs[0]
     else:
-        tree, rigid, why = base.tree, base.arm.rigid_links, [*reasons.values()]
-        if found:
-            why.append(f"{', '.join(found)}: no two are on one axle")
-        fixed = [name for name in (*found, *reasons) if tree.joints[name].parent in rigid]
+        if wheels:
+            why.append(f"{', '.join(each.joint.name for each in wheels)}: no two are on one axle")
         helps = "set --wheels LEFT RIGHT, their joints; " if fixed else ""
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {base.arm.base!r} "
@@ -225,20 +231,6 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
             "sideways too"
         )
     return _drive(left, right, wheels)
-
-
-def _driven(pairs: list[tuple[_Wheel, _Wheel]]) -> tuple[_Wheel, _Wheel]:
-    """The first of the lowest pairs of wheels; all pairs at this level must have equal radii."""
-    lowest = min(left.bottom for left, _ in pairs)
-    pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
-    radii = [left.r for left, _ in pairs]
-    if max(radii) > (1 + _ALIKE) * min(radii):
-        names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
-        raise RobotFileError(
-            f"--wheels: pairs of different radius may be the driven ones: {names}; "
-            "set --wheels LEFT RIGHT"
-        )
-    return pairs[0]
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
@@ -259,26 +251,6 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
     return Wheels(lefts, rights, left.r, abs(y[0] - y[1]) / 2, T, speed, left.how)
 
 
-def _named(
-    base: _Base, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
-) -> _Wheel:
-    """The wheel of `found` on a named joint or link; an error states why it is no wheel."""
-    tree = base.tree
-    joint = tree.joints.get(name) or tree.joint_of.get(name)
-    if joint is not None and joint.name in found:
-        return found[joint.name]
-    if joint is None:
-        why = f"there is no joint or link {name!r}"
-    elif joint.child not in base.arm.base_links[1:]:
-        why = f"{name!r} is not on the base"
-    elif not turns_round(joint):
-        why = f"{joint.name} is not a wheel: it is {joint.kind}"
-    else:
-        why = reasons[joint.name]
-    turning = ", ".join(j.name for j in tree.joints.values() if turns_round(j))
-    raise RobotFileError(f"--wheels: {why}; joints without limits: {turning or '(none)'}")
-
-
 def turns_round(joint: Joint) -> bool:
     """Whether the range of a joint has no limits, or is more than two turns."""
     return joint.kind == "continuous" or (joint.kind == "revolute" and _range(joint) > 4 * np.pi)
@@ -289,20 +261,23 @@ def _range(joint: Joint) -> float:
     return (joint.upper or 0.0) - (joint.lower or 0.0)
 
 
-def _radius(shapes: Sequence[tuple[LinkShape, pin.SE3]], joint: Joint) -> tuple[float, str]:
+def _radius(joint: Joint, places: Mapping[str, pin.SE3], geometry: Geometry) -> tuple[float, str]:
     """[m] radius of all shapes about a joint's axis; a text with the kind of the largest shape.
 
-    `shapes` has each shape with the pose of its link in the frame of the joint's child link. If the
-    shapes are not round about the axis, this raises a RobotFileError.
+    `places` has T_child_link of each link that is fixed to the joint's child link. If the shapes
+    are not round about the axis, this raises a RobotFileError.
     """
+    shapes = [(s, T) for link, T in places.items() for s in geometry[link].shapes]
+    if not shapes:
+        raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
     across = null_space(joint.axis[None])
     outlines = [(s.hull.vertices @ T.rotation.T + T.translation) @ across for s, T in shapes]
     radii = [float(np.linalg.norm(each, axis=1).max()) for each in outlines]
     r, flat, largest = max(radii), np.vstack(outlines), shapes[int(np.argmax(radii))][0]
     widths = [float(np.ptp(flat @ [np.cos(a), np.sin(a)])) for a in np.linspace(0, np.pi, 12)]
-    if max(widths) > (1 + _ROUND) * min(widths) or abs(2 * r / max(widths) - 1) > _ROUND:
-        round_off_axis = max(widths) <= (1 + _ROUND) * min(widths)
-        why = "its shapes are not centred on its axis" if round_off_axis else "it is not round"
+    is_round = max(widths) <= (1 + _ROUND) * min(widths)
+    if not is_round or abs(2 * r / max(widths) - 1) > _ROUND:
+        why = "its shapes are not centred on its axis" if is_round else "it is not round"
         raise RobotFileError(
             f"{joint.name} is not a wheel: {joint.child} is not round about its axis: {why} "
             f"({min(widths):.3f} to {max(widths):.3f} m wide)"
@@ -332,17 +307,17 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     If some of these links are wheels on the floor, only the joints that carry these wheels count.
     Options override the measured numbers.
     """
-    upright: list[tuple[Joint, list[Joint], float]] = []
     tree, arm, floor = base.tree, base.arm, float(T_base_floor.translation[2])
+    found: dict[str, list[Joint]] = {}
     for joint in tree.joints.values():
-        if joint.parent not in arm.rigid_links or joint.name in arm.names or not joint.moves:
-            continue
-        T = T_base_floor.inverse() * base.pose(joint.child)
         on_it = [j for j in tree.children[joint.child] if j.kind in ("continuous", "revolute")]
-        if abs((T.rotation @ joint.axis)[2]) > _UPRIGHT and on_it:
-            upright.append((joint, on_it, float(T.translation[0])))
-    used = [e for e in upright if any(base.stands(j, floor) for j in e[1])] or upright
-    joints, places = [joint for joint, *_ in used], [x for *_, x in used]
+        own = joint.parent in arm.rigid_links and joint.name not in arm.names and joint.moves
+        if own and on_it and abs(T_base_floor.rotation[:, 2] @ base.axis(joint)) > _UPRIGHT:
+            found[joint.name] = on_it
+    wheeled = {k: each for k, each in found.items() if any(base.stands(j, floor) for j in each)}
+    found = wheeled or found
+    joints = [tree.joints[name] for name in found]
+    places = [(T_base_floor.inverse() * base.pose(j.child)).translation[0] for j in joints]
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
         raise RobotFileError(
             f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, but two on one axle "
@@ -362,14 +337,14 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     speeds = [joint.velocity for joint in joints if joint.velocity]
     slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
     rate = min(speeds, default=_STEERING_RATE)
-    found = {
+    numbers = {
         "wheelbase_m": (float(np.mean(places or 0.0)), "measured: from the rear to the front axle"),
         "steering_limit_rad": (tightest, "from the URDF: the tightest joint"),
         "steering_rate_radps": (rate, slowest),
     }
-    for name in found:
+    for name in numbers:
         field = name.rpartition("_")[0]
         if own := getattr(request, field):
-            found[name] = own, f"from {option(field)}"
-    rolling = tuple(joint.name for _, on_it, _ in used for joint in on_it)
-    return Steering(found, rolling, tuple(joint.name for joint in joints))
+            numbers[name] = own, f"from {option(field)}"
+    rolling = tuple(joint.name for on_it in found.values() for joint in on_it)
+    return Steering(numbers, rolling, tuple(found))

@@ -20,26 +20,26 @@ three topics.
 import io
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from itertools import chain, groupby
 from math import nan
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-import foxglove
 import numpy as np
 import pinocchio as pin
 import trimesh
+from foxglove import Channel, Context, Schema, open_mcap
 from foxglove import messages as fg
 from foxglove.mcap import MCAPWriteOptions
 from google.protobuf import descriptor_pb2, message_factory
 from rosbags.typesys import Stores, get_typestore
+from trimesh.exchange.gltf import export_glb
 
-from app.config import Config
 from app.robot.assets import shown_urdf
 from app.robot.model import RobotModel, configured, whole_model
 from app.robot.shapes import shape_mesh
@@ -51,14 +51,14 @@ from app.system import write_whole
 
 WORLD = "world"  # name of the world's frame
 Materials = Mapping[str | None, Element]  # materials of the robot by name
+Records = Iterable[tuple[float, Mapping[str, Any]]]  # time [s] and fields of each record
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
 _BODY = fg.Color(r=0.25, g=0.6, b=0.9, a=0.4)
 _GREY = fg.Color(r=0.6, g=0.6, b=0.6, a=1)
 _INSIDE = fg.Color(r=1, g=0.7, b=0.1, a=1)  # of the buffer
 _CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
-_GLB, _STL = "model/gltf-binary", "model/stl"
-_MEDIA = {".glb": _GLB, ".stl": _STL, ".obj": "model/obj", ".dae": "model/vnd.collada+xml"}
+_MEDIA = {".glb": "gltf-binary", ".stl": "stl", ".obj": "obj", ".dae": "vnd.collada+xml"}
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 _NONE = np.empty(0)  # no velocities or efforts in a message
 _STORE: Any = get_typestore(Stores.ROS2_JAZZY)
@@ -73,10 +73,10 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     an AssetError, a DescriptionError or a RobotFileError.
     """
     file = io.BytesIO()  # in memory, so that a writing error occurs only at the end
-    log = _Log(file, profile="ros2" if ros else None)
-    with log.writer:
+    log, options = Context(), MCAPWriteOptions(profile="ros2" if ros else None)
+    with open_mcap(file, context=log, writer_options=options) as writer:
         about = trace.meta.model_dump(mode="json", exclude={"config"})
-        log.writer.write_metadata("dbb", {name: json.dumps(x) for name, x in about.items()})
+        writer.write_metadata("dbb", {name: json.dumps(x) for name, x in about.items()})
         _put_motion(log, trace, model)
         if not ros:
             _put_scene(log, trace, model)
@@ -84,90 +84,65 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     write_whole(path, file.getvalue())
 
 
-class _Log:
-    """An MCAP log; the first message of a topic opens the topic's channel."""
+def _put(log: Context, topic: str, t: float, content: bytes, schema: Schema) -> None:
+    """Append a message at time t [s]; equal channels of a context are one and the same channel."""
+    encoding = "cdr" if schema.encoding == "ros2msg" else schema.encoding
+    channel = Channel(topic, schema=schema, message_encoding=encoding, context=log)
+    channel.log(content, log_time=round(1e9 * t))
 
-    def __init__(self, file: BinaryIO, profile: str | None) -> None:
-        self._context = foxglove.Context()
-        options = MCAPWriteOptions(profile=profile)
-        self.writer = foxglove.open_mcap(file, context=self._context, writer_options=options)
-        self._channels: dict[str, foxglove.Channel] = {}
 
-    def put(self, topic: str, t: float, content: bytes, schema: foxglove.Schema) -> None:
-        """Append a message at time t [s]."""
-        if topic not in self._channels:
-            encoding = "cdr" if schema.encoding == "ros2msg" else schema.encoding
-            self._channels[topic] = foxglove.Channel(
-                topic, schema=schema, message_encoding=encoding, context=self._context
-            )
-        self._channels[topic].log(content, log_time=round(1e9 * t))
+def _put_entities(log: Context, topic: str, t: float, entities: list[fg.SceneEntity]) -> None:
+    scene = fg.SceneUpdate(entities=entities)
+    _put(log, topic, t, scene.encode(), scene.get_schema())
 
-    def put_scene(self, topic: str, t: float, entities: list[fg.SceneEntity]) -> None:
-        """Append entities at time t [s]."""
-        scene = fg.SceneUpdate(entities=entities)
-        self.put(topic, t, scene.encode(), scene.get_schema())
 
-    def put_ros(self, topic: str, t: float, kind: str, **fields: Any) -> None:
-        """Append a ROS message of the type `kind` with these fields at time t [s]."""
-        content = _STORE.serialize_cdr(_ROS[kind](**fields), kind)
-        self.put(topic, t, bytes(content), _ros_schema(kind))
-
-    def put_joints(self, topic: str, t: float, joints: Mapping[str, Any]) -> None:
-        """Append names, positions and optionally velocities and efforts of joints at time t [s]."""
-        states = {"velocity": _NONE, "effort": _NONE, **joints}
-        self.put_ros(topic, t, "sensor_msgs/msg/JointState", header=_header(t, ""), **states)
+def _put_ros(log: Context, topic: str, t: float, message: Any) -> None:
+    kind = message.__msgtype__
+    _put(log, topic, t, bytes(_STORE.serialize_cdr(message, kind)), _ros_schema(kind))
 
 
 @cache
-def _ros_schema(kind: str) -> foxglove.Schema:
+def _ros_schema(kind: str) -> Schema:
     definition, _ = _STORE.generate_msgdef(kind, ros_version=2)
-    return foxglove.Schema(name=kind, encoding="ros2msg", data=definition.encode())
+    return Schema(name=kind, encoding="ros2msg", data=definition.encode())
 
 
-def _poses(trace: Trace, model: RobotModel) -> Iterator[list[tuple[str, str, pin.SE3]]]:
-    """Name of the parent, name of the link and T_parent_link of each link, at each snapshot.
+def _joint_state(
+    t: float, names: list[str], positions: Array, velocities: Array = _NONE, efforts: Array = _NONE
+) -> Any:
+    kind = _ROS["sensor_msgs/msg/JointState"]
+    return kind(_header(t, ""), names, positions, velocities, efforts)
 
-    The links include turning wheels; the last entry is the end-effector's frame.
+
+def _put_motion(log: Context, trace: Trace, model: RobotModel) -> None:
+    """Write the robot's URDF, the states of arm joints and wheels, and the poses of all links.
+
+    Unknown speeds and torques of wheels are NaN. The last pose is that of the end-effector's frame.
     """
-    whole, parents = whole_model(model.description), {}
+    whole, urdf = whole_model(model.description), shown_urdf(model.description)
+    _put_ros(log, "/robot_description", trace.snapshots[0].t, _ROS["std_msgs/msg/String"](urdf))
     data, frames = whole.createData(), whole.frames
-    for i in (i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY):
-        parents[i] = frames[i].parentFrame
-        while parents[i] and frames[parents[i]].type != pin.FrameType.BODY:
-            parents[i] = frames[parents[i]].parentFrame
+    links = [i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY]
+    parents = [frames[frames[i].parentFrame].parentFrame for i in links]  # of the joint: a link
     names = [WORLD, *(frame.name for frame in frames[1:])]
     tip = model.pin.frames[model.ee_frame]
     link = model.pin.frames[tip.parentFrame]
-    end = link.name, tip.name, link.placement.actInv(tip.placement)
     for s in trace.snapshots:
-        q = configured(whole, model.joint_positions(s.q_m, s.wheel_angles))
+        positions = model.joint_positions(s.q_m, s.wheel_angles)
+        unknown = [nan] * (len(positions) - model.n_m)
+        speeds = _NONE if s.qd_m is None else np.array([*s.qd_m, *unknown])
+        values = np.array([*positions.values()]), speeds, np.array([*s.u_a, *unknown])
+        _put_ros(log, "/joint_states", s.t, _joint_state(s.t, [*positions], *values))
+        q = configured(whole, positions)
         q[:4] = model.configuration(s.base_pose, s.q_m)[:4]
         pin.framesForwardKinematics(whole, data, q)
-        T = data.oMf
-        yield [*((names[k], names[i], T[k].actInv(T[i])) for i, k in parents.items()), end]
+        T, ends = data.oMf, zip(parents, links, strict=True)
+        poses = [_frame(s.t, names[k], names[i], T[k].actInv(T[i])) for k, i in ends]
+        poses.append(_frame(s.t, link.name, tip.name, link.placement.actInv(tip.placement)))
+        _put_ros(log, "/tf", s.t, _ROS["tf2_msgs/msg/TFMessage"](poses))
 
 
-def _joints_of(s: Snapshot, model: RobotModel) -> dict[str, Any]:
-    """The states of the joints of arm and wheels at a snapshot; unknown values are NaN."""
-    positions = model.joint_positions(s.q_m, s.wheel_angles)
-    unknown = [nan] * (len(positions) - model.n_m)
-    velocity = _NONE if s.qd_m is None else np.array([*s.qd_m, *unknown])
-    effort = np.array([*s.u_a, *unknown])
-    found = {"name": [*positions], "position": np.array([*positions.values()])}
-    return {**found, "velocity": velocity, "effort": effort}
-
-
-def _put_motion(log: _Log, trace: Trace, model: RobotModel) -> None:
-    """Write the robot's URDF and its motion."""
-    begin, urdf = trace.snapshots[0].t, shown_urdf(model.description)
-    log.put_ros("/robot_description", begin, "std_msgs/msg/String", data=urdf)
-    for s, poses in zip(trace.snapshots, _poses(trace, model), strict=True):
-        log.put_joints("/joint_states", s.t, _joints_of(s, model))
-        transforms = [_frame(s.t, *each) for each in poses]
-        log.put_ros("/tf", s.t, "tf2_msgs/msg/TFMessage", transforms=transforms)
-
-
-def _put_scene(log: _Log, trace: Trace, model: RobotModel) -> None:
+def _put_scene(log: Context, trace: Trace, model: RobotModel) -> None:
     begin, urdf = trace.snapshots[0].t, ElementTree.fromstring(shown_urdf(model.description))
     materials = {each.get("name"): each for each in urdf.iterfind("material")}
     robot, bodies = [], []
@@ -176,36 +151,32 @@ def _put_scene(log: _Log, trace: Trace, model: RobotModel) -> None:
         models = [_visual(each, materials, name) for each in link.iterfind("visual")]
         robot.append(fg.SceneEntity(frame_id=name, id=name, models=[*filter(None, models)]))
     for body in model.description.bodies:
-        shapes = [_model(each.placement(), _glb(shape_mesh(each)), _BODY) for each in body.shapes]
+        shapes = [_model(each.placement(), shape_mesh(each), _BODY) for each in body.shapes]
         bodies.append(fg.SceneEntity(frame_id=body.frame, id=body.name, models=shapes))
-    log.put_scene("/robot", begin, robot)
-    log.put_scene("/bodies", begin, bodies)
+    _put_entities(log, "/robot", begin, robot)
+    _put_entities(log, "/bodies", begin, bodies)
     for s in trace.snapshots:
-        log.put_scene("/markers", s.t, _markers(s))
+        _put_entities(log, "/markers", s.t, _markers(s))
 
 
-def _put_numbers(log: _Log, trace: Trace) -> None:
+def _put_numbers(log: Context, trace: Trace) -> None:
     for s in trace.snapshots:
         row = trace.table[trace.row_at(s.t)]
         for quantity, columns in trace.groups.items():
             values = row[[trace.index[name] for name in columns]]
-            log.put_joints(f"/curves/{quantity}", s.t, {"name": columns, "position": values})
+            _put_ros(log, f"/curves/{quantity}", s.t, _joint_state(s.t, columns, values))
     changes = groupby(trace.snapshots, key=lambda s: s.config)
-    parameters = ((next(of).t, _flat(config)) for config, of in changes)
+    parameters = (
+        (next(of).t, {f"{name}_{key}": x for name, part in config for key, x in part})
+        for config, of in changes
+    )
     _put_records(log, "/parameters", "Config", parameters)
     names = _fields(column.name for column in trace.columns)
     rows = (dict(zip(names, row, strict=True)) for row in trace.table.tolist())
     _put_records(log, "/step", "Step", zip(trace.t.tolist(), rows, strict=True))
 
 
-def _flat(config: Config) -> dict[str, Any]:
-    sections = config.model_dump(mode="json").items()
-    return {f"{name}_{key}": x for name, section in sections for key, x in section.items()}
-
-
-def _put_records(
-    log: _Log, topic: str, name: str, records: Iterable[tuple[float, Mapping[str, Any]]]
-) -> None:
+def _put_records(log: Context, topic: str, name: str, records: Records) -> None:
     """Write records of numbers and texts, each with a time [s]; the first defines the fields."""
     records = iter(records)
     begin, example = next(records)
@@ -214,10 +185,10 @@ def _put_records(
     for number, (field, value) in enumerate(example.items(), 1):
         fields.add(name=field, number=number, label=1, type=9 if isinstance(value, str) else 1)
     data, name = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), f"dbb.{name}"
-    schema = foxglove.Schema(name=name, encoding="protobuf", data=data)
+    schema = Schema(name=name, encoding="protobuf", data=data)
     kind = message_factory.GetMessages([file])[name]
     for t, values in chain([(begin, example)], records):
-        log.put(topic, t, kind(**values).SerializeToString(), schema)
+        _put(log, topic, t, kind(**values).SerializeToString(), schema)
 
 
 def _fields(names: Iterable[str]) -> list[str]:
@@ -239,33 +210,29 @@ def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimiti
     T, rgba = origin(visual, where), colour(visual, materials)
     tint = fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
     if shape.tag != "mesh":
-        return _model(T, _glb(primitive(shape, where)[0]), tint or _GREY)
+        return _model(T, primitive(shape, where)[0], tint or _GREY)
     file = Path(unquote(urlsplit(shape.get("filename", "")).path))
-    media = _MEDIA.get(file.suffix.lower())
-    if media is None or file.stat().st_size > _LARGEST_MESH:
+    end = file.suffix.lower()
+    if end not in _MEDIA or file.stat().st_size > _LARGEST_MESH:
         return None
-    tint = tint or (_GREY if media == _STL else None)  # other formats have their own colours
-    return _model(T, file.read_bytes(), tint, media, numbers(shape, "scale", (1.0,) * 3, where))
-
-
-def _glb(mesh: trimesh.Trimesh) -> bytes:
-    return bytes(mesh.export(file_type="glb"))  # pyright: ignore[reportArgumentType]
+    tint = tint or (_GREY if end == ".stl" else None)  # other formats have their own colours
+    return _model(T, file, tint, numbers(shape, "scale", (1.0,) * 3, where))
 
 
 def _model(
     T: pin.SE3,
-    data: bytes,
+    shape: trimesh.Trimesh | Path,
     colour: fg.Color | None,
-    media: str = _GLB,
     scale: Iterable[float] = (1.0, 1.0, 1.0),
 ) -> fg.ModelPrimitive:
+    is_file = isinstance(shape, Path)
     return fg.ModelPrimitive(
         pose=_pose(T),
         scale=fg.Vector3(**_xyz(scale)),
         color=colour,
         override_color=colour is not None,
-        media_type=media,
-        data=data,
+        media_type=f"model/{_MEDIA[shape.suffix.lower() if is_file else '.glb']}",
+        data=shape.read_bytes() if is_file else export_glb(shape),
     )
 
 
@@ -283,7 +250,10 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
         for pair in s.pairs
     ]
     forces = [_arrow(each.p_act, each.f, _INSIDE) for each in s.acting]
-    balls = [_ball(p) for each in s.acting for p in (each.p_n, each.p_t, each.p_act)]
+    points = (p for each in s.acting for p in (each.p_n, each.p_t, each.p_act))
+    ball = {"size": fg.Vector3(x=0.025, y=0.025, z=0.025), "color": _INSIDE}
+    poses = (_pose(pin.SE3(np.eye(3), np.array(p))) for p in points)
+    balls = [fg.SpherePrimitive(pose=pose, **ball) for pose in poses]
     person = _arrow(s.p_ee, s.hand_force, _GREY)
     about = {"timestamp": fg.Timestamp(*_stamp(s.t)), "frame_id": WORLD}
     return [
@@ -307,21 +277,14 @@ def _arrow(start: Array, force: Array, colour: fg.Color) -> fg.ArrowPrimitive:
     )
 
 
-def _ball(at: Array) -> fg.SpherePrimitive:
-    size = fg.Vector3(x=0.025, y=0.025, z=0.025)
-    return fg.SpherePrimitive(
-        pose=_pose(pin.SE3(np.eye(3), np.array(at))), size=size, color=_INSIDE
-    )
-
-
 def _pose(T: pin.SE3) -> fg.Pose:
-    turn = dict(zip("xyzw", pin.SE3ToXYZQUAT(T)[3:].tolist(), strict=True))
-    at = fg.Vector3(**_xyz(T.translation))
-    return fg.Pose(position=at, orientation=fg.Quaternion(**turn))
+    at, turn = fg.Vector3(**_xyz(T.translation)), pin.SE3ToXYZQUAT(T)[3:]
+    return fg.Pose(position=at, orientation=fg.Quaternion(**_xyz(turn)))
 
 
-def _xyz(at: Iterable[float]) -> dict[str, float]:
-    return dict(zip("xyz", map(float, at), strict=True))
+def _xyz(values: Iterable[float]) -> dict[str, float]:
+    """The values by the names x, y, z and, of a quaternion, w."""
+    return dict(zip("xyzw", map(float, values), strict=False))
 
 
 def _stamp(t: float) -> tuple[int, int]:
