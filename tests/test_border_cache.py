@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border import cache, sampling
+from app.border import cache
 from app.border.cache import (
     BorderData,
     DamagedFileError,
@@ -133,7 +133,7 @@ def load(**options):
 def test_the_first_call_samples_and_later_calls_read_the_file(folder, monkeypatch):
     first = load()
     assert first.origin == "sampled"
-    monkeypatch.setattr(sampling, "sample_clouds", None)  # a second sampling would fail
+    monkeypatch.setattr(cache, "sample_clouds", None)  # a second sampling would fail
     again = load()
     assert again.origin == "cache"
     assert_same(first, again)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.avoidance.acting_point import uphill
-from app.border.score import ScoreField, score_at
+from app.border.score import ScoreField, field_at
 from app.errors import DescriptionError
 from app.robot.bases.differential import (
     control_point_jacobian,
@@ -135,7 +135,7 @@ def test_the_uphill_direction_is_the_normalised_gradient(field):
 def test_score_and_gradient_at_one_point_equal_the_array_functions(field):
     near, far = points(500), P_BASE + 2.0 * points(500, seed=1)
     for p in [*near, *far, P_BASE, np.array([0.0, 0.5, 0.2]), np.array([-1e-9, 0.5, 0.2])]:
-        S, gradient = score_at(field.coefficients(), p)
+        _, S, gradient = field_at(field.coefficients(), p)
         scale = np.abs(field.gradient(p)).max()
         np.testing.assert_allclose(S, field.score(p), rtol=1e-12)
         np.testing.assert_allclose(gradient, field.gradient(p), rtol=1e-12, atol=1e-13 * scale)

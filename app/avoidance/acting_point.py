@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.border.nearest import BorderSearch, nearest_border
-from app.border.score import ScoreField, score_at
+from app.border.score import ScoreField, field_at
 from app.compiled import compiled
 from app.config import ForceConfig
 from app.strict import Array
@@ -85,7 +85,7 @@ def find_acting_point(
     p_n, t = nearest_border(border, pair, p_b)
     if math.isnan(p_n[0]):
         return p_n, p_n, p_n, t, math.nan
-    value, gradient = score_at(score, p_n)
+    _, value, gradient = field_at(score, p_n)
     unit = score[2]
     alpha = step_size(d, value / unit, gain, alpha_min, alpha_max)
     p_t = p_n + tangential_step(gradient, t, alpha)

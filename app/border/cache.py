@@ -1,8 +1,7 @@
 """Files of a robot's offline results: its link pairs, and P_i of Algorithm 1 (the clouds).
 
-A file is found by its key and verified before use; if there is no valid file, the content is
-computed once and stored. A file is an `.npz` without pickles. The key is a hash of all inputs,
-equal on all machines, and is part of the file's name and header.
+If there is no valid file, the content is computed once and stored. A file is an `.npz` without
+pickles. Its name and header have its key, a hash of all inputs that is equal on all machines.
 """
 
 import hashlib
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 
 from app.border.dbb import Cloud, make_cloud
-from app.border.sampling import SamplingConfig
+from app.border.sampling import SamplingConfig, sample_clouds
 from app.errors import OutputError
 from app.robot import assets
 from app.robot.assets import read_urdf, resolve_package_uri
@@ -42,16 +41,7 @@ _LARGEST = 256_000_000  # [bytes] largest expanded file; the paper's robot needs
 _PARTS = ("blocks", "places", "distances")
 
 _log = logging.getLogger(__name__)
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    KeyError,
-    EOFError,
-    BadZipFile,
-    zlib.error,
-    RuntimeError,
-    MemoryError,
-)
+_FAULTS = OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, RuntimeError, MemoryError
 
 
 class DamagedFileError(Exception):
@@ -92,7 +82,7 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DamagedFileError: The file cannot be read, or its content is invalid.
+        DamagedFileError: The file cannot be read, is too large, or has an invalid content.
     """
     try:
         # `np.load` would leave an unreadable file open, and would accept a plain array.
@@ -104,7 +94,7 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
             return unpack({name: file[name] for name in file.files})
     except FileNotFoundError:
         raise
-    except _UNREADABLE as error:
+    except _FAULTS as error:
         raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
 
 
@@ -113,7 +103,6 @@ class BorderData:
     """The link pairs of one robot, and the sampled points of its borders."""
 
     pairs: LinkPairs
-    """The link pairs of (1), §2.1."""
     clouds: dict[str, Cloud]
     """P_i of Algorithm 1, the sampled points for each pair of arm and base, by the pair's name."""
     origin: Literal["cache", "shipped", "sampled"]
@@ -131,12 +120,8 @@ def load_border_data(
 ) -> BorderData:
     """Load the pairs and clouds of a robot, or sample and store them.
 
-    Args:
-        model: The robot.
-        sampling: Parameters of the sampling; default: those of the project's files.
-        progress: Whether to draw a progress bar on standard error.
-        processes: Number of processes; default: one for each usable core.
-        on_progress: Called with the share of the work that is done, 0 to 1.
+    `sampling` are the parameters of the sampling; default: those of the project's files. The other
+    arguments are those of `sample_clouds`.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -145,19 +130,9 @@ def load_border_data(
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:
         return found
-    # Imported here: a robot with a stored border needs no sampling.
-    from app.border.sampling import sample_clouds
-
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
-    clouds = sample_clouds(
-        model,
-        pairs.mobile,
-        sampling,
-        progress=progress,
-        processes=processes,
-        on_progress=on_progress,
-    )
-    data = BorderData(pairs, clouds, "sampled")
+    sample = partial(sample_clouds, progress=progress, processes=processes, on_progress=on_progress)
+    data = BorderData(pairs, sample(model, pairs.mobile, sampling), "sampled")
     key = border_key(model.description, sampling)
     path = _path(assets.cache_folder(), model, key)
     try:
@@ -170,11 +145,11 @@ def load_border_data(
 def kept_border_data(
     model: RobotModel, sampling: SamplingConfig | None = None
 ) -> BorderData | None:
-    """Load the pairs and clouds of a robot, or return None if they are not stored.
+    """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is used too. A damaged file, or a file whose header does not have this key, is ignored with
-    a warning.
+    key is valid too. A warning names each damaged file, and each file with another key in its
+    header.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -199,10 +174,10 @@ def _path(folder: Path, model: RobotModel, key: str) -> Path:
 
 
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
-    """The key of a robot's border: 32 hexadecimal digits that depend on all inputs.
+    """The key of a robot's border: 32 hexadecimal digits.
 
-    These are the sampling and all data of the robot that determine its pairs and clouds. Sources,
-    colours, masses, gains and the paths of installed packages are not included.
+    The key depends on the sampling, and on all data of the robot that determine its pairs and
+    clouds. Sources, colours, masses, gains and paths of packages have no effect on it.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -261,9 +236,7 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
 
 
 def _pack(cloud: Cloud) -> dict[str, Array]:
-    """A cloud as arrays of bytes that compress well: differences of consecutive blocks, offsets in
-    the blocks, and distances.
-    """
+    """A cloud as arrays of bytes: steps between consecutive blocks, places in them, distances."""
     blocks = cloud.points // _BLOCK
     order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
     blocks, points = blocks[order], cloud.points[order]
@@ -290,7 +263,7 @@ def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
 
 
 def _bytes(array: Array) -> Array:
-    """(k, 2, N) uint8 low and high bytes, in separate rows, of 16-bit numbers (N, k)."""
+    """(k, 2, N) uint8 low and high bytes of 16-bit numbers (N, k)."""
     little = np.ascontiguousarray(array.T).astype(array.dtype.newbyteorder("<"))
     return np.ascontiguousarray(little.view(np.uint8).reshape(*little.shape, 2).transpose(0, 2, 1))
 
