@@ -1,7 +1,6 @@
 """All parameters of a run, as frozen records; a number has a range, a unit and a meaning.
 
 The command line, the dashboard's sliders and the checks of values are derived from these records.
-The unit is in brackets at the start of a field's docstring. A choice has words instead of a range.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def number(
     """A field of a section: a number from `low` to `high`, displayed as `label` or by its name.
 
     The dashboard hides an `advanced` parameter until the user displays all parameters. `source` is
-    the source of the default, or a reason for it; empty if it is this project's choice.
+    as in `Parameter`.
     """
     extra: dict[str, Any] = {"advanced": advanced, "source": source}
     return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
@@ -104,7 +103,7 @@ class Section(NamedTuple):
 
 
 def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
-    """The parameter that the field `name` of a section's record describes.
+    """The parameter of the field `name` of a section's record.
 
     The field's docstring starts with the unit in brackets. A number must have both bounds.
     """
@@ -438,11 +437,7 @@ class Config(Strict):
         return {path: v for path in tunables() if (v := self.value(path)) != since.value(path)}
 
     def value(self, path: str) -> float | str:
-        """The value of a parameter.
-
-        Raises:
-            ConfigError: The parameter does not exist.
-        """
+        """The value of a parameter; a ConfigError if the parameter does not exist."""
         section, _, name = tunable(path).path.partition(".")
         return getattr(getattr(self, section), name)
 
@@ -450,10 +445,8 @@ class Config(Strict):
 def slowed(config: Config) -> Config:
     """A copy, for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
 
-    `task.ee_stiffness` and `repulsion.k_p` are divided by the square of the factor;
-    `task.ee_damping`, `repulsion.k_v`, `barrier.rate` and `barrier.max_separation_speed` by the
-    factor. `limit.position_rate` and `limit.velocity_rate` both become the former
-    `limit.position_rate` divided by the factor. All other parameters stay the same.
+    `limit.velocity_rate` becomes `limit.position_rate` divided by the factor. Parameters other than
+    those below stay the same.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -474,7 +467,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
     Missing parameters come from `usual`; without `usual` they are the defaults.
 
     Raises:
-        ConfigError: A parameter is unknown or invalid; the message names it and the valid values.
+        ConfigError: A parameter is unknown or invalid; the message lists valid names or values.
     """
     try:
         # Strict: `true` and "0.2" are not numbers.
@@ -489,7 +482,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
 
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of `data[section][name]` in which present names replace former names of parameters.
+    """A copy of `data[section][name]` with present instead of former names of parameters.
 
     Raises:
         ValueError: A parameter has a value under both names.
@@ -537,11 +530,7 @@ def tunables() -> dict[str, Tunable]:
 
 
 def tunable(path: str) -> Tunable:
-    """The parameter with a path, such as `border.d_b`.
-
-    Raises:
-        ConfigError: The parameter does not exist.
-    """
+    """The parameter with a path, such as `border.d_b`; a ConfigError if it does not exist."""
     path = present_name(path)
     if path not in tunables():
         raise ConfigError(f"no parameter {path!r}{did_you_mean(path, tunables())}")
@@ -549,11 +538,7 @@ def tunable(path: str) -> Tunable:
 
 
 def parameter(path: str) -> Parameter:
-    """Range, default, unit and meaning of a parameter that is a number.
-
-    Raises:
-        ConfigError: The parameter does not exist, or is a choice among words.
-    """
+    """The parameter with a path; a ConfigError if it does not exist or is a choice among words."""
     found = tunable(path)
     if not isinstance(found, Parameter):
         raise ConfigError(f"{path} is not a number but {found.allowed}")
@@ -561,7 +546,7 @@ def parameter(path: str) -> Parameter:
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """The argument `valid_text` of `explain`: valid values at a place; None if it is unknown."""
+    """The argument `valid_text` of `explain` for a `Config`."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

@@ -35,10 +35,7 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
     """The text of a file: value, range (or choices), unit and meaning of each parameter.
 
     A comment marks each parameter that differs from the program's default. `hosts` are the names
-    for `[server] allow_host`.
-
-    Raises:
-        ConfigError: The name is too long or has unprintable characters.
+    for `[server] allow_host`. Errors: those of `checked_name`.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
@@ -68,16 +65,14 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """Read the bytes of a file; missing parameters come from `usual` or, without it, the defaults.
+    """The content of a file's bytes; missing parameters come from `usual` or are the defaults.
 
     Raises:
         ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value, the
             name or a host is invalid.
     """
-    if len(content) > MAX_BYTES:
-        raise ConfigError(
-            f"the file has {len(content)} bytes; a configuration has at most {MAX_BYTES}"
-        )
+    if (size := len(content)) > MAX_BYTES:
+        raise ConfigError(f"the file has {size} bytes; a configuration has at most {MAX_BYTES}")
     try:
         data: dict[str, Any] = from_toml(text_of(content))
     except ValueError as error:
@@ -91,17 +86,15 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
         raise ConfigError(
             f'[{_SERVER}]: must have only {_HOSTS}, a list of names such as ["robot.local"]'
         )
-    return NamedConfig(
-        checked_name(name), make_config(data, usual), tuple(map(checked_host, hosts))
-    )
+    name, config = checked_name(name), make_config(data, usual)
+    return NamedConfig(name, config, tuple(map(checked_host, hosts)))
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """Read a file; missing parameters come from `usual` or, without it, are the defaults.
+    """Read a file by `decode_config`.
 
     Raises:
-        ConfigError: The file cannot be read, or `decode_config` raises an error. The message
-            names the file.
+        ConfigError: The file cannot be read, or its content is invalid; the message names the file.
     """
     try:
         return decode_config(content_of(path), usual)
@@ -115,7 +108,7 @@ def checked_name(name: str) -> str:
     """The name of a configuration without leading and trailing blanks.
 
     Raises:
-        ConfigError: The name is too long or has unprintable characters.
+        ConfigError: The name is longer than 60 characters or has unprintable characters.
     """
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():

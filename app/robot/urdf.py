@@ -31,8 +31,8 @@ def origin(element: Element, where: str) -> pin.SE3:
     """The `<origin>` [m] of an element, or the identity; `where` begins the message of an error.
 
     Raises:
-        RobotFileError: An attribute is not three numbers, or the numbers are so large that their
-            unit is probably wrong.
+        RobotFileError: An attribute is not three numbers, or the unit of large numbers is probably
+            wrong: an angle exceeds 4π rad, or a coordinate 10 m.
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
@@ -68,16 +68,12 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
 
 
 def without_commas(words: str) -> str:
-    """Advice in an error message about a text of numbers with commas; empty without a comma."""
+    """Advice for an error message if a text of numbers has a comma, otherwise an empty text."""
     return "; write points in numbers and blanks between them, no commas" * ("," in words)
 
 
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
-    """Red, green, blue and opacity [0, 1] of a visual; None if the URDF states no colour.
-
-    If the visual's material states no colour, the material with the same name in the robot's
-    `materials` counts.
-    """
+    """`rgba` of a visual's material; if this is None, that of its namesake in `materials`."""
     if (material := visual.find("material")) is None:
         return None
     return rgba(material) or rgba(materials.get(material.get("name"), material))
@@ -86,7 +82,7 @@ def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[flo
 def rgba(material: Element) -> list[float] | None:
     """Red, green, blue and opacity [0, 1] of a material; None without three or four numbers.
 
-    Values up to 255, commas and a missing opacity are common mistakes and are accepted.
+    Colours up to 255, commas and a missing opacity are accepted, because these mistakes are common.
     """
     found = material.find("color")
     stated = "" if found is None else found.get("rgba", "").replace(",", " ")
@@ -105,9 +101,8 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    The `.bin` files in the folder of a `.gltf`, which have its vertices, count too. The result is
-    above `SMALL` for any mesh, because a few bytes can encode millions of triangles. Errors: those
-    of `resolve_package_uri`.
+    The size includes the `.bin` files in the folder of a `.gltf`. It is at least `SMALL` + 1,
+    because a few bytes can encode millions of triangles. Errors: those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}
@@ -120,7 +115,7 @@ def mesh_bytes(links: Iterable[Element]) -> int:
 def urdf_mesh(
     shape: Element, where: str, load: Callable[[Path], trimesh.Trimesh]
 ) -> tuple[trimesh.Trimesh, float | None]:
-    """A shape's triangles [m], and its radius [m]; the radius is None if the shape is not round.
+    """A shape's triangles [m], and its radius [m]; the radius is None for a box or a mesh.
 
     `load` reads the triangles of a mesh file; `where` begins the message of an error.
 
