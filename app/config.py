@@ -5,6 +5,7 @@ The command line, the dashboard's sliders and the checks of values are derived f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import cache
 from logging import getLogger
@@ -37,58 +38,40 @@ def number(
     return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
 
 
-class _Tuned(Strict):
+class Parameter(NamedTuple):
+    """A tunable parameter: a number with a range, or a choice among words."""
+
     path: str
     """Section and name, such as `border.d_b`."""
+    default: Any
     help: str
     label: str
     """Displayed name, followed by the symbol if there is one, without the unit."""
     advanced: bool
     source: str
     """Source of the default, or a reason for it; empty if it is this project's choice."""
+    unit: str
+    low: float = math.nan
+    high: float = math.nan
+    choices: tuple[str, ...] = ()
+    """The words; empty for a number."""
 
     @property
     def title(self) -> str:
         """Label with the unit, if there is one, such as `Buffer distance d_b [m]`."""
-        return self.label
-
-
-class Parameter(_Tuned):
-    """A tunable number."""
-
-    low: float
-    high: float
-    default: float
-    unit: str
-
-    @property
-    def title(self) -> str:
         return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
 
     @property
     def allowed(self) -> str:
-        """The range, such as `0.05 to 0.3 m`."""
+        """The range or the choices, such as `0.05 to 0.3 m` or `surface or points`."""
+        if self.choices:
+            return " or ".join(self.choices)
         return f"{self.low:.15g} to {self.high:.15g} {self.unit}".removesuffix(" -")
 
     @property
     def log(self) -> bool:
         """Whether a slider is logarithmic: the range is above 0 and spans three decades or more."""
         return self.low > 0 and self.high / self.low >= _DECADES
-
-
-class Choice(_Tuned):
-    """A tunable choice among words."""
-
-    choices: tuple[str, ...]
-    default: str
-
-    @property
-    def allowed(self) -> str:
-        """The choices, such as `surface or points`."""
-        return " or ".join(self.choices)
-
-
-Tunable = Parameter | Choice
 
 
 class Section(NamedTuple):
@@ -99,28 +82,27 @@ class Section(NamedTuple):
     title: str
     about: str
     """Description in one sentence."""
-    tunables: tuple[Tunable, ...]
+    tunables: tuple[Parameter, ...]
 
 
-def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
-    """The parameter of the field `name` of a section's record.
-
-    The field's docstring starts with the unit in brackets. A number must have both bounds.
-    """
+def _read(section: str, name: str, field: FieldInfo) -> Parameter:
+    """The parameter of a section's field, whose docstring starts with the unit in brackets."""
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    common: dict[str, Any] = {
-        "path": f"{section}.{name}",
-        "default": field.default,
-        "help": " ".join(text.split()),
-        "label": field.title or name.replace("_", " ").capitalize(),
-        "advanced": extra.get("advanced", False),
-        "source": extra.get("source", ""),
-    }
-    if get_origin(field.annotation) is Literal:
-        return Choice(choices=get_args(field.annotation), **common)
-    marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
-    return Parameter(low=marks["Ge"].ge, high=marks["Le"].le, unit=unit, **common)
+    bounds: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
+    is_number = get_origin(field.annotation) is not Literal
+    return Parameter(
+        path=f"{section}.{name}",
+        default=field.default,
+        help=" ".join(text.split()),
+        label=field.title or name.replace("_", " ").capitalize(),
+        advanced=bool(extra.get("advanced", False)),
+        source=str(extra.get("source", "")),
+        unit=unit,
+        low=bounds["Ge"].ge if is_number else math.nan,
+        high=bounds["Le"].le if is_number else math.nan,
+        choices=() if is_number else get_args(field.annotation),
+    )
 
 
 FORMER_NAMES = {
@@ -517,19 +499,19 @@ def sections() -> tuple[Section, ...]:
     for name, section in Config.model_fields.items():
         record = type(section.default)
         fields = record.model_fields.items()
-        parameters = tuple(read_tunable(name, each, field) for each, field in fields)
+        parameters = tuple(_read(name, each, field) for each, field in fields)
         about = (record.__doc__ or "").strip()
         found.append(Section(name, section.description or name, about, parameters))
     return tuple(found)
 
 
 @cache
-def tunables() -> dict[str, Tunable]:
+def tunables() -> dict[str, Parameter]:
     """All parameters by their paths, in their order."""
     return {each.path: each for section in sections() for each in section.tunables}
 
 
-def tunable(path: str) -> Tunable:
+def tunable(path: str) -> Parameter:
     """The parameter with a path, such as `border.d_b`; a ConfigError if it does not exist."""
     path = present_name(path)
     if path not in tunables():
@@ -538,9 +520,9 @@ def tunable(path: str) -> Tunable:
 
 
 def parameter(path: str) -> Parameter:
-    """The parameter with a path; a ConfigError if it does not exist or is a choice among words."""
+    """The number with a path; a ConfigError if it does not exist or is a choice among words."""
     found = tunable(path)
-    if not isinstance(found, Parameter):
+    if found.choices:
         raise ConfigError(f"{path} is not a number but {found.allowed}")
     return found
 
@@ -552,4 +534,4 @@ def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
     known = tunables().get(".".join(map(str, loc)))
     if known is None:
         return None
-    return f"must be {'within ' if isinstance(known, Parameter) else ''}{known.allowed}"
+    return f"must be {'' if known.choices else 'within '}{known.allowed}"

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import tomlkit
 
-from app.config import Config, Parameter, make_config, sections
+from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.strict import content_of, from_toml, text_of
 
@@ -47,7 +47,7 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
         table.add(tomlkit.comment(section.about))
         for each in section.tunables:
             value, allowed = config.value(each.path), each.allowed
-            if isinstance(each, Parameter):
+            if not each.choices:
                 allowed = f"[{each.unit}] {each.low:.15g} to {each.high:.15g}"
             table.add(tomlkit.nl())
             table.add(tomlkit.comment(f"{allowed}: {each.help}"))

@@ -220,7 +220,8 @@ def _locked(folder: Path, *, surely: bool = False) -> int | None:
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
     with suppress(FileNotFoundError):
-        free = found.st_uid == os.geteuid() and claim(lock) in (True, None)[: 2 - surely]
+        free = found.st_uid == os.geteuid() and claim(lock)
+        free = not surely if free is None else free
         # A new folder of the same name may have replaced this folder before the lock.
         if free and os.path.samestat(found, folder.lstat()):
             return lock

@@ -79,25 +79,17 @@ def sample_clouds(
     processes: int | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Cloud]:
-    """Sample P_i of Algorithm 1 for each pair of `pairs`, pairs of arm and base.
+    """P_i of Algorithm 1 by the name of the pair, for `pairs` of arm and base: sampled points.
 
     The points are closest points on the arm's body, one per voxel. Random sampling alone finds
     almost no points at the base's sides. Therefore a flood follows: from known postures, the arm
     moves such that its closest point enters an empty neighbouring voxel. The second and later
     floods start at the borders between sectors. A posture must satisfy the joint limits, and its
-    distance must be in the sampled range; collisions of other pairs are allowed. The result does
-    not depend on the number of processes.
+    distance must be in the sampled range; collisions of other pairs are allowed.
 
-    Args:
-        model: The robot.
-        pairs: The pairs.
-        config: Parameters of the sampling.
-        progress: Whether to draw a progress bar on standard error.
-        processes: Number of processes; default: one for each usable core.
-        on_progress: Called with the share of the work that is done, 0 to 1.
-
-    Returns:
-        P_i by the name of the pair.
+    `progress` displays a progress bar on standard error. `on_progress` is called with the share of
+    the work that is done, 0 to 1. `processes` is their number, by default one for each usable core;
+    it has no effect on the result.
 
     Raises:
         DescriptionError: The base is too large for the stored points.
@@ -117,13 +109,17 @@ def sample_clouds(
         shells = iter(workers.map(sample_shell, starts, part_of(tell, 0.0, begun)))
         found = {pair: _joined(list(islice(shells, _SEED_JOBS))) for pair in pairs}
         kept = {pair: _rows(start, slice(0)) for pair, start in found.items()}
-        voxels, report = make_context().voxels, part_of(tell, begun, 1.0)
+        context, report = make_context(), part_of(tell, begun, 1.0)
         for _ in range(config.rounds):
-            jobs = _flood_jobs(voxels, seeds, found, kept)
+            jobs = _flood_jobs(context.voxels, seeds, found, kept)
             for job, result in zip(jobs, workers.map(flood_sector, jobs, report), strict=True):
                 kept[job.pair] = _joined([kept[job.pair], result])
             found, report = kept, lambda _: None
-    return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
+    clouds = {}
+    for pair, (_, points) in kept.items():
+        distances = quantise_distances(context.body.distance(points * POINT_UNIT))
+        clouds[pair.name] = make_cloud(pair.name, points, distances)
+    return clouds
 
 
 def _flood_jobs(
@@ -162,8 +158,6 @@ class Kept(NamedTuple):
     """(N, n_m) float32 [rad or m] joint positions."""
     points: Array
     """(N, 3) int16 points of the postures, as in `Cloud`."""
-    distances: Array
-    """(N,) uint16 distances of the points, as in `Cloud`."""
 
 
 Columns = TypeVar("Columns", Kept, "Witnesses")
@@ -198,17 +192,14 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
     found = PairReader(context.model, pair).witnesses(q_m)
-    inside = _rows(found, (found.d > config.d_low) & (found.d < config.d_high))
-    points, distances = quantise_points(inside.p_b), quantise_distances(inside.d)
-    return Kept(inside.q_m.astype(np.float32), points, distances)
+    inside = (found.d > config.d_low) & (found.d < config.d_high)
+    return Kept(q_m[inside].astype(np.float32), quantise_points(found.p_b[inside]))
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
-    """Find postures for the open voxels of a sector, with the distances of their rounded points."""
+    """Find postures for the open voxels of a sector."""
     q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
-    found, points = _Flood(context, job).run(q_m)
-    distances = context.body.distance(points * POINT_UNIT)
-    return Kept(found, points, quantise_distances(distances))
+    return _Flood(context, job).run(q_m)
 
 
 class Witnesses(NamedTuple):
@@ -225,10 +216,7 @@ class Witnesses(NamedTuple):
 
 
 class PairReader:
-    """Computes closest points of a pair in many postures q_m (N, n_m) [rad or m] of the arm.
-
-    The base is at the origin.
-    """
+    """Closest points of a pair in postures q_m (N, n_m) [rad or m], with the base at the origin."""
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         self._model = model
@@ -250,8 +238,7 @@ class PairReader:
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
         """(N, 3, n_m) Jacobians of points that are fixed to the body, now at p_b (N, 3) [m].
 
-        The closest point also moves on the body, so a step with these Jacobians is only an
-        estimate.
+        The closest point also moves on the body, so these Jacobians only approximate its motion.
         """
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
         J, origin = np.empty((len(q_m), 6, model.nv)), np.empty((len(q_m), 3))
@@ -278,12 +265,11 @@ class _Flood:
         travel = self._model.q_upper - self._model.q_lower
         self._scale = np.minimum(travel, 2 * np.pi) / (2 * np.pi)
 
-    def run(self, sources: Array) -> tuple[Array, Array]:
-        """Flood the open voxels from starting postures (N, n_m) [rad or m].
+    def run(self, sources: Array) -> Kept:
+        """Flood the open voxels from postures (N, n_m), which are kept if they are in open voxels.
 
         In each of up to `retries` + 1 attempts, one posture of a batch makes a step into each open
-        voxel next to the batch. The result are the accepted postures (N, n_m) float32, including
-        sources in open voxels, and their points (N, 3) int16 as in `Cloud`.
+        voxel next to the batch.
         """
         found = self._reader.witnesses(sources)
         accepted = [self._accepted(found)]
@@ -297,7 +283,7 @@ class _Flood:
             if round_ < self._retries:
                 waiting[round_ + 1].append(found)
         found = _joined(accepted)
-        return found.q_m.astype(np.float32), quantise_points(found.p_b)
+        return Kept(found.q_m.astype(np.float32), quantise_points(found.p_b))
 
     def _accepted(self, found: Witnesses) -> Witnesses:
         """Select one posture in range for each open voxel that has some, and close the voxel."""
@@ -310,10 +296,7 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Step into each open voxel from the first posture next to it.
-
-        Steps that would probably leave the sampled range of distances are left out.
-        """
+        """Step into open voxels that are probably in range, from the first posture beside each."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - found.p_b[:, None]
@@ -384,14 +367,10 @@ class Voxels:
     def __init__(
         self, lower: Array, upper: Array, *, reach: float, size: Array, sectors: int
     ) -> None:
-        """Create the grid.
+        """Create the grid up to the distance `reach` [m] from the box.
 
-        Args:
-            lower: (3,) [m] lower corner of the box.
-            upper: (3,) [m] upper corner of the box.
-            reach: [m] distance from the box to the end of the grid.
-            size: (3,) [m] sides of a voxel, rounded to multiples of 0.1 mm.
-            sectors: Number of equal sectors around the base's centre.
+        `lower` and `upper` (3,) [m] are corners of the box, `size` (3,) [m] are the sides of a
+        voxel, and `sectors` is the number of equal sectors around the base's centre.
 
         Raises:
             DescriptionError: The base is too large for int16 points.
@@ -437,8 +416,6 @@ class Voxels:
         return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3) int16; −1 for a voxel that is
-        not `free` (count,), or outside of the grid.
-        """
+        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 if not `free`."""
         keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

@@ -76,7 +76,8 @@ def is_own(name: str) -> bool:
 
 def robot_names() -> list[str]:
     """Names of the robots that have a description, including the user's."""
-    found = {path.parent.name for top in _tops() for path in top.glob("*/robot.toml")}
+    tops = ASSETS, *user_robots()
+    found = {path.parent.name for top in tops for path in top.glob("*/robot.toml")}
     return sorted(name for name in found if not name.startswith("."))  # unfinished robots
 
 
@@ -126,11 +127,8 @@ def hidden_robot(name: str) -> str:
 
 def _folders(name: str) -> list[Path]:
     """All folders with a robot of this name; the first has precedence."""
-    return [folder for top in _tops() if isfile((folder := top / name) / "robot.toml")]
-
-
-def _tops() -> list[Path]:
-    return [ASSETS, *user_robots()]
+    tops = ASSETS, *user_robots()
+    return [folder for top in tops if isfile((folder := top / name) / "robot.toml")]
 
 
 def resolve_package_uri(uri: str) -> Path:

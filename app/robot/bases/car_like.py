@@ -135,8 +135,8 @@ class CarLikeBase(BaseKind):
         return ((Channel((1.0, 0.0, 0.0), a, v),), *arcs)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        kappa, radius = self.curvature_max, self._radius
-        return np.array(nearest_in_cone(*wanted.tolist(), kappa, radius, float(before[0])))
+        (v, w), kappa = wanted.tolist(), self.curvature_max
+        return np.array(nearest_in_cone(v, w, kappa, self._radius, float(before[0])))
 
     def drive_at_rest(self) -> Array:
         """(1,) [rad] the steering angle δ = 0: straight ahead."""
