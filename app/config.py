@@ -399,11 +399,7 @@ class Config(Strict):
         return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
-        """A copy with new values of some parameters, by their paths, such as `border.d_b`.
-
-        Raises:
-            ConfigError: A parameter does not exist, or a value is invalid.
-        """
+        """A copy with new values of some parameters by path; a ConfigError if one is invalid."""
         data = self.model_dump()
         for path, value in values.items():
             section, _, name = tunable(path).path.partition(".")
@@ -411,7 +407,7 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; raises the errors of `changed`."""
+        """A copy with one parameter changed; errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
@@ -425,10 +421,9 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """A copy, for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
+    """A copy for the base's QPs, whose time constants are longer by `task.base_time_scale`.
 
-    `limit.velocity_rate` becomes `limit.position_rate` divided by the factor. Parameters other than
-    those below stay the same.
+    `limit.velocity_rate` becomes `limit.position_rate` divided by this factor.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -444,12 +439,9 @@ def slowed(config: Config) -> Config:
 
 
 def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
-    """A checked configuration from `data[section][name]`.
+    """A configuration from `data[section][name]`; missing parameters come from `usual`.
 
-    Missing parameters come from `usual`; without `usual` they are the defaults.
-
-    Raises:
-        ConfigError: A parameter is unknown or invalid; the message lists valid names or values.
+    Without `usual`, they are the defaults. A ConfigError names an unknown or invalid parameter.
     """
     try:
         # Strict: `true` and "0.2" are not numbers.
@@ -464,11 +456,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
 
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of `data[section][name]` with present instead of former names of parameters.
-
-    Raises:
-        ValueError: A parameter has a value under both names.
-    """
+    """A copy of `data[section][name]` with present instead of former names of parameters."""
     found = {name: dict(s) if isinstance(s, Mapping) else s for name, s in data.items()}
     for former, path in FORMER_NAMES.items():
         (old_section, old), (section, name) = former.split("."), path.split(".")

@@ -91,11 +91,7 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """Read a file by `decode_config`.
-
-    Raises:
-        ConfigError: The file cannot be read, or its content is invalid; the message names the file.
-    """
+    """Read a file by `decode_config`; the message of a ConfigError names the file."""
     try:
         return decode_config(content_of(path), usual)
     except OSError as error:
@@ -105,11 +101,7 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """The name of a configuration without leading and trailing blanks.
-
-    Raises:
-        ConfigError: The name is longer than 60 characters or has unprintable characters.
-    """
+    """The name of a configuration without blanks around it; a ConfigError if it is invalid."""
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise ConfigError(
@@ -119,11 +111,7 @@ def checked_name(name: str) -> str:
 
 
 def checked_host(name: str) -> str:
-    """The name of a host, in the form that browsers send.
-
-    Raises:
-        ConfigError: The text is not a host name, or has more than the name, such as a port.
-    """
+    """The name of a host in the form that browsers send; a ConfigError if it is not only a name."""
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()
     except UnicodeError:  # a label is empty or too long

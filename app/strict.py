@@ -240,10 +240,9 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """Name of a placeholder in a file's place, such as a Git LFS pointer, with advice; or empty.
+    """Name of the placeholder in a file's place, such as a Git LFS pointer, with advice; or empty.
 
-    A download or a repository can leave a placeholder. `content` are the first 1024 bytes of the
-    file, or more.
+    `content` are the first 1024 bytes of the file, or more.
     """
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))

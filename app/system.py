@@ -286,9 +286,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
     Thus no reader sees an incomplete file. A link of this user at `path` remains, to the new file.
-
-    Raises:
-        OutputError: The file cannot be written; the previous file remains.
+    If the file cannot be written, an OutputError is raised, and the previous file remains.
     """
     try:
         real = own_path(path)

@@ -63,12 +63,7 @@ class _Header(Strict):
 
 
 def write(path: Path, header: _Header, arrays: Arrays) -> None:
-    """Write a file completely or not at all; the zip format adds a checksum of each array.
-
-    Raises:
-        OSError: The folder cannot be made.
-        OutputError: The file cannot be written.
-    """
+    """Write a file completely, or write nothing and raise an OSError or an OutputError."""
     header_bytes = np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)
     content: dict[str, Any] = {"header": header_bytes, **arrays}
     packed = io.BytesIO()
@@ -121,11 +116,7 @@ def load_border_data(
     """Load the pairs and clouds of a robot, or sample and store them.
 
     `sampling` are the parameters of the sampling; default: those of the project's files. The other
-    arguments are those of `sample_clouds`.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
-        DescriptionError: The base is too large for the stored points.
+    arguments are those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
     """
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:
@@ -148,11 +139,8 @@ def kept_border_data(
     """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is valid too. A warning names each damaged file, and each file with another key in its
-    header.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
+    key is valid too. A warning names each file that is damaged or has another key in its header.
+    Errors: those of `border_key`.
     """
     key = border_key(model.description, sampling or SamplingConfig())
     folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}
@@ -219,11 +207,7 @@ def pack(data: BorderData, key: str) -> tuple[_Header, Arrays]:
 
 
 def unpack(arrays: Arrays, key: str) -> BorderData:
-    """The data of a file's arrays, the inverse of `pack`.
-
-    Raises:
-        DamagedFileError: The file has a different key or format, or an invalid array.
-    """
+    """The data of a file's arrays, the inverse of `pack`; a DamagedFileError if it is not valid."""
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):
         raise DamagedFileError("it belongs to another robot, sampling or version")
@@ -248,11 +232,7 @@ def _pack(cloud: Cloud) -> dict[str, Array]:
 
 
 def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
-    """The cloud of three arrays of bytes, the inverse of `_pack`.
-
-    Raises:
-        DamagedFileError: An array has a wrong type or shape.
-    """
+    """The cloud of three arrays of bytes, the inverse of `_pack`."""
     n = places.shape[-1]
     shapes = [(blocks, (3, 2, n)), (places, (3, n)), (distances, (1, 2, n))]
     if any(array.dtype != np.uint8 or array.shape != shape for array, shape in shapes):

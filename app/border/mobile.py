@@ -25,11 +25,9 @@ _FLAT = 1e-9  # [m] tolerance for points in a plane
 
 
 class ConvexPart:
-    """One convex shape of l_m, fixed in the base's frame.
+    """One convex shape of l_m, in a box with the corners `lower` and `upper` (3,) [m].
 
-    Attributes:
-        lower, upper: (3,) [m] corners of a box around the shape, along the base's axes.
-        shapes: The shape in the format of the compiled functions.
+    The box is along the axes of the base's frame. `shapes` has only this shape.
     """
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
@@ -66,11 +64,9 @@ class ConvexPart:
 
 
 class MobileBody:
-    """l_m: a union of convex parts.
+    """l_m: a union of convex `parts`, in a box with the corners `lower` and `upper` (3,) [m].
 
-    Attributes:
-        parts: The parts.
-        lower, upper: (3,) [m] corners of a box around l_m, along the base's axes.
+    The box is along the axes of the base's frame.
     """
 
     def __init__(self, model: RobotModel) -> None:

@@ -41,11 +41,7 @@ class Chain:
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
-        """Extract the chain of a body.
-
-        Raises:
-            ConfigError: Fewer than three joints move the body; the message lists the valid bodies.
-        """
+        """Extract the chain of a body; a ConfigError if fewer than three joints move the body."""
         joints = _moving_joints(model, body)
         if len(joints) < _MIN_JOINTS:
             raise ConfigError(
@@ -187,8 +183,7 @@ def sample_reach_map(
 
     Raises:
         ConfigError: Fewer than three joints move the body.
-        DescriptionError: No sampled joint position is free of self-collision, or as for
-            `free_joints`.
+        DescriptionError: Each sample is in self-collision, or as for `free_joints`.
     """
     chain, p_base = Chain(model, body), model.p_base()
     free, is_free = free_joints(chain), _clearance(model, chain)
@@ -226,11 +221,7 @@ def sample_reach_map(
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """Fit A, B and C of (9) to the part of a map above a share of the peak; see `fit_parabola`.
-
-    Raises:
-        DescriptionError: The map does not rise and fall with the distance from the mount.
-    """
+    """Fit A, B and C of (9) to a map by `fit_parabola`; a DescriptionError if this fails."""
     try:
         return fit_parabola(reach_map.rho, reach_map.reach, share)
     except ValueError as error:

@@ -42,11 +42,7 @@ class ScoreField:
 
     @classmethod
     def of(cls, model: RobotModel, body: str) -> ScoreField:
-        """The score for a body of the arm.
-
-        Raises:
-            DescriptionError: The description has no A, B and C of (9) for the body.
-        """
+        """The score for a body of the arm; a DescriptionError without A, B and C of (9) for it."""
         robot = model.description
         if (reach := robot.reachability.get(body)) is None:
             raise DescriptionError(
@@ -135,10 +131,8 @@ class RadialProfile:
     def peak(self) -> int:
         """Index of the shell with the largest mean, of those with at least 20 values.
 
-        If no shell has 20 values, only the shells with the most values are compared.
-
-        Raises:
-            ValueError: All shells are empty.
+        If no shell has 20 values, the shells with the most values are compared. A ValueError means
+        that all shells are empty.
         """
         if not self.count.any():
             raise ValueError("there are no values")

@@ -82,11 +82,9 @@ def robot_names() -> list[str]:
 
 
 def check_robot_name(name: str) -> None:
-    """Check that a robot exists.
+    """Raise an UnknownNameError if a robot does not exist.
 
-    Raises:
-        UnknownNameError: The robot does not exist; the message lists the existing robots, and the
-            first unusable folder of `$DBB_ROBOTS`.
+    The message lists the existing robots, and the first unusable folder of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())
@@ -109,10 +107,7 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot's description; a delivered robot has precedence over the user's.
-
-    For an unknown name, the result is the folder that a delivered robot would have.
-    """
+    """Folder of a robot; for an unknown name, the folder that a delivered robot would have."""
     return next(iter(_folders(name)), ASSETS / name)
 
 
@@ -126,7 +121,7 @@ def hidden_robot(name: str) -> str:
 
 
 def _folders(name: str) -> list[Path]:
-    """All folders with a robot of this name; the first has precedence."""
+    """All folders with a robot of this name; a delivered robot is first and has precedence."""
     tops = ASSETS, *user_robots()
     return [folder for top in tops if isfile((folder := top / name) / "robot.toml")]
 
@@ -198,11 +193,7 @@ class HasUrdf(Protocol):
 
 
 def urdf_path(description: HasUrdf) -> Path:
-    """The robot's URDF file.
-
-    Raises:
-        AssetError: The file or its package does not exist; see `resolve_package_uri`.
-    """
+    """The robot's URDF file; an AssetError if it does not exist, or of `resolve_package_uri`."""
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
     path = robot_folder(description.name) / description.urdf
@@ -396,11 +387,7 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
 
 
 def _mesh(reference: str, folder: Path) -> Path:
-    """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF.
-
-    Raises:
-        AssetError: The file does not exist, or a relative path leaves the folder of the URDF.
-    """
+    """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF."""
     if "://" in reference:
         return resolve_package_uri(reference)
     path, rule = Path(reference), ""

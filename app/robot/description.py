@@ -198,9 +198,8 @@ class RobotDescription(Strict):
 def register_base_kind(kind: type[BaseKind]) -> None:
     """Register a kind of base for descriptions: a record whose `kind` is a `Literal` of one name.
 
-    Raises:
-        DescriptionError: The `Literal` has several names, another kind has the name, or the kind
-            lacks a definition that `BaseKind` demands.
+    A DescriptionError means that the `Literal` has several names, another kind has the name, or the
+    kind lacks a definition that `BaseKind` demands.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
@@ -254,13 +253,10 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by its name, which is the name of its folder.
+    """The description of a robot by the name of its folder.
 
     A different `name` in the file is ignored: the folder can be a copy of another robot's folder.
-
-    Raises:
-        UnknownNameError: The robot does not exist; the message lists the existing robots.
-        DescriptionError: The description is invalid.
+    Errors: those of `check_robot_name` and `load_description`.
     """
     check_robot_name(name)
     description = load_description(robot_folder(name) / "robot.toml")

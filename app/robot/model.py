@@ -40,16 +40,13 @@ class RobotModel:
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
         shape_ids: Indices of a body's shapes in `geometry`, by the name of the body.
         body_joints: Pinocchio's index of the joint that moves a body, by the name of the body.
-        ee_frame, mount_frame: Pinocchio's indices of the frames of the end-effector and of the
-            arm's mount.
+        ee_frame, mount_frame: Pinocchio's indices of the frames of end-effector and arm's mount.
         n, n_b, n_m: Degrees of freedom of the reduced velocity, n = n_b + n_m, base and arm.
         n_d: Number of states of the base's drive besides its velocity.
         reading_shapes: Valid shapes of the arrays of a `Measurement`: with and without `drive`.
-        J_m, J_m_inv: (n_b, n_b) `BaseKind.J_m`, for a differential base that of (19), and its
-            inverse.
+        J_m, J_m_inv: (n_b, n_b) `BaseKind.J_m`, of (19) for a differential base; its inverse.
         base_rows: (n_b, n) [J_m O] of (19): the rows of ẍ_m and of the base's acceleration limits.
-        S: (3 + n_m, n) map from the reduced velocity to pinocchio's velocity: T J_m, and 1 for the
-            joints of the arm.
+        S: (3 + n_m, n) map from the reduced velocity to pinocchio's: T J_m, and 1 for the arm.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] limits of the base's axes.
         base_inertia: (n_b,) [kg or kg m²] mass or inertia of each axis.
         joint_damping: (n_m,) [N m s/rad or N s/m] damping of the arm's joints.

@@ -54,8 +54,7 @@ def origin(element: Element, where: str) -> pin.SE3:
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
     """The numbers of an attribute `key`, or the default if element or attribute is missing.
 
-    Raises:
-        RobotFileError: The attribute does not have as many finite numbers as the default.
+    A RobotFileError means that their number is not that of the default, or that one is not finite.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -134,11 +133,7 @@ def urdf_mesh(
 
 
 def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
-    """Triangles [m] of a box, sphere, cylinder or capsule, and its radius [m], None for a box.
-
-    Raises:
-        RobotFileError: It is none of these shapes, or a size is missing or not above zero.
-    """
+    """As `urdf_mesh`, for a box, sphere, cylinder or capsule."""
     from trimesh import creation  # a slow import
 
     def sizes(key: str, count: int = 1) -> Array:
