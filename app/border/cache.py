@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 from xml.etree import ElementTree
 from zipfile import BadZipFile
 
@@ -31,9 +31,6 @@ from app.robot.model import RobotModel
 from app.robot.shapes import ConvexMesh
 from app.strict import Array, Finite, NonNegative, Strict
 from app.system import write_whole
-
-Arrays = dict[str, Array]
-Read = TypeVar("Read")
 
 FORMAT = 2  # version of layout and sampling; a new version invalidates all files
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] block size; points are stored as block and offset
@@ -60,37 +57,6 @@ class _Header(Strict):
     least_distance_m: dict[str, Finite]
     samples: int
     seed: int
-
-
-def write(path: Path, header: _Header, arrays: Arrays) -> None:
-    """Write a file completely, or write nothing and raise an OSError or an OutputError."""
-    header_bytes = np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)
-    content: dict[str, Any] = {"header": header_bytes, **arrays}
-    packed = io.BytesIO()
-    np.savez_compressed(packed, **content)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, packed.getvalue())
-
-
-def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
-    """Read a file, verify the checksums, and return the result of `unpack` for its arrays.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        DamagedFileError: The file cannot be read, is too large, or has an invalid content.
-    """
-    try:
-        # `np.load` would leave an unreadable file open, and would accept a plain array.
-        with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
-            assert file.zip is not None  # it is None only after `close`
-            expanded = sum(each.file_size for each in file.zip.infolist())
-            if expanded > _LARGEST:
-                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
-            return unpack({name: file[name] for name in file.files})
-    except FileNotFoundError:
-        raise
-    except _FAULTS as error:
-        raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
 
 
 @dataclass(frozen=True)
@@ -127,7 +93,7 @@ def load_border_data(
     key = border_key(model.description, sampling)
     path = _path(assets.cache_folder(), model, key)
     try:
-        write(path, *pack(data, key))
+        write(path, data, key)
     except (OSError, OutputError) as error:
         _log.warning("%s cannot be stored (%s); it will be computed again", path, error)
     return data
@@ -149,7 +115,7 @@ def kept_border_data(
         others = sorted(folder.glob(f"*-{key}.npz"))
         for path in dict.fromkeys((_path(folder, model, key), *others)):
             try:
-                return replace(read(path, partial(unpack, key=key)), origin=origin)
+                return replace(read(path, key), origin=origin)
             except FileNotFoundError:
                 continue
             except DamagedFileError as error:
@@ -197,17 +163,41 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def pack(data: BorderData, key: str) -> tuple[_Header, Arrays]:
-    """The header and the arrays of a file with these data and this key."""
-    arrays = {}
+def write(path: Path, data: BorderData, key: str) -> None:
+    """Write a file completely, or write nothing and raise an OSError or an OutputError."""
+    header = _Header(format=FORMAT, key=key, **vars(data.pairs)).model_dump_json().encode()
+    content: dict[str, Any] = {"header": np.frombuffer(header, dtype=np.uint8)}
     for i, pair in enumerate(data.pairs.mobile):
-        for part, array in _pack(data.clouds[pair.name]).items():
-            arrays[f"cloud{i}_{part}"] = array
-    return _Header(format=FORMAT, key=key, **vars(data.pairs)), arrays
+        for part, array in zip(_PARTS, _pack(data.clouds[pair.name]), strict=True):
+            content[f"cloud{i}_{part}"] = array
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **content)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, packed.getvalue())
 
 
-def unpack(arrays: Arrays, key: str) -> BorderData:
-    """The data of a file's arrays, the inverse of `pack`; a DamagedFileError if it is not valid."""
+def read(path: Path, key: str) -> BorderData:
+    """Read a file, and verify its checksums and its key.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DamagedFileError: The file cannot be read or is too large, or its key or content is invalid.
+    """
+    try:
+        # `np.load` would leave an unreadable file open, and would accept a plain array.
+        with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
+            assert file.zip is not None  # it is None only after `close`
+            expanded = sum(each.file_size for each in file.zip.infolist())
+            if expanded > _LARGEST:
+                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
+            return _content({name: file[name] for name in file.files}, key)
+    except FileNotFoundError:
+        raise
+    except _FAULTS as error:
+        raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
+
+
+def _content(arrays: dict[str, Array], key: str) -> BorderData:
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):
         raise DamagedFileError("it belongs to another robot, sampling or version")
@@ -219,16 +209,15 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     return BorderData(pairs, clouds, "cache")
 
 
-def _pack(cloud: Cloud) -> dict[str, Array]:
-    """A cloud as arrays of bytes: steps between consecutive blocks, places in them, distances."""
+def _pack(cloud: Cloud) -> tuple[Array, Array, Array]:
+    """The arrays `_PARTS`, bytes: steps between consecutive blocks, places in them, distances."""
     blocks = cloud.points // _BLOCK
     order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
     blocks, points = blocks[order], cloud.points[order]
     steps = np.diff(blocks, axis=0, prepend=np.zeros((1, 3), dtype=int)).astype(np.int16)
     places = (points - blocks * _BLOCK).astype(np.uint8)
-    distances = cloud.distances[order]
-    parts = (_bytes(steps), np.ascontiguousarray(places.T), _bytes(distances[:, None]))
-    return dict(zip(_PARTS, parts, strict=True))
+    distances = cloud.distances[order, None]
+    return _bytes(steps), np.ascontiguousarray(places.T), _bytes(distances)
 
 
 def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:

@@ -108,10 +108,6 @@ class PairDistances(ShapeDistances):
         pin.updateGeometryPlacements(self._model.pin, self.data, self._geometry, self._placed, q)
         pin.computeDistances(self._geometry, self._placed)
 
-    def distance(self, i: int) -> float:
-        """[m] signed distance of the i-th pair."""
-        return self.nearest_result(i).min_distance
-
     def distances(self) -> tuple[float, ...]:
         """[m] signed distances of all pairs."""
         rows = np.empty(len(self.firsts) - 1)
