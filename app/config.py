@@ -105,6 +105,14 @@ def _read(section: str, name: str, field: FieldInfo) -> Parameter:
     )
 
 
+_TITLES = {
+    "ee_hold": "End-effector hold",
+    "task": "Tasks",
+    "limit": "Limits",
+    "hand": "Person's hand",
+    "disturbance": "Disturbances",
+}
+"""Titles of sections that differ from their names."""
 FORMER_NAMES = {
     "activation.blend": "activation.closest_point_smoothing",
     "barrier.leaving": "barrier.max_separation_speed",
@@ -364,34 +372,21 @@ class DisturbanceConfig(Strict):
 
 
 class Config(Strict):
-    """All tunable parameters; the docstring of each field is the title of the section."""
+    """All tunable parameters, in sections."""
 
     border: BorderConfig = BorderConfig()
-    """Border"""
     force: ForceConfig = ForceConfig()
-    """Force"""
     activation: ActivationConfig = ActivationConfig()
-    """Activation"""
     repulsion: RepulsionConfig = RepulsionConfig()
-    """Repulsion"""
     barrier: BarrierConfig = BarrierConfig()
-    """Barrier"""
     ee_hold: EeHoldConfig = EeHoldConfig()
-    """End-effector hold"""
     task: TaskConfig = TaskConfig()
-    """Tasks"""
     limit: LimitConfig = LimitConfig()
-    """Limits"""
     estimate: EstimateConfig = EstimateConfig()
-    """Estimate"""
     payload: PayloadConfig = PayloadConfig()
-    """Payload"""
     admittance: AdmittanceConfig = AdmittanceConfig()
-    """Admittance"""
     hand: PersonConfig = PersonConfig()
-    """Person's hand"""
     disturbance: DisturbanceConfig = DisturbanceConfig()
-    """Disturbances"""
 
     @model_validator(mode="before")
     @classmethod
@@ -488,8 +483,8 @@ def sections() -> tuple[Section, ...]:
         record = type(section.default)
         fields = record.model_fields.items()
         parameters = tuple(_read(name, each, field) for each, field in fields)
-        about = (record.__doc__ or "").strip()
-        found.append(Section(name, section.description or name, about, parameters))
+        title, about = _TITLES.get(name, name.capitalize()), (record.__doc__ or "").strip()
+        found.append(Section(name, title, about, parameters))
     return tuple(found)
 
 

@@ -38,7 +38,7 @@ def near(robot: RobotModel, seed: int, low: float, high: float, speed: float = 0
     while True:
         q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
         reader.update(robot.configuration(ZERO, q_m))
-        d = {name: reader.distances()[i] for i, name in enumerate(names)}
+        d = dict(zip(names, reader.distances(), strict=True))
         others = [v for name, v in d.items() if name not in ("lm-lEE", "l1-l2")]
         if low < d["lm-lEE"] < high and min(others) > 0.16:
             v = rng.normal(scale=speed, size=robot.n)

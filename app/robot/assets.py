@@ -178,7 +178,7 @@ def package_roots(package: str) -> list[Path]:
 
 
 def share_folders() -> list[Path]:
-    """Folders `share`, in which wheels install ROS packages."""
+    """Folders `share`; wheels install ROS packages in them."""
     libraries = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib")}
     prefixes = [*(library / "cmeel.prefix" for library in sorted(libraries)), Path(sys.prefix)]
     return [share for prefix in prefixes if (share := prefix / "share").is_dir()]
