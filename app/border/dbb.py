@@ -71,11 +71,9 @@ class Border:
     """DBB_i, the border of one pair of arm and base, in the base's frame, sorted by height."""
 
     pair: str
-    """Name of the pair, such as `lm-lEE`."""
     d_b: float
-    """[m] buffer distance."""
     eps: float
-    """[m] tolerance ε of (3)."""
+    """[m] d_b and ε of (3)."""
     points: Array
     """(N, 3) [m] points, by ascending height."""
 

@@ -163,7 +163,6 @@ class ReachMap:
     spacing_m: float
     """[m] spacing of the lattice."""
     seed: int
-    """Seed of the joint positions."""
     free_joints: tuple[str, ...]
     """Names of the fixed joints; empty if the chain is not redundant."""
 

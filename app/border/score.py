@@ -177,9 +177,8 @@ class ReachFit(NamedTuple):
     r_squared_positions: float
     """[-] share of the variance of single positions that (9) explains."""
     rho_min_m: float
-    """[m] the smallest fitted distance."""
     rho_max_m: float
-    """[m] the largest fitted distance."""
+    """[m] smallest and largest fitted distance."""
     points: int
     """Number of fitted positions."""
 

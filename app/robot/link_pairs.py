@@ -46,7 +46,7 @@ class ClosestPoints(NamedTuple):
 
 
 def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
-    """The closest points of a pair, with the closest points of its parts in the field `parts`."""
+    """The closest points of a pair, with those of its parts in the field `parts`."""
     return closest._replace(parts=parts)
 
 
@@ -67,7 +67,6 @@ class LinkPairs:
     samples: int
     """Number of sampled joint positions."""
     seed: int
-    """Seed of the generator."""
 
     @property
     def all(self) -> tuple[Pair, ...]:
