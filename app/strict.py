@@ -190,9 +190,8 @@ def file_text(path: Path) -> str:
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
     """Parse an untrusted text with `loads` (TOML or JSON); if `heavy`, always in a child process.
 
-    Raises:
-        ValueError: The text is invalid, longer than a million characters or too deeply nested, or
-            exceeds the budget of `within_budget`.
+    A ValueError means that the text is invalid, longer than a million characters or too deeply
+    nested, or exceeds the budget of `within_budget`.
     """
     if len(text) > LARGEST_DATA:
         raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
@@ -254,9 +253,8 @@ def text_of(content: bytes) -> str:
 
     The result has no byte order mark, and only line feeds as line ends.
 
-    Raises:
-        ValueError: The file has a different encoding, and the message names the line; or the
-            content is a `placeholder` and not empty.
+    A ValueError means that the file has a different encoding (the message names the line), or that
+    the content is a `placeholder` and not empty.
     """
     if content.strip() and (name := placeholder(content)):
         raise ValueError(f"in the place of the file is {name}")

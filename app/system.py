@@ -29,16 +29,9 @@ import platformdirs
 
 from app.errors import OutputError
 
-_REAL_TIME = 1  # [-] lowest real-time priority
-_SPARE = 3  # [-] smallest number of cores with which this process uses real-time priority
-_BUDGET = 500_000  # [µs] longest work of a real-time thread without a pause
-_MAX_BUDGET = 30_000_000  # [µs] work without a pause after which the system ends the process
 _BEGUN = ".dbb~"  # prefix of folders with unfinished results
 _PATIENCE = 1.0  # [s] time to wait until another process releases such a folder
 _LOOK_EVERY = 0.02  # [s] time between two attempts to lock a folder
-_MAX_LINKS = 40  # [-] longest chain of links, as in the operating system
-_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # [-] M_MMAP_THRESHOLD and M_ARENA_MAX of mallopt(3)
-_LARGE = 2**17  # [bytes] size of a large block of memory
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 
 
@@ -52,16 +45,16 @@ def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
     On three or more cores, the process also gets a real-time policy if possible. It permanently
-    loses this policy if it works for 0.5 s without a pause. Call this function in the main thread,
-    before other threads start.
+    loses this policy if it works for 0.5 s without a pause; after 30 s, the system ends it. Call
+    this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
-    if usable_cores() >= _SPARE:
+    if usable_cores() >= 3:
         with suppress(AttributeError, OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MAX_BUDGET))
+            resource.setrlimit(resource.RLIMIT_RTTIME, (500_000, 30_000_000))  # [µs]
             signal.signal(signal.SIGXCPU, _leave_real_time)
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))  # the lowest priority
 
 
 def _leave_real_time(*_: object) -> None:
@@ -168,11 +161,8 @@ def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
     """Yield a locked folder in `place` for an unfinished result; the end of the `with` removes it.
 
     Only one process at a time can use a `name`; the default is a random name. Files of killed
-    processes are removed first.
-
-    Raises:
-        OutputError: Another process or user still uses the name after a second.
-        OSError: The folder cannot be made.
+    processes are removed first. An OutputError means that another process or user still uses the
+    name after a second, an OSError that the folder cannot be made.
     """
     _remove_abandoned_once(place)
     folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(4)}"
@@ -250,9 +240,8 @@ def temporary_folder() -> AbstractContextManager[Path]:
 def own_path(path: Path) -> Path:
     """Resolve the links of a path.
 
-    Raises:
-        OutputError: The path has a link of another user in a shared folder, or more than 40 links;
-            or it is relative, and the working folder has been removed.
+    An OutputError means that the path has a link of another user in a shared folder or more than 40
+    links, or is relative to a working folder that has been removed.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -265,7 +254,7 @@ def own_path(path: Path) -> Path:
             found = here
             continue
         links += 1
-        if links > _MAX_LINKS or _is_foreign(here):
+        if links > 40 or _is_foreign(here):
             raise OutputError(
                 f"cannot write {path}: {here} is a link of another user, or part of a circle"
             )
@@ -308,9 +297,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 def whole_folder(out: Path) -> Iterator[Path]:
     """Yield a temporary folder that becomes `out` if the `with` raises no error.
 
-    Raises:
-        OutputError: `out` exists and is not an empty folder, is a mount point or cannot be written,
-            or another process is making it.
+    An OutputError means that `out` exists and is not an empty folder, is a mount point or cannot be
+    written, or that another process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -352,10 +340,10 @@ def peak_memory() -> float:
 def return_freed_memory_early() -> None:
     """Make glibc return freed memory to the system early; other C libraries do this anyway.
 
-    From then on, each large block is mapped on its own, and all threads share one heap.
+    From then on, each block above 128 KiB is mapped on its own, and all threads share one heap.
     """
-    _call_c("mallopt", _MMAP_THRESHOLD, _LARGE)
-    _call_c("mallopt", _ARENA_MAX, 1)
+    _call_c("mallopt", -3, 2**17)  # M_MMAP_THRESHOLD [bytes]
+    _call_c("mallopt", -8, 1)  # M_ARENA_MAX
 
 
 def return_freed_memory() -> None:
