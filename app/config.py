@@ -17,8 +17,6 @@ from pydantic.fields import FieldInfo
 from app.errors import ConfigError, did_you_mean
 from app.strict import Strict, explain
 
-_DECADES = 1000  # [-] smallest ratio of highest to lowest value of a logarithmic scale
-
 
 def number(
     default: float,
@@ -71,7 +69,7 @@ class Parameter(NamedTuple):
     @property
     def log(self) -> bool:
         """Whether a slider is logarithmic: the range is above 0 and spans three decades or more."""
-        return self.low > 0 and self.high / self.low >= _DECADES
+        return self.low > 0 and self.high / self.low >= 1000
 
 
 class Section(NamedTuple):

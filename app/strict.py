@@ -34,11 +34,8 @@ ValidText = Callable[[Place, str], str | None]
 
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
-_MAX_PARTS = 500  # [-] largest number of dots and brackets in a TOML line that this process reads
 LARGEST_TEXT = 10_000_000  # [bytes] size of the largest text file
 LARGEST_DATA = 10**6  # [characters] longest TOML or JSON text; each value needs 400 bytes
-_MAX_PROBLEMS = 8  # [-] largest number of reported problems of a file
-_MAX_LISTED = 1000  # [-] largest number of problems that are listed; each needs 1 kB
 
 
 class Strict(BaseModel):
@@ -94,15 +91,15 @@ def explain(
     `valid_text` returns the valid values for the place and kind of a problem, or None for
     pydantic's text. With more than 1000 problems, the line has only their number.
     """
-    texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
+    texts = [_explain(each, model, valid_text) for each in problems_of(error)[:8]]
     if more := error.error_count() - len(texts):
         texts.append(f"and {more} more" if texts else f"{more:,} wrong values, too many to list")
     return "; ".join(texts)
 
 
 def problems_of(error: ValidationError) -> list[ErrorDetails]:
-    """The problems of a validation error; empty if there are too many to list."""
-    return error.errors() if error.error_count() <= _MAX_LISTED else []
+    """The problems of a validation error; empty if there are more than 1000 (each needs 1 kB)."""
+    return error.errors() if error.error_count() <= 1000 else []
 
 
 def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidText) -> str:
@@ -201,7 +198,7 @@ def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> An
 def from_toml(text: str) -> dict[str, Any]:
     """Parse an untrusted TOML text; raises the errors of `parsed`."""
     # The time for a key or for nested brackets grows with the square of the number of parts.
-    heavy = any(sum(map(line.count, ".[{")) > _MAX_PARTS for line in text.splitlines())
+    heavy = any(sum(map(line.count, ".[{")) > 500 for line in text.splitlines())
     return parsed(tomllib.loads, text, heavy=heavy)
 
 

@@ -18,11 +18,7 @@ from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel, length_bound
 from app.strict import Array
 
-_TRIALS = 4  # [-] postures that test the rank of a chain
-_SINGULAR = 1e-6  # [m/rad or -] largest singular value that counts as a lost direction
 _MIN_JOINTS = 3  # [-] smallest number of joints that move a point within a volume
-_FREE_TRIALS = 20  # [-] postures that test a choice of free joints
-_LOST = 1e-9  # determinants below this value count as zero
 
 
 def reach_bodies(model: RobotModel) -> list[str]:
@@ -93,10 +89,10 @@ class Chain:
         return rng.uniform(*self.ranges)
 
     def _meets(self, numbers: int) -> bool:
-        """Whether the first `numbers` rows of the Jacobian are independent at some posture."""
+        """Whether the first `numbers` rows of the Jacobian are independent at one of 4 postures."""
         rng = np.random.default_rng(0)
-        tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(_TRIALS))
-        ranks = (np.linalg.matrix_rank(J[:numbers], tol=_SINGULAR) for _, J in tried)
+        tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(4))
+        ranks = (np.linalg.matrix_rank(J[:numbers], tol=1e-6) for _, J in tried)  # [m/rad or -]
         return numbers in ranks
 
 
@@ -123,10 +119,10 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
         DescriptionError: For each choice of fixed joints, the Jacobian of the others is singular.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
-    tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(_FREE_TRIALS)]
+    tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(20)]
     for free in reversed(list(combinations(range(k), chain.free))):
         square = np.delete(np.array(tried)[:, : chain.coordinates], free, axis=2)
-        if np.abs(np.linalg.det(square)).max() > _LOST:
+        if np.abs(np.linalg.det(square)).max() > 1e-9:
             return free
     raise DescriptionError(
         f"arm.joints: a pose of {chain.body} does not determine the {k} joints that move this "

@@ -18,9 +18,6 @@ from app.strict import Array
 if TYPE_CHECKING:
     import trimesh
 
-_MAX_TURN = 4 * np.pi  # [rad] largest roll, pitch or yaw
-_FARTHEST = 10.0  # [m] largest coordinate of the origin of a joint, shape or centre of mass
-
 
 def unit_of(length: float) -> str:
     """The probable unit of a length that is too large in metres, such as `millimetres`."""
@@ -36,14 +33,14 @@ def origin(element: Element, where: str) -> pin.SE3:
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
-    if np.abs(rpy).max() > _MAX_TURN:
+    if np.abs(rpy).max() > 4 * np.pi:
         words = " ".join(f"{angle:g}" for angle in rpy)
         raise RobotFileError(
             f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
             "degrees are 1.5708"
         )
     xyz = numbers(at, "xyz", (0.0, 0.0, 0.0), where)
-    if (far := float(np.abs(xyz).max())) > _FARTHEST:
+    if (far := float(np.abs(xyz).max())) > 10.0:
         raise RobotFileError(
             f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres, these look "
             f"like {unit_of(far)}"
