@@ -392,7 +392,7 @@ class Config(Strict):
         return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
-        """A copy with new values of some parameters by path; a ConfigError if one is invalid."""
+        """A copy with new values, by path; raises a ConfigError if a path or value is invalid."""
         data = self.model_dump()
         for path, value in values.items():
             section, _, name = tunable(path).path.partition(".")
@@ -408,7 +408,7 @@ class Config(Strict):
         return {path: v for path in tunables() if (v := self.value(path)) != since.value(path)}
 
     def value(self, path: str) -> float | str:
-        """The value of a parameter; a ConfigError if the parameter does not exist."""
+        """The value of a parameter; raises a ConfigError if the parameter does not exist."""
         section, _, name = tunable(path).path.partition(".")
         return getattr(getattr(self, section), name)
 
@@ -493,7 +493,7 @@ def tunables() -> dict[str, Parameter]:
 
 
 def tunable(path: str) -> Parameter:
-    """The parameter with a path, such as `border.d_b`; a ConfigError if it does not exist."""
+    """The parameter with a path, such as `border.d_b`; raises a ConfigError if there is none."""
     path = present_name(path)
     if path not in tunables():
         raise ConfigError(f"no parameter {path!r}{did_you_mean(path, tunables())}")
@@ -501,7 +501,7 @@ def tunable(path: str) -> Parameter:
 
 
 def parameter(path: str) -> Parameter:
-    """The number with a path; a ConfigError if it does not exist or is a choice among words."""
+    """As `tunable`; raises a ConfigError also if the parameter is a choice among words."""
     found = tunable(path)
     if found.choices:
         raise ConfigError(f"{path} is not a number but {found.allowed}")

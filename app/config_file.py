@@ -101,7 +101,10 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """The name of a configuration without blanks around it; a ConfigError if it is invalid."""
+    """The name of a configuration without blanks around it.
+
+    A ConfigError means that it is longer than 60 characters or has unprintable characters.
+    """
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise ConfigError(
@@ -111,7 +114,10 @@ def checked_name(name: str) -> str:
 
 
 def checked_host(name: str) -> str:
-    """The name of a host in the form that browsers send; a ConfigError if it is not only a name."""
+    """The name of a host in the form that browsers send.
+
+    A ConfigError means that the text is not a host name, or has more than it, such as a port.
+    """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()
     except UnicodeError:  # a label is empty or too long

@@ -31,7 +31,7 @@ class UnknownNameError(DbbError):
 
 
 def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
-    """Raise an UnknownNameError, which lists the choices, if `name` is not one of `choices`."""
+    """Raise an UnknownNameError if `name`, of a `kind` such as `robot`, is not in `choices`."""
     if name not in (existing := tuple(choices)):
         raise UnknownNameError(kind, name, existing)
 

@@ -137,7 +137,7 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
     `leader` is the number of the process that leads the group; 0 is the group of this process.
     """
-    # Without a process in the group; macOS raises the second error for ended processes.
+    # The group has no process; macOS raises the second error if all its processes have ended.
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL if at_once else signal.SIGTERM)
 
@@ -384,7 +384,7 @@ def is_writable(folder: Path) -> bool:
 
 
 def _private_folder(shared: Path, *, make: bool = True) -> Path:
-    """This user's own folder in a shared folder; an OSError if others could write into it."""
+    """This user's own folder in a shared folder; raises an OSError if others can write into it."""
     folder = shared / f"dbb-{os.getuid()}"
     if make:
         with suppress(FileExistsError):

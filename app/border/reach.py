@@ -37,7 +37,7 @@ class Chain:
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
-        """Extract the chain of a body; a ConfigError if fewer than three joints move the body."""
+        """Extract the chain; raises a ConfigError if fewer than three joints move the body."""
         joints = _moving_joints(model, body)
         if len(joints) < _MIN_JOINTS:
             raise ConfigError(
@@ -216,7 +216,7 @@ def sample_reach_map(
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """Fit A, B and C of (9) to a map by `fit_parabola`; a DescriptionError if this fails."""
+    """Fit A, B and C of (9) to a map by `fit_parabola`; a DescriptionError replaces its error."""
     try:
         return fit_parabola(reach_map.rho, reach_map.reach, share)
     except ValueError as error:

@@ -193,7 +193,7 @@ class HasUrdf(Protocol):
 
 
 def urdf_path(description: HasUrdf) -> Path:
-    """The robot's URDF file; an AssetError if it does not exist, or of `resolve_package_uri`."""
+    """The robot's URDF file; raises an AssetError if the file or its package is missing."""
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
     path = robot_folder(description.name) / description.urdf
