@@ -42,7 +42,7 @@ class ScoreField:
 
     @classmethod
     def of(cls, model: RobotModel, body: str) -> ScoreField:
-        """The score for a body of the arm; a DescriptionError without A, B and C of (9) for it."""
+        """The score for a body of the arm; raises a DescriptionError if A, B and C are missing."""
         robot = model.description
         if (reach := robot.reachability.get(body)) is None:
             raise DescriptionError(
