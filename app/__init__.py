@@ -45,27 +45,20 @@ if TYPE_CHECKING:
 
 __version__ = "1.0.0"
 
-_MODULES = {
-    "BorderData": "app.border.cache",
-    "Command": "app.control.controller",
-    "Config": "app.config",
-    "ControlLoop": "app.control.controller",
-    "ControlStep": "app.control.quantities",
-    "Controller": "app.control.controller",
-    "DbbError": "app.errors",
-    "Measurement": "app.robot.state",
-    "MeasurementError": "app.errors",
-    "Reference": "app.control.tasks",
-    "RobotDescription": "app.robot.description",
-    "RobotModel": "app.robot.model",
-    "RobotState": "app.robot.state",
-    "load_border_data": "app.border.cache",
-    "load_description": "app.robot.description",
-    "load_robot": "app.robot.description",
-    "read_config": "app.config_file",
-    "robot_names": "app.robot.assets",
+_NAMES = {
+    "border.cache": ("BorderData", "load_border_data"),
+    "config": ("Config",),
+    "config_file": ("read_config",),
+    "control.controller": ("Command", "ControlLoop", "Controller"),
+    "control.quantities": ("ControlStep",),
+    "control.tasks": ("Reference",),
+    "errors": ("DbbError", "MeasurementError"),
+    "robot.assets": ("robot_names",),
+    "robot.description": ("RobotDescription", "load_description", "load_robot"),
+    "robot.model": ("RobotModel",),
+    "robot.state": ("Measurement", "RobotState"),
 }
-"""The module that defines each name."""
+_MODULES = {name: f"app.{module}" for module, names in _NAMES.items() for name in names}
 
 __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 

@@ -1,11 +1,11 @@
 """All parameters of a run, as frozen records; a number has a range, a unit and a meaning.
 
 The command line, the dashboard's sliders and the checks of values are derived from these records.
-The unit is in brackets at the start of a field's docstring. A choice has words instead of a range.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import cache
 from logging import getLogger
@@ -16,8 +16,6 @@ from pydantic.fields import FieldInfo
 
 from app.errors import ConfigError, did_you_mean
 from app.strict import Strict, explain
-
-_DECADES = 1000  # [-] smallest ratio of highest to lowest value of a logarithmic scale
 
 
 def number(
@@ -32,64 +30,46 @@ def number(
     """A field of a section: a number from `low` to `high`, displayed as `label` or by its name.
 
     The dashboard hides an `advanced` parameter until the user displays all parameters. `source` is
-    the source of the default, or a reason for it; empty if it is this project's choice.
+    as in `Parameter`.
     """
     extra: dict[str, Any] = {"advanced": advanced, "source": source}
     return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
 
 
-class _Tuned(Strict):
+class Parameter(NamedTuple):
+    """A tunable parameter: a number with a range, or a choice among words."""
+
     path: str
     """Section and name, such as `border.d_b`."""
+    default: Any
     help: str
     label: str
     """Displayed name, followed by the symbol if there is one, without the unit."""
     advanced: bool
     source: str
     """Source of the default, or a reason for it; empty if it is this project's choice."""
+    unit: str
+    low: float = math.nan
+    high: float = math.nan
+    choices: tuple[str, ...] = ()
+    """The words; empty for a number."""
 
     @property
     def title(self) -> str:
         """Label with the unit, if there is one, such as `Buffer distance d_b [m]`."""
-        return self.label
-
-
-class Parameter(_Tuned):
-    """A tunable number."""
-
-    low: float
-    high: float
-    default: float
-    unit: str
-
-    @property
-    def title(self) -> str:
         return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
 
     @property
     def allowed(self) -> str:
-        """The range, such as `0.05 to 0.3 m`."""
+        """The range or the choices, such as `0.05 to 0.3 m` or `surface or points`."""
+        if self.choices:
+            return " or ".join(self.choices)
         return f"{self.low:.15g} to {self.high:.15g} {self.unit}".removesuffix(" -")
 
     @property
     def log(self) -> bool:
         """Whether a slider is logarithmic: the range is above 0 and spans three decades or more."""
-        return self.low > 0 and self.high / self.low >= _DECADES
-
-
-class Choice(_Tuned):
-    """A tunable choice among words."""
-
-    choices: tuple[str, ...]
-    default: str
-
-    @property
-    def allowed(self) -> str:
-        """The choices, such as `surface or points`."""
-        return " or ".join(self.choices)
-
-
-Tunable = Parameter | Choice
+        return self.low > 0 and self.high / self.low >= 1000
 
 
 class Section(NamedTuple):
@@ -100,30 +80,37 @@ class Section(NamedTuple):
     title: str
     about: str
     """Description in one sentence."""
-    tunables: tuple[Tunable, ...]
+    tunables: tuple[Parameter, ...]
 
 
-def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
-    """The parameter that the field `name` of a section's record describes.
-
-    The field's docstring starts with the unit in brackets. A number must have both bounds.
-    """
+def _read(section: str, name: str, field: FieldInfo) -> Parameter:
+    """The parameter of a section's field, whose docstring starts with the unit in brackets."""
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    common: dict[str, Any] = {
-        "path": f"{section}.{name}",
-        "default": field.default,
-        "help": " ".join(text.split()),
-        "label": field.title or name.replace("_", " ").capitalize(),
-        "advanced": extra.get("advanced", False),
-        "source": extra.get("source", ""),
-    }
-    if get_origin(field.annotation) is Literal:
-        return Choice(choices=get_args(field.annotation), **common)
-    marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
-    return Parameter(low=marks["Ge"].ge, high=marks["Le"].le, unit=unit, **common)
+    bounds: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
+    is_number = get_origin(field.annotation) is not Literal
+    return Parameter(
+        path=f"{section}.{name}",
+        default=field.default,
+        help=" ".join(text.split()),
+        label=field.title or name.replace("_", " ").capitalize(),
+        advanced=bool(extra.get("advanced", False)),
+        source=str(extra.get("source", "")),
+        unit=unit,
+        low=bounds["Ge"].ge if is_number else math.nan,
+        high=bounds["Le"].le if is_number else math.nan,
+        choices=() if is_number else get_args(field.annotation),
+    )
 
 
+_TITLES = {
+    "ee_hold": "End-effector hold",
+    "task": "Tasks",
+    "limit": "Limits",
+    "hand": "Person's hand",
+    "disturbance": "Disturbances",
+}
+"""Titles of sections that differ from their names."""
 FORMER_NAMES = {
     "activation.blend": "activation.closest_point_smoothing",
     "barrier.leaving": "barrier.max_separation_speed",
@@ -383,34 +370,21 @@ class DisturbanceConfig(Strict):
 
 
 class Config(Strict):
-    """All tunable parameters; the docstring of each field is the title of the section."""
+    """All tunable parameters, in sections."""
 
     border: BorderConfig = BorderConfig()
-    """Border"""
     force: ForceConfig = ForceConfig()
-    """Force"""
     activation: ActivationConfig = ActivationConfig()
-    """Activation"""
     repulsion: RepulsionConfig = RepulsionConfig()
-    """Repulsion"""
     barrier: BarrierConfig = BarrierConfig()
-    """Barrier"""
     ee_hold: EeHoldConfig = EeHoldConfig()
-    """End-effector hold"""
     task: TaskConfig = TaskConfig()
-    """Tasks"""
     limit: LimitConfig = LimitConfig()
-    """Limits"""
     estimate: EstimateConfig = EstimateConfig()
-    """Estimate"""
     payload: PayloadConfig = PayloadConfig()
-    """Payload"""
     admittance: AdmittanceConfig = AdmittanceConfig()
-    """Admittance"""
     hand: PersonConfig = PersonConfig()
-    """Person's hand"""
     disturbance: DisturbanceConfig = DisturbanceConfig()
-    """Disturbances"""
 
     @model_validator(mode="before")
     @classmethod
@@ -418,11 +392,7 @@ class Config(Strict):
         return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
-        """A copy with new values of some parameters, by their paths, such as `border.d_b`.
-
-        Raises:
-            ConfigError: A parameter does not exist, or a value is invalid.
-        """
+        """A copy with new values, by path; raises a ConfigError if a path or value is invalid."""
         data = self.model_dump()
         for path, value in values.items():
             section, _, name = tunable(path).path.partition(".")
@@ -430,7 +400,7 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; raises the errors of `changed`."""
+        """A copy with one parameter changed; errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
@@ -438,22 +408,15 @@ class Config(Strict):
         return {path: v for path in tunables() if (v := self.value(path)) != since.value(path)}
 
     def value(self, path: str) -> float | str:
-        """The value of a parameter.
-
-        Raises:
-            ConfigError: The parameter does not exist.
-        """
+        """The value of a parameter; raises a ConfigError if the parameter does not exist."""
         section, _, name = tunable(path).path.partition(".")
         return getattr(getattr(self, section), name)
 
 
 def slowed(config: Config) -> Config:
-    """A copy, for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
+    """A copy for the base's QPs, whose time constants are longer by `task.base_time_scale`.
 
-    `task.ee_stiffness` and `repulsion.k_p` are divided by the square of the factor;
-    `task.ee_damping`, `repulsion.k_v`, `barrier.rate` and `barrier.max_separation_speed` by the
-    factor. `limit.position_rate` and `limit.velocity_rate` both become the former
-    `limit.position_rate` divided by the factor. All other parameters stay the same.
+    `limit.velocity_rate` becomes `limit.position_rate` divided by this factor.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -469,12 +432,9 @@ def slowed(config: Config) -> Config:
 
 
 def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
-    """A checked configuration from `data[section][name]`.
+    """A configuration from `data[section][name]`; missing parameters come from `usual`.
 
-    Missing parameters come from `usual`; without `usual` they are the defaults.
-
-    Raises:
-        ConfigError: A parameter is unknown or invalid; the message names it and the valid values.
+    Without `usual`, they are the defaults. A ConfigError names an unknown or invalid parameter.
     """
     try:
         # Strict: `true` and "0.2" are not numbers.
@@ -489,11 +449,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
 
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of `data[section][name]` in which present names replace former names of parameters.
-
-    Raises:
-        ValueError: A parameter has a value under both names.
-    """
+    """A copy of `data[section][name]` with present instead of former names of parameters."""
     found = {name: dict(s) if isinstance(s, Mapping) else s for name, s in data.items()}
     for former, path in FORMER_NAMES.items():
         (old_section, old), (section, name) = former.split("."), path.split(".")
@@ -524,24 +480,20 @@ def sections() -> tuple[Section, ...]:
     for name, section in Config.model_fields.items():
         record = type(section.default)
         fields = record.model_fields.items()
-        parameters = tuple(read_tunable(name, each, field) for each, field in fields)
-        about = (record.__doc__ or "").strip()
-        found.append(Section(name, section.description or name, about, parameters))
+        parameters = tuple(_read(name, each, field) for each, field in fields)
+        title, about = _TITLES.get(name, name.capitalize()), (record.__doc__ or "").strip()
+        found.append(Section(name, title, about, parameters))
     return tuple(found)
 
 
 @cache
-def tunables() -> dict[str, Tunable]:
+def tunables() -> dict[str, Parameter]:
     """All parameters by their paths, in their order."""
     return {each.path: each for section in sections() for each in section.tunables}
 
 
-def tunable(path: str) -> Tunable:
-    """The parameter with a path, such as `border.d_b`.
-
-    Raises:
-        ConfigError: The parameter does not exist.
-    """
+def tunable(path: str) -> Parameter:
+    """The parameter with a path, such as `border.d_b`; raises a ConfigError if there is none."""
     path = present_name(path)
     if path not in tunables():
         raise ConfigError(f"no parameter {path!r}{did_you_mean(path, tunables())}")
@@ -549,22 +501,18 @@ def tunable(path: str) -> Tunable:
 
 
 def parameter(path: str) -> Parameter:
-    """Range, default, unit and meaning of a parameter that is a number.
-
-    Raises:
-        ConfigError: The parameter does not exist, or is a choice among words.
-    """
+    """As `tunable`; raises a ConfigError also if the parameter is a choice among words."""
     found = tunable(path)
-    if not isinstance(found, Parameter):
+    if found.choices:
         raise ConfigError(f"{path} is not a number but {found.allowed}")
     return found
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """The argument `valid_text` of `explain`: valid values at a place; None if it is unknown."""
+    """The argument `valid_text` of `explain` for a `Config`."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))
     if known is None:
         return None
-    return f"must be {'within ' if isinstance(known, Parameter) else ''}{known.allowed}"
+    return f"must be {'' if known.choices else 'within '}{known.allowed}"

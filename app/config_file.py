@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import tomlkit
 
-from app.config import Config, Parameter, make_config, sections
+from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.strict import content_of, from_toml, text_of
 
@@ -35,10 +35,7 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
     """The text of a file: value, range (or choices), unit and meaning of each parameter.
 
     A comment marks each parameter that differs from the program's default. `hosts` are the names
-    for `[server] allow_host`.
-
-    Raises:
-        ConfigError: The name is too long or has unprintable characters.
+    for `[server] allow_host`. Errors: those of `checked_name`.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
@@ -50,7 +47,7 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
         table.add(tomlkit.comment(section.about))
         for each in section.tunables:
             value, allowed = config.value(each.path), each.allowed
-            if isinstance(each, Parameter):
+            if not each.choices:
                 allowed = f"[{each.unit}] {each.low:.15g} to {each.high:.15g}"
             table.add(tomlkit.nl())
             table.add(tomlkit.comment(f"{allowed}: {each.help}"))
@@ -68,16 +65,14 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """Read the bytes of a file; missing parameters come from `usual` or, without it, the defaults.
+    """The content of a file's bytes; missing parameters come from `usual` or are the defaults.
 
     Raises:
         ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value, the
             name or a host is invalid.
     """
-    if len(content) > MAX_BYTES:
-        raise ConfigError(
-            f"the file has {len(content)} bytes; a configuration has at most {MAX_BYTES}"
-        )
+    if (size := len(content)) > MAX_BYTES:
+        raise ConfigError(f"the file has {size} bytes; a configuration has at most {MAX_BYTES}")
     try:
         data: dict[str, Any] = from_toml(text_of(content))
     except ValueError as error:
@@ -91,18 +86,12 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
         raise ConfigError(
             f'[{_SERVER}]: must have only {_HOSTS}, a list of names such as ["robot.local"]'
         )
-    return NamedConfig(
-        checked_name(name), make_config(data, usual), tuple(map(checked_host, hosts))
-    )
+    name, config = checked_name(name), make_config(data, usual)
+    return NamedConfig(name, config, tuple(map(checked_host, hosts)))
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """Read a file; missing parameters come from `usual` or, without it, are the defaults.
-
-    Raises:
-        ConfigError: The file cannot be read, or `decode_config` raises an error. The message
-            names the file.
-    """
+    """Read a file by `decode_config`; the message of a ConfigError names the file."""
     try:
         return decode_config(content_of(path), usual)
     except OSError as error:
@@ -112,10 +101,9 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """The name of a configuration without leading and trailing blanks.
+    """The name of a configuration without blanks around it.
 
-    Raises:
-        ConfigError: The name is too long or has unprintable characters.
+    A ConfigError means that it is longer than 60 characters or has unprintable characters.
     """
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
@@ -126,10 +114,9 @@ def checked_name(name: str) -> str:
 
 
 def checked_host(name: str) -> str:
-    """The name of a host, in the form that browsers send.
+    """The name of a host in the form that browsers send.
 
-    Raises:
-        ConfigError: The text is not a host name, or has more than the name, such as a port.
+    A ConfigError means that the text is not a host name, or has more than it, such as a port.
     """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()

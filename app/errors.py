@@ -10,7 +10,7 @@ class DbbError(Exception):
     """Base of all errors that a user can cause; commands print the text and end with status 2."""
 
     def __str__(self) -> str:
-        """The message as one printable line, even if it quotes unprintable characters of a file."""
+        """The message as one printable line."""
         return printable(" ".join(super().__str__().splitlines()))
 
 
@@ -31,11 +31,7 @@ class UnknownNameError(DbbError):
 
 
 def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
-    """Check that `name` is one of `choices`; `kind` (robot, scenario, …) is for the message.
-
-    Raises:
-        UnknownNameError: The name does not exist; the message lists the choices.
-    """
+    """Raise an UnknownNameError if `name`, of a `kind` such as `robot`, is not in `choices`."""
     if name not in (existing := tuple(choices)):
         raise UnknownNameError(kind, name, existing)
 
@@ -58,7 +54,7 @@ class ConfigError(DbbError):
 
 @contextmanager
 def named_part(where: str) -> Iterator[None]:
-    """Put `where`, the part of the robot, before the message of a RobotFileError in the `with`."""
+    """Put the name `where` of a part before the message of a RobotFileError in the `with`."""
     try:
         yield
     except RobotFileError as error:
@@ -115,31 +111,21 @@ class LoopError(DbbError):
 
 
 EXTRAS = {
-    "dashboard": (
-        *("fast_simplification", "imageio_ffmpeg", "msgspec", "PIL", "playwright", "viser"),
-        "websockets",
-    ),
-    "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
-    "onboarding": (
-        *("collada", "fast_simplification", "jinja2", "matplotlib", "mpl_toolkits"),
-        *("xacro", "xacrodoc"),
-    ),
-    "sim": (
-        *("foxglove", "google", "mujoco", "pyarrow", "pybullet", "pybullet_data", "rosbags"),
-        *("scipy", "trimesh"),
-    ),
+    "dashboard": "fast_simplification imageio_ffmpeg msgspec PIL playwright viser websockets",
+    "studies": "dask distributed jinja2 matplotlib mpl_toolkits",
+    "onboarding": "collada fast_simplification jinja2 matplotlib mpl_toolkits xacro xacrodoc",
+    "sim": "foxglove google mujoco pyarrow pybullet pybullet_data rosbags scipy trimesh",
 }
-"""The modules that each extra of the package installs; the extras `all` and `robots` are left out.
-Each extra here except `sim` also installs `sim`, and serves the package of its name in `app`."""
+"""The modules that each extra of the package installs, without the extras `all` and `robots`. Each
+extra other than `sim` also installs `sim`, and serves the package of its name in `app`."""
 
 
 @contextmanager
 def extras_named() -> Iterator[None]:
-    """Replace the error of a missing module in the `with` block, if an extra installs the module.
+    """Raise a MissingExtraError instead of the error of a missing module, if an extra has it.
 
-    Raises:
-        MissingExtraError: The message states how to install an extra that has the module: the extra
-            of the importing package of `app`, or else the first one that has the module.
+    The message names an extra that installs the module: the extra of the package of `app` that
+    imports the module, or else the first extra with the module.
     """
     try:
         yield
@@ -148,7 +134,8 @@ def extras_named() -> Iterator[None]:
         importers = [str(frame.f_globals["__name__"]) for frame, _ in walk_tb(error.__traceback__)]
         own = [extra for extra in EXTRAS if any(n.startswith(f"app.{extra}.") for n in importers)]
         for extra in (*own, *EXTRAS):
-            if missing in (*EXTRAS[extra], *(EXTRAS["sim"] if extra in own else ())):
+            modules = [EXTRAS[extra], EXTRAS["sim"]] if extra in own else [EXTRAS[extra]]
+            if missing in " ".join(modules).split():
                 raise MissingExtraError(
                     f"this needs {missing}, which is not installed; "
                     f"try: pip install 'dbb-mobile-manipulator[{extra}]'"

@@ -34,11 +34,8 @@ ValidText = Callable[[Place, str], str | None]
 
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
-_MAX_PARTS = 500  # [-] largest number of dots and brackets in a TOML line that this process reads
 LARGEST_TEXT = 10_000_000  # [bytes] size of the largest text file
 LARGEST_DATA = 10**6  # [characters] longest TOML or JSON text; each value needs 400 bytes
-_MAX_PROBLEMS = 8  # [-] largest number of reported problems of a file
-_MAX_LISTED = 1000  # [-] largest number of problems that are listed; each needs 1 kB
 
 
 class Strict(BaseModel):
@@ -48,7 +45,7 @@ class Strict(BaseModel):
 
 
 def field_docs(cls: type) -> Iterator[tuple[str, str]]:
-    """Name and docstring (one line) of each documented field that `cls`, a dataclass, defines."""
+    """Names and docstrings (as one line) of the documented fields of the dataclass `cls` itself."""
     if "__dataclass_fields__" not in vars(cls):
         return
     body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
@@ -89,20 +86,20 @@ def _holds_a_number(value: object) -> bool:
 def explain(
     error: ValidationError, model: type[BaseModel], valid_text: ValidText = lambda loc, kind: None
 ) -> str:
-    """The error of a record `model` as one line, with `field: valid value` for the first problems.
+    """The error of a record `model` as one line: field and valid value of the first eight problems.
 
-    `valid_text` returns the valid values for the place and kind of a problem; if it returns None,
-    the text is pydantic's. If there are too many problems, the line has only their number.
+    `valid_text` returns the valid values for the place and kind of a problem, or None for
+    pydantic's text. With more than 1000 problems, the line has only their number.
     """
-    texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
+    texts = [_explain(each, model, valid_text) for each in problems_of(error)[:8]]
     if more := error.error_count() - len(texts):
         texts.append(f"and {more} more" if texts else f"{more:,} wrong values, too many to list")
     return "; ".join(texts)
 
 
 def problems_of(error: ValidationError) -> list[ErrorDetails]:
-    """The problems of a validation error; empty if there are too many to list."""
-    return error.errors() if error.error_count() <= _MAX_LISTED else []
+    """The problems of a validation error; empty if there are more than 1000 (each needs 1 kB)."""
+    return error.errors() if error.error_count() <= 1000 else []
 
 
 def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidText) -> str:
@@ -145,8 +142,8 @@ def _cut(text: str) -> str:
 
 
 def _followed(model: type[BaseModel], loc: Place) -> tuple[list[type[BaseModel]], Place]:
-    """The records that can have the last part of the place `loc` as a field; and the place `loc`
-    without the values of `kind` that pydantic adds for a union.
+    """The records that can have the last part of `loc` as a field; and `loc` without the values of
+    `kind`, which pydantic adds for a union.
     """
     found, records, place = [model], [model], list[int | str]()
     for part in loc:
@@ -174,12 +171,7 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
 
 
 def content_of(path: Path) -> bytes:
-    """Read the bytes of an untrusted text file.
-
-    Raises:
-        OSError: The file cannot be read.
-        ValueError: The file has more than `LARGEST_TEXT` bytes.
-    """
+    """The bytes of an untrusted text file; raises an OSError, or a ValueError above 10 MB."""
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
     if len(content) > LARGEST_TEXT:
@@ -188,16 +180,15 @@ def content_of(path: Path) -> bytes:
 
 
 def file_text(path: Path) -> str:
-    """Read the text of a file; raises the errors of `text_of` and `content_of`."""
+    """The text of a file; raises the errors of `text_of` and `content_of`."""
     return text_of(content_of(path))
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
     """Parse an untrusted text with `loads` (TOML or JSON); if `heavy`, always in a child process.
 
-    Raises:
-        ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands
-            of digits, or takes more time or memory than `within_budget` allows.
+    A ValueError means that the text is invalid, longer than a million characters or too deeply
+    nested, or exceeds the budget of `within_budget`.
     """
     if len(text) > LARGEST_DATA:
         raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
@@ -207,25 +198,22 @@ def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> An
 def from_toml(text: str) -> dict[str, Any]:
     """Parse an untrusted TOML text; raises the errors of `parsed`."""
     # The time for a key or for nested brackets grows with the square of the number of parts.
-    heavy = any(sum(map(line.count, ".[{")) > _MAX_PARTS for line in text.splitlines())
+    heavy = any(sum(map(line.count, ".[{")) > 500 for line in text.splitlines())
     return parsed(tomllib.loads, text, heavy=heavy)
 
 
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
-    """Parse a text; an error message also names a probable typo, such as a decimal comma."""
+    """Parse a text; an error message also quotes the line and names a probable typo."""
     try:
         return loads(text)
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
     except ValueError as error:
-        raise ValueError(f"{error}{_at(error, text)}{_slip(text)}") from None
+        raise ValueError(f"{error}{_quoted(error, text)}{_slip(text)}") from None
 
 
-def _at(error: ValueError, text: str) -> str:
-    """A quotation of the line that an error of a TOML or JSON reader names; empty without a line.
-
-    If a comma before the error is the cause, the result also advises to remove the comma.
-    """
+def _quoted(error: ValueError, text: str) -> str:
+    """The line that a reader's error names, with advice if a comma before the error is wrong."""
     found = re.search(r"line (\d+),? column", str(error))
     lines = text.split("\n")
     if found is None or int(found[1]) > len(lines):
@@ -248,10 +236,9 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """Name of a placeholder that is in a file's place, such as a Git LFS pointer, with advice.
+    """Name of the placeholder in a file's place, such as a Git LFS pointer, with advice; or empty.
 
-    A download or a repository can leave a placeholder. The result is empty for other content.
-    `content` is the first bytes of the file, or all of them.
+    `content` are the first 1024 bytes of the file, or more.
     """
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
@@ -259,13 +246,12 @@ def placeholder(content: bytes) -> str:
 
 
 def text_of(content: bytes) -> str:
-    """Decode the text of a user's file: UTF-8, or UTF-16 with a byte order mark; it can be empty.
+    """Decode the text of a user's file: UTF-8, or UTF-16 with a byte order mark.
 
     The result has no byte order mark, and only line feeds as line ends.
 
-    Raises:
-        ValueError: The file has a different encoding, and the message names the line; or the
-            content is a `placeholder`.
+    A ValueError means that the file has a different encoding (the message names the line), or that
+    the content is a `placeholder` and not empty.
     """
     if content.strip() and (name := placeholder(content)):
         raise ValueError(f"in the place of the file is {name}")
@@ -289,7 +275,7 @@ _SLIPS = {
 
 
 def _slip(text: str) -> str:
-    """A message about the first match of `_SLIPS` in a text, with the line number; or empty."""
+    """The first match of `_SLIPS` in a text, with line number and correction; or empty."""
     for number, line in enumerate(text.splitlines(), 1):
         for pattern, why in _SLIPS.items():
             if found := re.search(pattern, line.partition("#")[0] or line):
@@ -298,11 +284,9 @@ def _slip(text: str) -> str:
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Check that a number is within [low, high], all in the same unit.
+    """Raise a ConfigError, which names option and range, if a number is outside [low, high] or NaN.
 
-    Raises:
-        ConfigError: The number is outside, or is NaN; the message names the option and the
-            range.
+    All three numbers are in the same unit.
     """
     if not low <= value <= high:
         number, lowest, highest = (

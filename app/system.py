@@ -1,7 +1,6 @@
 """Functions of the operating system: processes, files and folders, memory, standard files, locale.
 
-Each function has a fallback for a missing feature. Linux has all features. macOS, for example, has
-no real-time policy for a user's process, no set of allowed cores and no `malloc_trim`.
+Linux has all features. Each function has a fallback for a feature that another system lacks.
 """
 
 import ctypes
@@ -30,16 +29,9 @@ import platformdirs
 
 from app.errors import OutputError
 
-_REAL_TIME = 1  # [-] lowest real-time priority
-_SPARE = 3  # [-] smallest number of cores with which this process uses real-time priority
-_BUDGET = 500_000  # [µs] longest work of a real-time thread without a pause
-_MAX_BUDGET = 30_000_000  # [µs] work without a pause after which the system ends the process
 _BEGUN = ".dbb~"  # prefix of folders with unfinished results
 _PATIENCE = 1.0  # [s] time to wait until another process releases such a folder
 _LOOK_EVERY = 0.02  # [s] time between two attempts to lock a folder
-_MAX_LINKS = 40  # [-] longest chain of links, as in the operating system
-_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # [-] M_MMAP_THRESHOLD and M_ARENA_MAX of mallopt(3)
-_LARGE = 2**17  # [bytes] size of a large block of memory
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 
 
@@ -52,38 +44,37 @@ def usable_cores() -> int:
 def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    On three or more cores, the process also gets a real-time policy if possible; it would leave too
-    little time to other processes on fewer cores. A process that works for 0.5 s without a pause
-    loses the policy permanently. Call this function in the main thread, before other threads start.
+    On three or more cores, the process also gets a real-time policy if possible. It permanently
+    loses this policy if it works for 0.5 s without a pause; after 30 s, the system ends it. Call
+    this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
-    if usable_cores() >= _SPARE:
+    if usable_cores() >= 3:
         with suppress(AttributeError, OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MAX_BUDGET))
+            resource.setrlimit(resource.RLIMIT_RTTIME, (500_000, 30_000_000))  # [µs]
             signal.signal(signal.SIGXCPU, _leave_real_time)
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))  # the lowest priority
 
 
 def _leave_real_time(*_: object) -> None:
-    """Return all Python threads of this process to the normal policy."""
     for thread in threading.enumerate():
         with suppress(OSError):  # the thread has just ended
             os.sched_setscheduler(thread.native_id or 0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def lower_priority(niceness: int) -> None:
-    """Lower the priority of this process: increase its niceness by 0 to 19."""
+    """Increase the niceness of this process by 0 to 19."""
     with suppress(OSError):
         os.nice(niceness)
 
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit the process's additional processor time [s] and address space [bytes] in the `with`.
+    """Limit the additional processor time [s] and memory [bytes] of this process in the `with`.
 
-    Beyond the memory limit, an allocation fails. Beyond the time limit, the system ends the
-    process. macOS limits only the time.
+    Beyond the time, the system ends the process. Beyond the memory, an allocation fails; macOS has
+    no limit of the memory.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -123,20 +114,14 @@ def lead_group() -> None:
 
 
 def end_when_closed(pipe: int) -> None:
-    """Let the system end this process when all writers of a pipe have closed the pipe (Linux).
-
-    It needs no thread of the process, so a library that hangs cannot prevent it.
-    """
+    """Let the system end this process when all writers of a pipe have closed the pipe (Linux)."""
     with suppress(AttributeError, OSError):
         fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
         fcntl.fcntl(pipe, fcntl.F_SETFL, fcntl.fcntl(pipe, fcntl.F_GETFL) | os.O_ASYNC)
 
 
 def wake_children() -> None:
-    """Resume all suspended descendants of this process, if the system lists them.
-
-    A suspended program, such as a browser or its driver, would not react to a signal to end.
-    """
+    """Resume all suspended descendants of this process (Linux), so that they react to signals."""
     found = [os.getpid()]
     for parent in found:
         for listed in Path(f"/proc/{parent}/task").glob("*/children"):
@@ -148,20 +133,19 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End all processes of a group, if there are any; with `at_once`, they cannot clean up.
+    """End all processes of a group; with `at_once`, they cannot clean up.
 
     `leader` is the number of the process that leads the group; 0 is the group of this process.
     """
-    # macOS raises a PermissionError for a group that has only ended processes.
+    # The group has no process; macOS raises the second error if all its processes have ended.
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL if at_once else signal.SIGTERM)
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock an open file or folder until it is closed; return whether the lock succeeded.
+    """Lock an open file or folder until it is closed, and return True.
 
-    The result is False if another process has locked the file, None if the file system has no
-    locks.
+    Otherwise return False if another process has the lock, None if the file system has no locks.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -176,12 +160,9 @@ def claim(file: BinaryIO | int) -> bool | None:
 def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
     """Yield a locked folder in `place` for an unfinished result; the end of the `with` removes it.
 
-    Only one process at a time can use a `name`; the default is a random name. Files that killed
-    processes have left are removed first.
-
-    Raises:
-        OutputError: Another process still uses the name after a second.
-        OSError: The folder cannot be made.
+    Only one process at a time can use a `name`; the default is a random name. Files of killed
+    processes are removed first. An OutputError means that another process or user still uses the
+    name after a second, an OSError that the folder cannot be made.
     """
     _remove_abandoned_once(place)
     folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(4)}"
@@ -198,7 +179,7 @@ def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder; repeat this for 1 s, because programs that are about to end may use it."""
+    """Remove a folder; try for a second, because ending programs may still write into it."""
     end = time.monotonic() + _PATIENCE
     shutil.rmtree(folder, ignore_errors=True)
     while folder.exists() and time.monotonic() < end:
@@ -207,11 +188,7 @@ def _remove(folder: Path) -> None:
 
 
 def _claimed(folder: Path) -> int:
-    """Make and lock a folder, and return the file descriptor that holds the lock.
-
-    Raises:
-        OutputError: Another process or user holds the folder for longer than `_PATIENCE`.
-    """
+    """Make and lock a folder, and return the file descriptor that holds the lock."""
     end = time.monotonic() + _PATIENCE
     while True:
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -226,16 +203,16 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The file descriptor that locks a folder; None if another process or user has the folder, or
-    if the folder has been replaced.
+    """The file descriptor that locks a folder; None if another process or user has the folder.
 
-    If the file system has no locks, the descriptor locks nothing or, with `surely`, it is None.
+    If the file system has no locks, the descriptor locks nothing; with `surely` it is None.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
     with suppress(FileNotFoundError):
-        free = found.st_uid == os.geteuid() and claim(lock) in (True, None)[: 2 - surely]
-        # A new folder of the same name has possibly replaced this folder before the lock.
+        free = found.st_uid == os.geteuid() and claim(lock)
+        free = not surely if free is None else free
+        # A new folder of the same name may have replaced this folder before the lock.
         if free and os.path.samestat(found, folder.lstat()):
             return lock
     os.close(lock)
@@ -263,9 +240,8 @@ def temporary_folder() -> AbstractContextManager[Path]:
 def own_path(path: Path) -> Path:
     """Resolve the links of a path.
 
-    Raises:
-        OutputError: The path has a link of another user in a shared folder, or more than 40 links,
-            which possibly form a circle; or it is relative, and the working folder is removed.
+    An OutputError means that the path has a link of another user in a shared folder or more than 40
+    links, or is relative to a working folder that has been removed.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -278,7 +254,7 @@ def own_path(path: Path) -> Path:
             found = here
             continue
         links += 1
-        if links > _MAX_LINKS or _is_foreign(here):
+        if links > 40 or _is_foreign(here):
             raise OutputError(
                 f"cannot write {path}: {here} is a link of another user, or part of a circle"
             )
@@ -298,12 +274,8 @@ def _is_foreign(link: Path) -> bool:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
-    Thus no reader sees an incomplete file, and two writers do not disturb each other. If `path` is
-    a link of this user, it remains a link to the new file.
-
-    Raises:
-        OutputError: The file cannot be written, for example because the disk is full; the previous
-            file remains.
+    Thus no reader sees an incomplete file. A link of this user at `path` remains, to the new file.
+    If the file cannot be written, an OutputError is raised, and the previous file remains.
     """
     try:
         real = own_path(path)
@@ -325,9 +297,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 def whole_folder(out: Path) -> Iterator[Path]:
     """Yield a temporary folder that becomes `out` if the `with` raises no error.
 
-    Raises:
-        OutputError: `out` exists and is not an empty folder, `out` is a mount point or cannot be
-            written, or another process is making it.
+    An OutputError means that `out` exists and is not an empty folder, is a mount point or cannot be
+    written, or that another process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -369,11 +340,10 @@ def peak_memory() -> float:
 def return_freed_memory_early() -> None:
     """Make glibc return freed memory to the system early; other C libraries do this anyway.
 
-    From then on, each large block is mapped on its own, and all threads share one heap. Otherwise,
-    freed blocks between used ones stay in this process, for example those of a former robot.
+    From then on, each block above 128 KiB is mapped on its own, and all threads share one heap.
     """
-    _call_c("mallopt", _MMAP_THRESHOLD, _LARGE)
-    _call_c("mallopt", _ARENA_MAX, 1)
+    _call_c("mallopt", -3, 2**17)  # M_MMAP_THRESHOLD [bytes]
+    _call_c("mallopt", -8, 1)  # M_ARENA_MAX
 
 
 def return_freed_memory() -> None:
@@ -397,8 +367,8 @@ def home_expanded(path: str) -> Path:
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
     """Folders of this user for files that can be made again: the standard and a temporary folder.
 
-    A user without a home directory, for example in a container, has only the temporary folder. With
-    `make` this is created when the iteration arrives at it; it is left out if it cannot be used.
+    A user without a home directory has only the temporary folder. With `make`, it is created when
+    the iteration arrives at it. It is left out if it cannot be used.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -414,11 +384,7 @@ def is_writable(folder: Path) -> bool:
 
 
 def _private_folder(shared: Path, *, make: bool = True) -> Path:
-    """This user's own folder in a folder that all users share.
-
-    Raises:
-        OSError: The folder is missing (without `make`), cannot be made, or is not only this user's.
-    """
+    """This user's own folder in a shared folder; raises an OSError if others can write into it."""
     folder = shared / f"dbb-{os.getuid()}"
     if make:
         with suppress(FileExistsError):
@@ -432,9 +398,9 @@ def _private_folder(shared: Path, *, make: bool = True) -> Path:
 def open_standard_files() -> None:
     """Open standard input, output and error as null devices if the parent process closed them.
 
-    Without this, the next file, pipe or socket would get the number of a standard file and receive
-    printed text. Text for a closed standard output raises an OSError, because a result would be
-    lost. Codes replace the characters that the encoding of standard output lacks.
+    Otherwise the next file, pipe or socket would receive printed text. Text for a closed standard
+    output raises an OSError, because a result would be lost. Codes replace the characters that the
+    encoding of standard output lacks.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number
@@ -447,8 +413,8 @@ def open_standard_files() -> None:
 def set_missing_folders() -> None:
     """Set a writable temporary folder and a home for this program and its children, if missing.
 
-    On a read-only file system, for example in a container, /dev/shm is often the only writable
-    folder. A user without an entry in the user database has no home, which browsers need to start.
+    In a container, /dev/shm is often the only writable folder, and the user may have no home, which
+    browsers need to start.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
@@ -490,7 +456,6 @@ def flush_c_output() -> None:
 
 
 def _call_c(name: str, *args: int | None) -> None:
-    """Call a function of the C library, if the library has the function."""
     function = getattr(_c_library(), name, None)
     if function is not None:
         function(*args)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.avoidance.acting_point import resultant_force
-from app.border.score import ScoreField, score_at
+from app.border.score import ScoreField, field_at
 from app.config import AdmittanceConfig
 from app.control.inputs import largest_command
 from app.robot.bases.car_like import CarLikeBase, nearest_in_cone
@@ -45,7 +45,7 @@ def test_score_gradient_agrees_with_finite_differences(kind: str) -> None:
     numeric = jacobian(lambda step: field.score(p + step), 3)
     np.testing.assert_allclose(field.gradient(p), numeric, atol=1e-7 * np.abs(numeric).max())
     for point, S, gradient in zip(p, field.score(p), field.gradient(p), strict=True):
-        at, by_point = score_at(field.coefficients(), point)
+        _, at, by_point = field_at(field.coefficients(), point)
         assert at == pytest.approx(S, rel=1e-12)
         np.testing.assert_allclose(by_point, gradient, rtol=1e-9, atol=1e-9 * abs(S))
 

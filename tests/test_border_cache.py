@@ -5,21 +5,18 @@ from __future__ import annotations
 import logging
 import os
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from app.border import cache, sampling
+from app.border import cache
 from app.border.cache import (
     BorderData,
     DamagedFileError,
     border_key,
     load_border_data,
-    pack,
     read,
-    unpack,
     write,
 )
 from app.border.dbb import make_cloud
@@ -50,10 +47,6 @@ def content(count: int = 1000) -> BorderData:
     return BorderData(pairs, clouds, "sampled")
 
 
-def read_back(path: Path, key: str = "k") -> BorderData:
-    return read(path, partial(unpack, key=key))
-
-
 def assert_same(a: BorderData, b: BorderData) -> None:
     assert a.pairs == b.pairs
     assert a.clouds.keys() == b.clouds.keys()
@@ -67,44 +60,44 @@ def assert_same(a: BorderData, b: BorderData) -> None:
 @pytest.mark.parametrize("count", [0, 1, 1000])
 def test_reading_a_file_returns_the_written_content(tmp_path, count):
     path = tmp_path / "new" / "x.npz"
-    write(path, *pack(content(count), "k"))
-    assert_same(read_back(path), content(count))
+    write(path, content(count), "k")
+    assert_same(read(path, "k"), content(count))
     assert [file.name for file in path.parent.iterdir()] == ["x.npz"]
 
 
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     for name in ("a.npz", "b.npz"):
-        write(tmp_path / name, *pack(content(), "k"))
+        write(tmp_path / name, content(), "k")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_a_file_of_another_key_or_format_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "x.npz"
-    write(path, *pack(content(), "k"))
+    write(path, content(), "k")
     with pytest.raises(DamagedFileError, match="another"):
-        read_back(path, "other")
+        read(path, "other")
     monkeypatch.setattr(cache, "FORMAT", cache.FORMAT + 1)
     with pytest.raises(DamagedFileError, match="another"):
-        read_back(path)
+        read(path, "k")
 
 
 def test_a_flipped_byte_or_a_truncated_file_is_detected(tmp_path):
     """The file is refused if zip reads the flipped byte."""
     path = tmp_path / "x.npz"
-    write(path, *pack(content(50), "k"))
+    write(path, content(50), "k")
     good = path.read_bytes()
     refused = 0
     for at in range(0, len(good), max(1, len(good) // 400)):
         path.write_bytes(good[:at] + bytes([good[at] ^ 0x41]) + good[at + 1 :])
         try:
-            assert_same(read_back(path), content(50))
+            assert_same(read(path, "k"), content(50))
         except DamagedFileError:
             refused += 1
     assert refused > 200
     for length in range(0, len(good), max(1, len(good) // 40)):
         path.write_bytes(good[:length])
         with pytest.raises(DamagedFileError):
-            read_back(path)
+            read(path, "k")
 
 
 def test_pickles_are_never_loaded(tmp_path):
@@ -115,7 +108,7 @@ def test_pickles_are_never_loaded(tmp_path):
     path = tmp_path / "x.npz"
     np.savez(path, header=np.array([Trap()], dtype=object))
     with pytest.raises(DamagedFileError):
-        read_back(path)
+        read(path, "k")
     assert not (tmp_path / "sprung").exists()
 
 
@@ -133,7 +126,7 @@ def load(**options):
 def test_the_first_call_samples_and_later_calls_read_the_file(folder, monkeypatch):
     first = load()
     assert first.origin == "sampled"
-    monkeypatch.setattr(sampling, "sample_clouds", None)  # a second sampling would fail
+    monkeypatch.setattr(cache, "sample_clouds", None)  # a second sampling would fail
     again = load()
     assert again.origin == "cache"
     assert_same(first, again)

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from app.border.cache import load_border_data
 from app.border.dbb import make_cloud
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderSearch
+from app.border.nearest import BorderSearch, level
 from app.border.offset import OffsetContours
 from app.config import Config
 from app.robot.model import RobotModel
@@ -89,7 +89,7 @@ def test_nearest_points_are_on_the_exact_offset(offset: OffsetContours):
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.3], (3000, 3))
     feet = np.array([surface.nearest(p).p for p in points])
-    feet[:, 2] = [offset.within(z) for z in points[:, 2]]
+    feet[:, 2] = [level(offset.table.firsts, offset.table.heights, z) for z in points[:, 2]]
     assert np.abs(distance(feet) - D_B).max() < 0.001
 
 
@@ -181,10 +181,10 @@ def test_offset_of_shapes_of_any_kind_is_at_the_buffer_distance():
     )
     model = with_mobile_shapes(shapes)
     body, offset = MobileBody(model), OffsetContours(model, D_B)
-    assert len(offset.rings) == 4
-    rows = [(z, ring) for r in offset.rings for z, ring in zip(r.heights, r.vertices, strict=True)]
-    for (z, ring), shown in list(zip(rows, offset.table.shown, strict=True))[::5]:
-        d = body.distance(np.column_stack([ring, np.full(len(ring), z)])[::4])
+    _, heights, vertices, _, visible, _ = offset.table
+    assert len(offset.table.firsts) == 4 + 1
+    for z, ring, shown in list(zip(heights, vertices, visible, strict=True))[::5]:
+        d = body.distance(np.column_stack([ring.real, ring.imag, np.full(len(ring), z)])[::4])
         np.testing.assert_allclose(d[shown[::4] > 4e-6], D_B, atol=2e-6)
         assert (d[shown[::4] < 0.0] < D_B + 4e-6).all()
     points = np.random.default_rng(4).uniform([-0.7, -0.6, 0.0], [0.7, 0.6, 1.2], (400, 3))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.config import Config, Parameter, Tunable, make_config, sections
+from app.config import Config, Parameter, make_config, sections
 from app.config_file import (
     LONGEST_NAME,
     MAX_BYTES,
@@ -19,11 +19,11 @@ from app.errors import ConfigError
 from app.strict import LARGEST_TEXT
 
 
-def values(about: Tunable) -> st.SearchStrategy[float | str]:
+def values(about: Parameter) -> st.SearchStrategy[float | str]:
     """All valid values of a parameter."""
-    if isinstance(about, Parameter):
-        return st.floats(about.low, about.high)
-    return st.sampled_from(about.choices)
+    if about.choices:
+        return st.sampled_from(about.choices)
+    return st.floats(about.low, about.high)
 
 
 configs = st.fixed_dictionaries(
@@ -65,7 +65,7 @@ def test_comment_above_each_parameter_gives_unit_range_and_meaning() -> None:
             name = each.path.partition(".")[2]
             at = next(i for i in range(begin, len(lines)) if lines[i].startswith(f"{name} = "))
             assert each.help in lines[at - 1]
-            if isinstance(each, Parameter):
+            if not each.choices:
                 assert f"[{each.unit}] {each.low:.15g} to {each.high:.15g}" in lines[at - 1]
 
 

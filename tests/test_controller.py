@@ -60,7 +60,7 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
     while True:
         q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
         reader.update(robot.configuration(ZERO, q_m))
-        d = {name: reader.distance(i) for i, name in enumerate(names)}
+        d = dict(zip(names, reader.distances(), strict=True))
         if not (0.06 < d[pair] < 0.13 and all(v > 0.02 for v in d.values())):
             continue
         velocities = rng.normal(scale=0.05, size=robot.n)
@@ -217,7 +217,7 @@ def near_limits(robot: RobotModel, controller: Controller, seed: int) -> Measure
         for i in rng.choice(robot.n_m, 2, replace=False):
             q_m[i] = rng.choice([robot.q_lower[i] + 0.01, robot.q_upper[i] - 0.01])
         reader.update(robot.configuration(ZERO, q_m))
-        if min(reader.distance(i) for i in range(len(reader.pairs))) < 0.04:
+        if min(reader.distances()) < 0.04:
             continue
         m = measured(robot, q_m, base_velocity=rng.uniform(-0.2, 0.2, 2))
         controller.reset()

@@ -136,7 +136,7 @@ def test_distances_and_error_of_a_step_are_true_under_noise(make, robot: RobotMo
     seen = []
     for step in pulled(session, 40):
         reader.update(robot.configuration(step.truth.base_pose, step.truth.q_m))
-        true = [reader.distance(i) for i in range(len(step.distances))]
+        true = [reader.distances()[i] for i in range(len(step.distances))]
         np.testing.assert_allclose(step.distances, true, atol=1e-9)
         seen.append(np.subtract(true, step.control.d[: len(true)]))
         state.update(step.truth)

@@ -63,7 +63,7 @@ def near(robot: RobotModel, pair: str, seed: int, low: float = 0.06, high: float
     while True:
         q_m = rng.uniform(robot.q_lower + 0.4, robot.q_upper - 0.4)
         reader.update(robot.configuration(np.zeros(3), q_m))
-        d = {name: reader.distance(i) for i, name in enumerate(names)}
+        d = dict(zip(names, reader.distances(), strict=True))
         n_z = reader.closest(names.index(pair)).n[2]
         if low < d[pair] < high and abs(n_z) < 0.7 and all(v > 0.02 for v in d.values()):
             pose = np.array([1.0, -2.0, rng.uniform(-3, 3)])

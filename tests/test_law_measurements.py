@@ -55,7 +55,7 @@ def test_posture_in_the_buffer_is_inside_of_it_without_contact() -> None:
     for seed in range(5):
         q = posture_in_buffer(robot, np.random.default_rng(seed))
         reader.update(robot.model.configuration((0.0, 0.0, 0.0), q))
-        d = [reader.distance(i) for i in range(len(reader.pairs))]
+        d = reader.distances()
         assert min(d) > 0.0
         assert min(d[: robot.n_mobile]) < Config().border.d_b
 

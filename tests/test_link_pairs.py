@@ -63,7 +63,7 @@ def test_distances_agree_with_the_capsules_segment_and_the_box(model):
         expected = np.linalg.norm(outside, axis=1).min() - capsule.radius_m
         reader.update(q)
         if expected > -capsule.radius_m + 1e-3:  # the axis itself is outside of the box
-            assert reader.distance(0) == pytest.approx(expected, abs=1e-5)
+            assert reader.distances()[0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_distance_is_between_the_closest_points_along_the_normal(model):
@@ -73,7 +73,7 @@ def test_the_distance_is_between_the_closest_points_along_the_normal(model):
         reader.update(model.configuration(rng.uniform(-3, 3, 3), q_m))
         for i in range(len(reader.pairs)):
             near = reader.closest(i)
-            assert near.d == reader.distance(i)
+            assert near.d == reader.distances()[i]
             np.testing.assert_allclose(near.p_b - near.p_a, near.d * near.n, atol=2e-6)
 
 
@@ -118,6 +118,6 @@ def test_distance_of_a_body_is_that_of_its_nearest_shape():
     for q_m in rng.uniform(one.q_lower, one.q_upper, (200, 7)):
         for reader in readers:
             reader.update(one.configuration((0, 0, 0), q_m))
-        d, *parts = (reader.distance(0) for reader in readers)
+        d, *parts = (reader.distances()[0] for reader in readers)
         assert d == pytest.approx(min(parts), abs=1e-12)
         assert readers[0].closest(0).d == d

@@ -38,7 +38,7 @@ def near(robot: RobotModel, seed: int, low: float, high: float, speed: float = 0
     while True:
         q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
         reader.update(robot.configuration(ZERO, q_m))
-        d = {name: reader.distance(i) for i, name in enumerate(names)}
+        d = dict(zip(names, reader.distances(), strict=True))
         others = [v for name, v in d.items() if name not in ("lm-lEE", "l1-l2")]
         if low < d["lm-lEE"] < high and min(others) > 0.16:
             v = rng.normal(scale=speed, size=robot.n)
@@ -139,7 +139,7 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
         v = robot.S @ (state.qd * t + 0.5 * qdd * t * t)
         q = pin.integrate(robot.pin, robot.configuration(m.base_pose, m.q_m), v)
         pairs.update(q)
-        return pairs.distance(index)
+        return pairs.distances()[index]
 
     h = 1e-3
     ddot = (distance(h) - distance(-h)) / (2 * h)

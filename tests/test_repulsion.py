@@ -101,7 +101,7 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
         q_m = rng.uniform(robot.q_lower, robot.q_upper)
         q = robot.configuration(np.zeros(3), q_m)
         reader.update(q)
-        if not 0.02 < min(reader.distance(i) for i in range(len(reader.pairs))) < 0.14:
+        if not 0.02 < min(reader.distances()) < 0.14:
             continue
         qd, qdd = 0.3 * rng.normal(size=(2, robot.n))
         qd[:2] = 0.0  # a driving base does not move the bodies fixed to it
@@ -110,7 +110,7 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
         def distances(t: float, q=q, qd=qd, qdd=qdd) -> np.ndarray:
             v = robot.S @ (qd * t + 0.5 * qdd * t * t)
             reader.update(pin.integrate(robot.pin, q, v))
-            return np.array([reader.distance(i) for i in range(len(reader.pairs))])
+            return np.array(reader.distances())
 
         here = distances(0.0)
         second, wide = (

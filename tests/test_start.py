@@ -57,7 +57,7 @@ def test_the_end_effector_is_at_the_requested_place(robot, solved):
 def test_every_pair_is_outside_its_buffer(robot, border_data, solved):
     distances = PairDistances(robot, border_data.pairs.all)
     distances.update(robot.configuration((0, 0, 0), solved[1]))
-    assert min(distances.distance(i) for i in range(len(distances.pairs))) > D_B
+    assert min(distances.distances()) > D_B
 
 
 def test_joints_are_away_from_their_limits(robot, solved):
@@ -214,7 +214,7 @@ def test_a_start_is_outside_a_wider_buffer_too(robot, border_data):
     wide = StartSolver(robot, border_data.pairs, 0.25)
     distances = PairDistances(robot, border_data.pairs.all)
     distances.update(robot.configuration((0, 0, 0), wide.solve((0.95, 0.1, 0.45))))
-    assert min(distances.distance(i) for i in range(len(distances.pairs))) > 0.25
+    assert min(distances.distances()) > 0.25
 
 
 def test_sliding_preserves_the_direction_of_the_end_effector(robot, solver):

@@ -14,7 +14,7 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.config import Choice, Config, Parameter, parameter, sections, tunable, tunables
+from app.config import Config, parameter, sections, tunable, tunables
 from app.config_file import MAX_BYTES, decode_config, save_config
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels.tuning import (
@@ -30,7 +30,7 @@ from app.simulation.loop.commands import Configure
 from tests.robots import husky_panda
 
 TUNABLES = {each.path: each for section in sections() for each in section.tunables}
-NUMBERS = [path for path, each in TUNABLES.items() if isinstance(each, Parameter)]
+NUMBERS = [path for path, each in TUNABLES.items() if not each.choices]
 D_B = "border.d_b"
 
 
@@ -291,7 +291,7 @@ def test_every_parameter_has_a_widget_with_range_unit_value_and_help(desk):
         handle = desk.handle(path)
         assert handle.value == about.default, path
         assert handle.hint.startswith(about.help), path
-        if isinstance(about, Choice):
+        if about.choices:
             assert (handle.options, handle.label) == (about.choices, about.title)
         else:
             assert (handle.min, handle.max) == (about.low, about.high), path
@@ -319,9 +319,9 @@ def test_every_default_is_on_a_step_of_its_slider():
 @pytest.mark.parametrize("path", list(TUNABLES))
 def test_each_widget_changes_only_its_parameter(desk, path):
     about = TUNABLES[path]
-    value = about.choices[-1] if isinstance(about, Choice) else about.high
+    value = about.choices[-1] if about.choices else about.high
     if value == about.default:
-        value = about.low if isinstance(about, Parameter) else value
+        value = value if about.choices else about.low
     put(desk.handle(path), value, Person())
     assert desk.sink.commands == [Configure(Config().replace(path, value))]
 

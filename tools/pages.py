@@ -23,7 +23,7 @@ from unittest import mock
 
 from app.cli.main import main as dbb
 from app.cli.options import fields_of
-from app.config import Parameter, sections
+from app.config import sections
 from app.control.quantities import DIMENSIONS, QUANTITIES
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.metrics import DOOR, FIGURES
@@ -72,11 +72,10 @@ def parameters() -> str:
         rows = [
             [
                 f"`{each.path.partition('.')[2]}`",
-                f"{each.default:g}" if isinstance(each, Parameter) else f"`{each.default}`",
-                f"{each.low:g} to {each.high:g}"
-                if isinstance(each, Parameter)
-                else " or ".join(f"`{choice}`" for choice in each.choices),
-                each.unit if isinstance(each, Parameter) else "-",
+                f"`{each.default}`" if each.choices else f"{each.default:g}",
+                " or ".join(f"`{choice}`" for choice in each.choices)
+                or f"{each.low:g} to {each.high:g}",
+                each.unit,
                 each.help.replace("|", "\\|"),
                 each.source,
             ]

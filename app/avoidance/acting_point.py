@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.border.nearest import BorderSearch, nearest_border
-from app.border.score import ScoreField, score_at
+from app.border.score import ScoreField, field_at
 from app.compiled import compiled
 from app.config import ForceConfig
 from app.strict import Array
@@ -75,7 +75,7 @@ def find_acting_point(
     p_n, t = nearest_border(border, pair, p_b)
     if math.isnan(p_n[0]):
         return p_n, p_n, p_n, t, math.nan
-    value, gradient = score_at(score, p_n)
+    _, value, gradient = field_at(score, p_n)
     alpha = step_size(d, value / score[2], step[0], step[1], step[2])
     p_t = p_n + tangential_step(gradient, t, alpha)
     p_act, _ = nearest_border(border, pair, p_t)

@@ -1,8 +1,7 @@
 """Files of a robot's offline results: its link pairs, and P_i of Algorithm 1 (the clouds).
 
-A file is found by its key and verified before use; if there is no valid file, the content is
-computed once and stored. A file is an `.npz` without pickles. The key is a hash of all inputs,
-equal on all machines, and is part of the file's name and header.
+If there is no valid file, the content is computed once and stored. A file is an `.npz` without
+pickles. Its name and header have its key, a hash of all inputs that is equal on all machines.
 """
 
 import hashlib
@@ -14,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 from xml.etree import ElementTree
 from zipfile import BadZipFile
 
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 
 from app.border.dbb import Cloud, make_cloud
-from app.border.sampling import SamplingConfig
+from app.border.sampling import SamplingConfig, sample_clouds
 from app.errors import OutputError
 from app.robot import assets
 from app.robot.assets import read_urdf, resolve_package_uri
@@ -33,25 +32,13 @@ from app.robot.shapes import ConvexMesh
 from app.strict import Array, Finite, NonNegative, Strict
 from app.system import write_whole
 
-Arrays = dict[str, Array]
-Read = TypeVar("Read")
-
 FORMAT = 2  # version of layout and sampling; a new version invalidates all files
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] block size; points are stored as block and offset
 _LARGEST = 256_000_000  # [bytes] largest expanded file; the paper's robot needs 30 MB
 _PARTS = ("blocks", "places", "distances")
 
 _log = logging.getLogger(__name__)
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    KeyError,
-    EOFError,
-    BadZipFile,
-    zlib.error,
-    RuntimeError,
-    MemoryError,
-)
+_FAULTS = OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, RuntimeError, MemoryError
 
 
 class DamagedFileError(Exception):
@@ -72,48 +59,11 @@ class _Header(Strict):
     seed: int
 
 
-def write(path: Path, header: _Header, arrays: Arrays) -> None:
-    """Write a file completely or not at all; the zip format adds a checksum of each array.
-
-    Raises:
-        OSError: The folder cannot be made.
-        OutputError: The file cannot be written.
-    """
-    header_bytes = np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)
-    content: dict[str, Any] = {"header": header_bytes, **arrays}
-    packed = io.BytesIO()
-    np.savez_compressed(packed, **content)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, packed.getvalue())
-
-
-def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
-    """Read a file, verify the checksums, and return the result of `unpack` for its arrays.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        DamagedFileError: The file cannot be read, or its content is invalid.
-    """
-    try:
-        # `np.load` would leave an unreadable file open, and would accept a plain array.
-        with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
-            assert file.zip is not None  # it is None only after `close`
-            expanded = sum(each.file_size for each in file.zip.infolist())
-            if expanded > _LARGEST:
-                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
-            return unpack({name: file[name] for name in file.files})
-    except FileNotFoundError:
-        raise
-    except _UNREADABLE as error:
-        raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
-
-
 @dataclass(frozen=True)
 class BorderData:
     """The link pairs of one robot, and the sampled points of its borders."""
 
     pairs: LinkPairs
-    """The link pairs of (1), §2.1."""
     clouds: dict[str, Cloud]
     """P_i of Algorithm 1, the sampled points for each pair of arm and base, by the pair's name."""
     origin: Literal["cache", "shipped", "sampled"]
@@ -131,37 +81,19 @@ def load_border_data(
 ) -> BorderData:
     """Load the pairs and clouds of a robot, or sample and store them.
 
-    Args:
-        model: The robot.
-        sampling: Parameters of the sampling; default: those of the project's files.
-        progress: Whether to draw a progress bar on standard error.
-        processes: Number of processes; default: one for each usable core.
-        on_progress: Called with the share of the work that is done, 0 to 1.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
-        DescriptionError: The base is too large for the stored points.
+    `sampling` are the parameters of the sampling; default: those of the project's files. The other
+    arguments are those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
     """
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:
         return found
-    # Imported here: a robot with a stored border needs no sampling.
-    from app.border.sampling import sample_clouds
-
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
-    clouds = sample_clouds(
-        model,
-        pairs.mobile,
-        sampling,
-        progress=progress,
-        processes=processes,
-        on_progress=on_progress,
-    )
-    data = BorderData(pairs, clouds, "sampled")
+    sample = partial(sample_clouds, progress=progress, processes=processes, on_progress=on_progress)
+    data = BorderData(pairs, sample(model, pairs.mobile, sampling), "sampled")
     key = border_key(model.description, sampling)
     path = _path(assets.cache_folder(), model, key)
     try:
-        write(path, *pack(data, key))
+        write(path, data, key)
     except (OSError, OutputError) as error:
         _log.warning("%s cannot be stored (%s); it will be computed again", path, error)
     return data
@@ -170,14 +102,11 @@ def load_border_data(
 def kept_border_data(
     model: RobotModel, sampling: SamplingConfig | None = None
 ) -> BorderData | None:
-    """Load the pairs and clouds of a robot, or return None if they are not stored.
+    """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is used too. A damaged file, or a file whose header does not have this key, is ignored with
-    a warning.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
+    key is valid too. A warning names each file that is damaged or has another key in its header.
+    Errors: those of `border_key`.
     """
     key = border_key(model.description, sampling or SamplingConfig())
     folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}
@@ -186,7 +115,7 @@ def kept_border_data(
         others = sorted(folder.glob(f"*-{key}.npz"))
         for path in dict.fromkeys((_path(folder, model, key), *others)):
             try:
-                return replace(read(path, partial(unpack, key=key)), origin=origin)
+                return replace(read(path, key), origin=origin)
             except FileNotFoundError:
                 continue
             except DamagedFileError as error:
@@ -199,10 +128,10 @@ def _path(folder: Path, model: RobotModel, key: str) -> Path:
 
 
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
-    """The key of a robot's border: 32 hexadecimal digits that depend on all inputs.
+    """The key of a robot's border: 32 hexadecimal digits.
 
-    These are the sampling and all data of the robot that determine its pairs and clouds. Sources,
-    colours, masses, gains and the paths of installed packages are not included.
+    The key depends on the sampling, and on all data of the robot that determine its pairs and
+    clouds. Sources, colours, masses, gains and paths of packages have no effect on it.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -234,21 +163,41 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def pack(data: BorderData, key: str) -> tuple[_Header, Arrays]:
-    """The header and the arrays of a file with these data and this key."""
-    arrays = {}
+def write(path: Path, data: BorderData, key: str) -> None:
+    """Write a file completely, or write nothing and raise an OSError or an OutputError."""
+    header = _Header(format=FORMAT, key=key, **vars(data.pairs)).model_dump_json().encode()
+    content: dict[str, Any] = {"header": np.frombuffer(header, dtype=np.uint8)}
     for i, pair in enumerate(data.pairs.mobile):
-        for part, array in _pack(data.clouds[pair.name]).items():
-            arrays[f"cloud{i}_{part}"] = array
-    return _Header(format=FORMAT, key=key, **vars(data.pairs)), arrays
+        for part, array in zip(_PARTS, _pack(data.clouds[pair.name]), strict=True):
+            content[f"cloud{i}_{part}"] = array
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **content)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, packed.getvalue())
 
 
-def unpack(arrays: Arrays, key: str) -> BorderData:
-    """The data of a file's arrays, the inverse of `pack`.
+def read(path: Path, key: str) -> BorderData:
+    """Read a file, and verify its checksums and its key.
 
     Raises:
-        DamagedFileError: The file has a different key or format, or an invalid array.
+        FileNotFoundError: The file does not exist.
+        DamagedFileError: The file cannot be read or is too large, or its key or content is invalid.
     """
+    try:
+        # `np.load` would leave an unreadable file open, and would accept a plain array.
+        with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
+            assert file.zip is not None  # it is None only after `close`
+            expanded = sum(each.file_size for each in file.zip.infolist())
+            if expanded > _LARGEST:
+                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
+            return _content({name: file[name] for name in file.files}, key)
+    except FileNotFoundError:
+        raise
+    except _FAULTS as error:
+        raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
+
+
+def _content(arrays: dict[str, Array], key: str) -> BorderData:
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):
         raise DamagedFileError("it belongs to another robot, sampling or version")
@@ -260,26 +209,19 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     return BorderData(pairs, clouds, "cache")
 
 
-def _pack(cloud: Cloud) -> dict[str, Array]:
-    """A cloud as arrays of bytes that compress well: differences of consecutive blocks, offsets in
-    the blocks, and distances.
-    """
+def _pack(cloud: Cloud) -> tuple[Array, Array, Array]:
+    """The arrays `_PARTS`, bytes: steps between consecutive blocks, places in them, distances."""
     blocks = cloud.points // _BLOCK
     order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
     blocks, points = blocks[order], cloud.points[order]
     steps = np.diff(blocks, axis=0, prepend=np.zeros((1, 3), dtype=int)).astype(np.int16)
     places = (points - blocks * _BLOCK).astype(np.uint8)
-    distances = cloud.distances[order]
-    parts = (_bytes(steps), np.ascontiguousarray(places.T), _bytes(distances[:, None]))
-    return dict(zip(_PARTS, parts, strict=True))
+    distances = cloud.distances[order, None]
+    return _bytes(steps), np.ascontiguousarray(places.T), _bytes(distances)
 
 
 def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
-    """The cloud of three arrays of bytes, the inverse of `_pack`.
-
-    Raises:
-        DamagedFileError: An array has a wrong type or shape.
-    """
+    """The cloud of three arrays of bytes, the inverse of `_pack`."""
     n = places.shape[-1]
     shapes = [(blocks, (3, 2, n)), (places, (3, n)), (distances, (1, 2, n))]
     if any(array.dtype != np.uint8 or array.shape != shape for array, shape in shapes):
@@ -290,7 +232,7 @@ def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
 
 
 def _bytes(array: Array) -> Array:
-    """(k, 2, N) uint8 low and high bytes, in separate rows, of 16-bit numbers (N, k)."""
+    """(k, 2, N) uint8 low and high bytes of 16-bit numbers (N, k)."""
     little = np.ascontiguousarray(array.T).astype(array.dtype.newbyteorder("<"))
     return np.ascontiguousarray(little.view(np.uint8).reshape(*little.shape, 2).transpose(0, 2, 1))
 

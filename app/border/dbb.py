@@ -40,7 +40,7 @@ class Cloud:
 
 
 def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
-    """Make a pair's cloud from points (N, 3) and distances (N,) as in `Cloud`, in any order."""
+    """The cloud of a pair from points (N, 3) and distances (N,) as in `Cloud`, in any order."""
     x, y, z = points.astype(np.int64).T
     # A single sort key of height, y and x is several times faster than three keys.
     order = np.argsort((z << 32) + (y << 16) + x)
@@ -48,12 +48,12 @@ def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
 
 
 def quantise_points(points: Array) -> Array:
-    """Convert points (N, 3) [m], clipped to ±3.2 m, to int16 in units of 0.1 mm."""
+    """Convert points (N, 3) [m] to int16 in units of 0.1 mm; coordinates are clipped to ±3.2 m."""
     return np.rint(np.clip(points, -POINT_RANGE, POINT_RANGE) / POINT_UNIT).astype(np.int16)
 
 
 def quantise_distances(distances: Array) -> Array:
-    """Convert distances (N,) [m], clipped to 0 to 0.65 m, to uint16 in units of 10 µm."""
+    """Convert distances (N,) [m] to uint16 in units of 10 µm; they are clipped to 0 to 0.65 m."""
     return np.rint(np.clip(distances, 0.0, 0.65) / DISTANCE_UNIT).astype(np.uint16)
 
 
@@ -71,11 +71,9 @@ class Border:
     """DBB_i, the border of one pair of arm and base, in the base's frame, sorted by height."""
 
     pair: str
-    """Name of the pair, such as `lm-lEE`."""
     d_b: float
-    """[m] buffer distance."""
     eps: float
-    """[m] tolerance ε of (3)."""
+    """[m] d_b and ε of (3)."""
     points: Array
     """(N, 3) [m] points, by ascending height."""
 
@@ -88,10 +86,8 @@ class Border:
         return self.points[:, 2]
 
     def same_height(self, z: float, half_thickness: float = SAME_HEIGHT) -> Array:
-        """DBB_xy (M, 3) [m], the points near height z [m]: FindSameHeight of Algorithm 3.
-
-        The heights differ from z by at most `half_thickness` [m]. The result is a view, found in
-        O(log N).
+        """DBB_xy (M, 3) [m]: the points whose heights differ from z [m] by at most
+        `half_thickness` [m]; FindSameHeight of Algorithm 3.
         """
         first = self.heights.searchsorted(z - half_thickness, "left")
         last = self.heights.searchsorted(z + half_thickness, "right")
@@ -101,13 +97,11 @@ class Border:
 def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
     """ConstructDBB: the points of P_i whose distance to l_m differs from d_b [m] by at most ε [m].
 
-    Paper: Eq. (3).
+    The border is empty if P_i has no such points.
 
-    Stored distances are rounded. Therefore the range of selected distances is narrower by half of
-    the resolution on both sides, so that also the exact distances satisfy (3). The border is empty
-    if P_i has no such points.
+    Paper: Eq. (3).
     """
-    slack = eps - DISTANCE_UNIT / 2
+    slack = eps - DISTANCE_UNIT / 2  # so that also the distances before rounding satisfy (3)
     low = int(np.ceil((d_b - slack) / DISTANCE_UNIT))
     high = int(np.floor((d_b + slack) / DISTANCE_UNIT))
     chosen = (cloud.distances >= low) & (cloud.distances <= high)

@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
-Compiled functions compute the same distances as the collision library, for boxes and round shapes
-fifty times faster. For a hull the time grows with the number of triangles.
+The distances are those of the collision library, but these compiled functions are fifty times
+faster for boxes and round shapes. For a hull, the time grows with the number of triangles.
 """
 
 from __future__ import annotations
@@ -25,22 +25,14 @@ _FLAT = 1e-9  # [m] tolerance for points in a plane
 
 
 class ConvexPart:
-    """One convex shape of l_m, fixed in the base's frame."""
+    """One convex shape of l_m, in a box with the corners `lower` and `upper` (3,) [m].
+
+    The box is along the axes of the base's frame. `shapes` has only this shape.
+    """
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = bounds(geometry, placement)
-        """(3,) [m] corners of a box around the shape, along the base's axes."""
         self.shapes = Shapes.of(geometry, placement)
-        """The shape in the format of the compiled functions."""
-
-    def distance_and_normal(self, point: Array) -> tuple[float, Array]:
-        """Signed distance [m] of a point (3,) [m], and the gradient (3,) of the distance."""
-        found = distances_and_normals(*self.shapes, point[None])[0]
-        return found.item(0), found[1:]
-
-    def distances(self, points: Array) -> Array:
-        """(N,) [m] signed distances of points (N, 3) [m]."""
-        return distances_and_normals(*self.shapes, points)[:, 0]
 
     def ray_ends(self, origin: Array, rays: Array, start: Array, d_b: float) -> Array:
         """(K,) [m] distances along rays to the far side of the shape's offset; −inf without a hit.
@@ -57,7 +49,7 @@ class ConvexPart:
         """
         s, ends, left = start.copy(), np.full(len(rays), -np.inf), np.arange(len(rays))
         for _ in range(_MAX_NEWTON):
-            found = distances_and_normals(*self.shapes, origin + s[left, None] * rays[left])
+            found = self.shapes.distances_and_normals(origin + s[left, None] * rays[left])
             off, slope = found[:, 0] - d_b, (found[:, 1:] * rays[left]).sum(axis=1)
             there, rising = np.abs(off) < _AT_END, slope > 1e-9
             on_border = left[there & (slope >= 0.0)]
@@ -72,7 +64,10 @@ class ConvexPart:
 
 
 class MobileBody:
-    """l_m: a union of convex parts."""
+    """l_m: a union of convex `parts`, in a box with the corners `lower` and `upper` (3,) [m].
+
+    The box is along the axes of the base's frame.
+    """
 
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
@@ -81,11 +76,11 @@ class MobileBody:
         self.parts = [ConvexPart(o.geometry, o.placement) for o in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
-        """(3,) [m] corners of a box around l_m, along the base's axes."""
+        self._shapes = Shapes.together([part.shapes for part in self.parts])
 
     def distance(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m] in the base's frame."""
-        return np.min([part.distances(points) for part in self.parts], axis=0)
+        return self._shapes.distances_and_normals(points)[:, 0]
 
 
 def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array, Array]:
@@ -110,7 +105,7 @@ class Shapes(NamedTuple):
 
     @classmethod
     def of(cls, geometry: coal.CollisionGeometry, placement: pin.SE3) -> Shapes:
-        """Convert a shape of coal with a placement."""
+        """One shape of coal, placed at `placement` in the frame of the shapes."""
         triangles = np.empty((0, 4, 3))
         if isinstance(geometry, coal.Box):
             kind, size = _BOX, geometry.halfSide
@@ -127,7 +122,7 @@ class Shapes(NamedTuple):
 
     @classmethod
     def together(cls, shapes: Sequence[Shapes]) -> Shapes:
-        """Combine several records into one, in their order."""
+        """All shapes of several records, in their order."""
         rows = np.concatenate([np.empty((0, 16)), *(each.rows for each in shapes)])
         triangles = np.concatenate([np.empty((0, 4, 3)), *(each.triangles for each in shapes)])
         firsts = np.cumsum([0, *(len(each.triangles) for each in shapes)])[:-1]
@@ -135,11 +130,13 @@ class Shapes(NamedTuple):
         rows[:, 1:3] += np.where(rows[:, 0] == _HULL, before, 0)[:, None]
         return cls(rows, triangles)
 
+    def distances_and_normals(self, points: Array) -> Array:
+        """(N, 4) signed distances [m] of points (N, 3) [m] to the nearest shape, with gradients."""
+        return _distances_and_normals(*self, points)
+
 
 def _triangles(geometry: coal.CollisionGeometry) -> Array:
-    """The triangles (T, 4, 3) of a hull for `Shapes`, without very thin ones: rounding makes their
-    normals wrong.
-    """
+    """The `triangles` of a hull, without very thin ones: rounding makes their normals wrong."""
     points = geometry.points()
     found = (geometry.polygons(i) for i in range(geometry.num_polygons))
     corners = points[[[each[k] for k in range(3)] for each in found]]
@@ -189,15 +186,16 @@ def _reach(triangle: Array, p: float, q: float, r: float) -> float:
     )
 
 
-@compiled()
-def _hull_distance(
-    triangles: Array, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    """Signed distance [m] of the point (x, y, z) [m] to a hull, and the distance's gradient.
+_Signed = tuple[float, float, float, float]
+"""A signed distance [m] and the three components of its gradient."""
 
-    Inside the hull, this is the distance to the nearest plane. Outside, the search starts with a
-    point of the hull. A plane through this point is perpendicular to the line from there to
-    (x, y, z). Only the few triangles with a corner beyond this plane can be nearer.
+
+@compiled()
+def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
+    """Distance of the point (x, y, z) [m] to a hull; inside the hull, to the nearest plane.
+
+    Outside, the search starts with a point of the hull. Only the few triangles with a corner beyond
+    the plane through this point, perpendicular to the line to (x, y, z), can be nearer.
     """
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
@@ -225,10 +223,8 @@ def _hull_distance(
 
 
 @compiled()
-def _signed_distance(
-    kind: int, size: Array, triangles: Array, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    """Signed distance [m] of (x, y, z) [m] to a shape, in the shape's frame, and its gradient."""
+def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
+    """Distance of (x, y, z) [m] to a shape, in the shape's frame."""
     if kind == _CAPSULE:
         z_out = z - min(max(z, -size[1]), size[1])
         far = math.sqrt(x * x + y * y + z_out * z_out)
@@ -258,17 +254,15 @@ def _signed_distance(
 
 
 @compiled()
-def nearest_of(
-    shapes: Array, triangles: Array, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    """Signed distance [m] of a point to the nearest shape, and the gradient of the distance.
+def nearest_of(shapes: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
+    """Signed distance [m] of the point (x, y, z) [m] to the nearest shape, and its gradient (3).
 
-    `shapes` (P, 16) and `triangles` (T, 4, 3) are as in `Shapes`; the point is x, y, z [m].
+    `shapes` (P, 16) are the rows of a record `Shapes`, `triangles` (T, 4, 3) its triangles.
     """
     best = (np.inf, 0.0, 0.0, 0.0)
     for k in range(len(shapes)):
         R, a, b, c = shapes[k, 4:13], x - shapes[k, 13], y - shapes[k, 14], z - shapes[k, 15]
-        d, n_x, n_y, n_z = _signed_distance(
+        d, n_x, n_y, n_z = _distance(
             int(shapes[k, 0]),
             shapes[k, 1:4],
             triangles,
@@ -293,8 +287,7 @@ def is_round(row: Array) -> bool:
 
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:,:], f8[:,:])")
-def distances_and_normals(rows: Array, triangles: Array, points: Array) -> Array:
-    """(N, 4) signed distances [m] of points (N, 3) [m] to the nearest shape, with gradients."""
+def _distances_and_normals(rows: Array, triangles: Array, points: Array) -> Array:
     found = np.empty((len(points), 4))
     for k in range(len(points)):
         nearest = nearest_of(rows, triangles, points[k, 0], points[k, 1], points[k, 2])

@@ -7,11 +7,10 @@ covers regions that the arm never reaches. The arm's closest point is never ther
 regions the reachability in the score leads away from them.
 
 At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
-closed polygon. The visible part of a ring is outside of the other shapes' offsets. All visible
-parts together are the contour of the union: one closed curve, or several curves around islands or
-holes. Between two heights of a `Table`, the vertices of a ring, and the distances of the vertices
-to the other shapes' offsets, are interpolated. Two rings cross where such a distance is zero. The
-contour changes continuously with the height. It jumps only where a shape begins or ends.
+closed polygon. The parts of all rings outside of the other shapes' offsets form the contour: one
+closed curve, or several curves around islands or holes. Between two heights of a `Table`, the
+vertices and their distances to the other offsets are interpolated; two rings cross where such a
+distance is zero. The contour jumps only at heights where a shape begins or ends.
 """
 
 import math
@@ -32,8 +31,7 @@ _TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefi
 BLOCK = 24  # [-] number of edges in a block of the search; a ring has a whole number of blocks
 
 Best = tuple[float, complex, complex]
-"""Distance [m] of the nearest point that the search has found, the point [m], and the unit tangent
-there, both as x + iy."""
+"""Nearest point so far: its distance [m], the point [m] and its unit tangent, both as x + iy."""
 Corner = tuple[complex, complex, bool]
 """A crossing of a ring with another shape's offset: the point [m] and the unit tangent as x + iy,
 and whether the visible part of the ring starts there."""
@@ -53,8 +51,7 @@ class Table(NamedTuple):
     shown: Array
     """(N, R + 1) [m] signed distance of each vertex from the nearest offset of another shape."""
     spans: Array
-    """(N, R / BLOCK) [m] largest distance between the middle vertex and another vertex of a
-    block."""
+    """(N, R / BLOCK) [m] largest distance of a vertex from the middle vertex of its block."""
 
 
 _f8, _c16, _i8 = types.f8, types.c16, types.i8
@@ -124,7 +121,7 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """Search the corners of the contour for a point that is nearer to p, x + iy [m], than `best`.
+    """Search the corners of the contour for a point that is nearer to p than `best`.
 
     At a corner the visible part of one ring ends, and that of another begins. The two ends differ
     by the interpolation error; the segment between them belongs to the contour. At a corner the
@@ -165,10 +162,10 @@ def _dot(a: complex, b: complex) -> float:
 
 @compiled()
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
-    """The fraction along an edge at which the line to p is perpendicular to the contour's tangent.
+    """The fraction along an edge at which the line to p is perpendicular to the tangent.
 
-    `to_p` leads to p from the edge's start. The tangent is interpolated from t to t_next, because
-    otherwise the nearest point would jump at vertices.
+    `to_p` leads from the edge's start to p. The tangent is interpolated from t to t_next; with the
+    direction of the edge, the nearest point would jump at vertices.
     """
     # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
     a = -_dot(edge, t_next - t)
@@ -180,11 +177,9 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 
 @compiled()
 def _shown_part(start: float, end: float) -> tuple[float, float]:
-    """The part of an edge, as fractions, where a linear function from `start` to `end` is not
-    negative; if both are negative, the first fraction is larger than the second.
-    """
+    """Where a linear function from `start` to `end` is not negative, as fractions of an edge."""
     if start < 0.0 and end < 0.0:
-        return 1.0, 0.0
+        return 1.0, 0.0  # nowhere
     first = start / (start - end) if start < 0.0 else 0.0
     last = start / (start - end) if end < 0.0 else 1.0
     return first, last
@@ -203,14 +198,12 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
 
 @compiled()
 def nearest_offset(border: Any, at: Array) -> Array:
-    """The point on the contour of a `BORDER` nearest to the point `at` (3,) [m].
+    """(2, 3) p and t of `Foot`, the point on the contour of a `BORDER` nearest to `at` (3,) [m].
 
-    Without a contour at the point's height, the contour of the nearest height is used, at the
-    point's height. Blocks of edges are searched in the order of their distance, until the next
-    block is farther than the nearest point, so the cost hardly grows with the number of shapes.
-
-    Returns:
-        (2, 3) p and t of `Foot`; their x and y are NaN if there are no contours.
+    Without a contour at the height of `at`, the contour nearest in height is moved to this height.
+    Blocks of edges are searched in the order of their distance, until the next block is farther
+    than the nearest point, so the cost hardly grows with the number of shapes. If there are no
+    contours, x and y of p and t are NaN.
     """
     firsts, heights, vertices = border.firsts, border.heights, border.vertices
     tangents, shown, spans = border.tangents, border.shown, border.spans
@@ -251,24 +244,17 @@ def nearest_offset(border: Any, at: Array) -> Array:
 def nearest_sample(
     points: Array, first: int, end: int, p: Array, eps: float
 ) -> tuple[Array, Array, bool]:
-    """FindSameHeight and FindMinDistancePoint for sampled border points.
+    """FindSameHeight and FindMinDistancePoint: the sampled border point nearest to p (3,) [m].
 
-    The tangent is perpendicular to the line from p to the nearest point. If the horizontal distance
-    of the two is at most ε, the direction of this line is undefined.
+    The pair's border points are those from `first` to `end` - 1 of `points` (N, 3) [m], by
+    ascending height; `eps` [m] is ε of (3).
 
     Paper: Algorithm 3, lines 1 to 4.
 
-    Args:
-        points: (N, 3) [m] border points of all pairs, for each pair by ascending height.
-        first: Index of the pair's first point.
-        end: Index after the pair's last point.
-        p: (3,) [m] the query point.
-        eps: [m] ε of (3).
-
     Returns:
-        The nearest point (3,) [m], moved to the height of p; the unit tangent (3,), NaN if it is
-        undefined; and whether there are points at this height. Without points, the first two
-        results are invalid.
+        The nearest point (3,) [m], moved to the height of p; the unit tangent (3,), perpendicular
+        to the line from p to this point, NaN if their horizontal distance is at most ε; and whether
+        there are points at this height. Without points, the first two results are invalid.
     """
     low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
     heights = points[first:end, 2]
@@ -286,12 +272,11 @@ def nearest_sample(
 
 @compiled()
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
-    """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and its tangent.
+    """The fields of `Foot`: the point of a `BORDER` nearest to p (3,) [m] at the height of p.
 
-    All are in the base's frame; `pair` is the number of the pair of arm and base. The result is
-    that of `nearest_sample` if the border consists of points and has some at this height, with the
-    surface's tangent where the sample's is undefined; otherwise it is that of `nearest_offset`.
-    The x and y of point and tangent are NaN if l_m has no border.
+    If the border consists of points and the pair number `pair` has some at this height, the result
+    is that of `nearest_sample`, with the surface's tangent if the sample's is undefined; otherwise
+    it is that of `nearest_offset`. Their x and y are NaN if l_m has no border.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -318,9 +303,7 @@ class BorderSearch:
     """A border in the form that compiled functions use."""
 
     def __init__(self, table: Table, borders: Sequence[Border] = ()) -> None:
-        """Prepare the search of the surface `OffsetContours.table`, or of the sampled border of
-        each pair, for the same d_b.
-        """
+        """Prepare the search of the surface `OffsetContours.table`, or of the pairs' `borders`."""
         points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
         sampled = np.cumsum([0, *map(len, borders)])
         eps = borders[0].eps if borders else 0.0
@@ -329,8 +312,6 @@ class BorderSearch:
         """The border as a struct `BORDER`."""
 
     def nearest(self, p: Array) -> Foot | None:
-        """The nearest border point of the first pair at the height of p (3,) [m], in the base's
-        frame; None if l_m has no border.
-        """
+        """The border point of the first pair nearest to p (3,) [m]; None if l_m has no border."""
         foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
         return None if math.isnan(foot.p[0]) else foot

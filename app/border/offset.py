@@ -1,17 +1,15 @@
-"""The exact offset of the mobile base, {p : distance to l_m = d_b}, as horizontal contours.
+"""The border as a surface: the exact offset of the base, {p : distance to l_m = d_b}.
 
-The offset is the border as a continuous surface. It also replaces sampled points at heights without
-points, so that an acting point exists at every height.
+The offset also replaces sampled points at heights without points, so that an acting point exists
+at every height. All heights and positions are in the base's frame.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from app.border.dbb import Cloud, construct_dbb
-from app.border.mobile import ConvexPart, MobileBody
+from app.border.mobile import ConvexPart, MobileBody, Shapes
 from app.border.nearest import BLOCK, BorderSearch, Table, level
 from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
@@ -26,28 +24,21 @@ _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of ea
 _ALONE = 1.0  # [m] upper bound of `_shown`, which is its value if there are no other shapes
 
 _Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
+_Rings = tuple[Array, Array]
+"""Closed polygons around one convex shape, counter-clockwise, with vertices at d_m = d_b: ascending
+heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy, the last of which equals the first."""
 
 
 class OffsetContours:
-    """The contours of the offset of l_m, a union of convex shapes, at each height.
+    """The contours of the offset of l_m at each height, for a buffer distance d_b [m].
 
-    Each shape has a ring at each height of its offset. The contours are the parts of the rings
-    outside of the other shapes' offsets: one closed curve, or several with islands and holes.
+    Each shape of l_m has a ring at each height of its offset. The contours are the parts of the
+    rings outside of the other shapes' offsets: one closed curve, or several with islands and holes.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
-        """Trace all contours for a buffer distance d_b [m]."""
         self.d_b = d_b
-        traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
-        traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
-        self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
-        """Rings of each visible shape, in the order of decreasing horizontal size; empty if l_m has
-        no offset above the floor."""
-        self.table = _table(self.rings, [shown for *_, shown in traced])
-
-    def within(self, z: float) -> float:
-        """[m] the height nearest to z [m] that has a contour."""
-        return level(self.table.firsts, self.table.heights, z)
+        self.table = _table(MobileBody(model).parts, d_b)
 
     def contours(self, z: float) -> list[Array]:
         """The contour at height z [m], the visible pieces of all rings, as polylines (K, 2) [m]."""
@@ -63,16 +54,18 @@ class OffsetContours:
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """The contour at the available height nearest to z [m] as curves (K, 3) [m], drawn at z."""
-        if not len(self.table.heights):
-            return []
-        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(self.within(z))]
+        """The contour as curves (K, 3) [m], drawn at height z [m].
+
+        If there is no contour at z, the curves have the shape of the contour nearest in height.
+        """
+        at = level(self.table.firsts, self.table.heights, z)
+        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
 
 
 def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The pieces (K, 2) [m] of a closed ring that are outside of the other shapes' offsets.
+    """The visible pieces (K, 2) [m] of a ring, which is a row of `Table.vertices`.
 
-    `ring` and `shown` are one row of the fields `vertices` and `shown` of a `Table`.
+    `shown` is the same row of `Table.shown`.
     """
     if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
@@ -107,74 +100,60 @@ def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig
     return BorderSearch(table, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
 
 
-def _outermost(
-    traced: list[tuple[ConvexPart, Rings]], d_b: float
-) -> list[tuple[ConvexPart, Rings, Array]]:
-    """The visible shapes by decreasing horizontal size, with the result of `_shown` for each."""
-    traced = sorted(traced, key=lambda each: -float(np.prod((each[0].upper - each[0].lower)[:2])))
+def _table(parts: list[ConvexPart], d_b: float) -> Table:
+    """The rings of all visible shapes, by decreasing horizontal size."""
+    parts = sorted(parts, key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
+    traced = [(part, rings) for part in parts if len((rings := _trace_rings(part, d_b))[0])]
     kept = list(range(len(traced)))
+
+    def shown(k: int) -> Array:
+        return _shown(traced[k][1], [traced[j][0] for j in kept if j != k], d_b)
+
     for k in reversed(range(len(traced))):  # a hidden shape hides no other shape
-        others = [traced[j][0] for j in kept if j != k]
-        if others and (_shown(traced[k][1], others, d_b) <= 0.0).all():
+        if (shown(k) <= 0.0).all():
             kept.remove(k)
-    return [
-        (*traced[k], _shown(traced[k][1], [traced[j][0] for j in kept if j != k], d_b))
-        for k in kept
-    ]
-
-
-def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
-    """(H, RAYS + 1) [m] signed distance of each vertex from the other offsets, at most 1 m."""
-    points = np.empty((*rings.vertices.shape[:2], 3))
-    points[..., :2], points[..., 2] = rings.vertices, rings.heights[:, None]
-    found = [each.distances(points.reshape(-1, 3)).reshape(points.shape[:2]) for each in others]
-    return np.min([np.full(points.shape[:2], d_b + _ALONE), *found], axis=0) - d_b + _TOUCHING
-
-
-def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
+    rings = [traced[k][1] for k in kept]
     none = np.empty((0, RAYS + 1))
-    corners = np.concatenate([np.empty((0, RAYS + 1, 2)), *(r.vertices for r in rings)])
-    vertices = corners[..., 0] + 1j * corners[..., 1]
+    vertices = np.concatenate([none.astype(complex), *(each for _, each in rings)])
+    directions = np.diff(vertices, axis=1)
+    directions /= np.abs(directions)
+    tangents = directions + np.roll(directions, 1, axis=1)
+    tangents /= np.abs(tangents)
     blocks = np.arange(0, RAYS, BLOCK)[:, None] + np.arange(BLOCK + 1)
     middles = vertices[:, blocks[:, BLOCK // 2]]
     return Table(
-        np.cumsum([0, *(len(r.heights) for r in rings)]),
-        np.concatenate([none[:, 0], *(r.heights for r in rings)]),
+        np.cumsum([0, *(len(heights) for heights, _ in rings)]),
+        np.concatenate([none[:, 0], *(heights for heights, _ in rings)]),
         vertices,
-        np.concatenate([none.astype(complex), *(r.tangents for r in rings)]),
-        np.concatenate([none, *shown]),
+        np.concatenate([tangents, tangents[:, :1]], axis=1),
+        np.concatenate([none, *map(shown, kept)]),
         np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2, initial=0.0),
     )
 
 
-class Rings(NamedTuple):
-    """Closed polygons around one convex shape, one at each height, with vertices at d_m = d_b."""
-
-    heights: Array
-    """(H,) [m] heights, ascending."""
-    vertices: Array
-    """(H, RAYS + 1, 2) [m] vertices in the base's frame, counter-clockwise; the last vertex is the
-    first."""
-    tangents: Array
-    """(H, RAYS + 1) unit tangents at the vertices, as x + iy."""
+def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
+    """(H, RAYS + 1) [m] signed distance of each vertex from the other offsets, at most 1 m."""
+    heights, vertices = rings
+    z = np.broadcast_to(heights[:, None], vertices.shape)
+    points = np.stack([vertices.real, vertices.imag, z], axis=-1).reshape(-1, 3)
+    far = Shapes.together([each.shapes for each in others]).distances_and_normals(points)[:, 0]
+    return np.minimum(d_b + _ALONE, far).reshape(vertices.shape) - d_b + _TOUCHING
 
 
-def trace_rings(part: ConvexPart, d_b: float) -> Rings:
+def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
     """Trace the part above the floor of a convex shape's offset at the distance d_b [m].
 
     Rays start at the centre of the shape. If a slice of the offset does not contain this centre,
     for example for a slanted shape, the rays at each height start at the centre of the slice.
     """
     tracer = _Tracer(part, d_b)
-    heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b)
+    heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b).tolist()
     found = tracer.from_middle(heights) or tracer.from_slices(heights)
-    kept = np.array([z for z, _, _ in found])
     centres = np.array([centre for _, centre, _ in found]).reshape(-1, 2)
     ends = np.array([ends for _, _, ends in found]).reshape(-1, RAYS)
     rings = centres[:, None] + ends[:, :, None] * _RAYS[:, :2]
-    vertices = np.concatenate([rings, rings[:, :1]], axis=1)
-    tangents = _vertex_tangents(np.diff(vertices[..., 0] + 1j * vertices[..., 1], axis=1))
-    return Rings(kept, vertices, tangents)
+    vertices = rings[..., 0] + 1j * rings[..., 1]
+    return np.array([z for z, _, _ in found]), np.concatenate([vertices, vertices[:, :1]], axis=1)
 
 
 class _Tracer:
@@ -184,32 +163,32 @@ class _Tracer:
         self._part, self._d_b = part, d_b
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
-    def from_middle(self, heights: Array) -> list[_Level] | None:
+    def from_middle(self, heights: list[float]) -> list[_Level] | None:
         """Trace all heights with a slice from the shape's centre; None if a slice is beside it."""
         found: list[_Level] = []
-        ends: Array | None = None
+        ends = np.full(RAYS, -np.inf)
         for z in heights:
-            ends = self._ends(self._middle, float(z), ends)
+            ends = self._ends(self._middle, z, ends)
             hits = np.isfinite(ends)
             if hits.all():
-                found.append((float(z), self._middle, ends))
+                found.append((z, self._middle, ends))
             elif hits.any():
                 return None
         return found
 
-    def from_slices(self, heights: Array) -> list[_Level]:
+    def from_slices(self, heights: list[float]) -> list[_Level]:
         """Trace each height from the centre of the slice at this height."""
         found: list[_Level] = []
         centre = self._middle
         for z in heights:
-            inside = self._inside(centre, float(z))
+            inside = self._inside(centre, z)
             if inside is None:
                 continue
-            ring = inside + self._ends(inside, float(z), None)[:, None] * _RAYS[:, :2]
+            ring = inside + self._ends(inside, z)[:, None] * _RAYS[:, :2]
             centre = (ring.min(axis=0) + ring.max(axis=0)) / 2
-            ends = self._ends(centre, float(z), None)
+            ends = self._ends(centre, z)
             if np.isfinite(ends).all():
-                found.append((float(z), centre, ends))
+                found.append((z, centre, ends))
         return found
 
     def _inside(self, centre: Array, z: float) -> Array | None:
@@ -218,38 +197,28 @@ class _Tracer:
         Rays that start outside of the slice end at its far side. The mean of these ends is inside,
         because the slice is convex.
         """
-        d, normal = self._part.distance_and_normal(np.array([*centre, z]))
-        nearest = centre - d * normal[:2]
-        for start in (centre, nearest, self._middle):
-            ends = self._ends(start, z, None)
+        d, n_x, n_y, _ = self._part.shapes.distances_and_normals(np.array([[*centre, z]]))[0]
+        for start in (centre, centre - d * np.array([n_x, n_y]), self._middle):
+            ends = self._ends(start, z)
             hits = np.isfinite(ends)
             if hits.all():
                 return start
             if hits.any():
                 inside = (start + ends[hits, None] * _RAYS[hits, :2]).mean(axis=0)
-                if np.isfinite(self._ends(inside, z, None)).all():
+                if np.isfinite(self._ends(inside, z)).all():
                     return inside
         return None
 
-    def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
-        """(RAYS,) [m] lengths of rays at height z, from estimates `start`; −inf without a hit."""
+    def _ends(self, centre: Array, z: float, start: Array | float = -np.inf) -> Array:
+        """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z; −inf without a hit.
+
+        The finite numbers of `start` are the initial estimates.
+        """
         part = self._part
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))
-        first = np.full(RAYS, beyond)
-        if start is not None:
-            first = np.where(np.isfinite(start), start, beyond)
+        first = np.where(np.isfinite(start), start, np.full(RAYS, beyond))
         return part.ray_ends(np.array([*centre, z]), _RAYS, first, self._d_b)
-
-
-def _vertex_tangents(edges: Array) -> Array:
-    """Unit tangents (H, RAYS + 1) at the vertices of rings: the mean directions of the two adjacent
-    edges (H, RAYS), as x + iy.
-    """
-    directions = edges / np.abs(edges)
-    tangents = directions + np.roll(directions, 1, axis=1)
-    tangents /= np.abs(tangents)
-    return np.concatenate([tangents, tangents[:, :1]], axis=1)
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:

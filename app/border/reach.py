@@ -5,6 +5,7 @@ integral of |det J| over the joint positions that lead into a region of poses is
 solutions, integrated over the poses in the region.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,11 +18,7 @@ from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel, length_bound
 from app.strict import Array
 
-_TRIALS = 4  # [-] postures that test the rank of a chain
-_SINGULAR = 1e-6  # [m/rad or -] largest singular value that counts as a lost direction
 _MIN_JOINTS = 3  # [-] smallest number of joints that move a point within a volume
-_FREE_TRIALS = 20  # [-] postures that test a choice of free joints
-_LOST = 1e-9  # determinants below this value count as zero
 
 
 def reach_bodies(model: RobotModel) -> list[str]:
@@ -33,18 +30,14 @@ def reach_bodies(model: RobotModel) -> list[str]:
 class Chain:
     """The joints that move a body, and the coordinates of the body's pose that they determine.
 
-    The body's point is the origin of the end-effector's frame or, for a body that does not carry
-    the end-effector, of the frame of the body's first shape. The pose is that of this frame, with
-    the base at the origin. It has as many coordinates as the joints can change independently: six;
-    five, without the rotation about the z axis; or three, of the position.
+    The pose is that of the end-effector's frame or, for a body that does not carry the
+    end-effector, of the frame of the body's first shape; the base is at the origin. The origin of
+    the frame is the body's point. The pose has as many coordinates as the joints can change
+    independently: six; five, without the rotation about the z axis; or three, of the position.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
-        """Extract the chain of a body from the robot.
-
-        Raises:
-            ConfigError: Fewer than three joints move the body; the message lists the valid bodies.
-        """
+        """Extract the chain; raises a ConfigError if fewer than three joints move the body."""
         joints = _moving_joints(model, body)
         if len(joints) < _MIN_JOINTS:
             raise ConfigError(
@@ -70,10 +63,9 @@ class Chain:
         """Number of joints that must be fixed so that a pose determines the other joints."""
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
-        """T_base_point at joint positions q (k,), and the Jacobian (6, k) of the point's frame.
+        """The body's pose T_base_point at joint positions q (k,), and its Jacobian (6, k).
 
-        The Jacobian is in the axes of this frame: three linear rows, then three angular ones, the
-        last of them about z.
+        The Jacobian is in the axes of the body's frame: three linear, then three angular rows.
         """
         J = pin.computeJointJacobians(self.pin, self._data, q)
         at = self._data.oMi[len(self.joints)] * self._placement
@@ -97,10 +89,10 @@ class Chain:
         return rng.uniform(*self.ranges)
 
     def _meets(self, numbers: int) -> bool:
-        """Whether the first `numbers` rows of the Jacobian are independent at some posture."""
+        """Whether the first `numbers` rows of the Jacobian are independent at one of 4 postures."""
         rng = np.random.default_rng(0)
-        tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(_TRIALS))
-        ranks = (np.linalg.matrix_rank(J[:numbers], tol=_SINGULAR) for _, J in tried)
+        tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(4))
+        ranks = (np.linalg.matrix_rank(J[:numbers], tol=1e-6) for _, J in tried)  # [m/rad or -]
         return numbers in ranks
 
 
@@ -119,18 +111,18 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Redundant joints, as indices in the chain. If these are fixed, a pose determines the others.
+    """Redundant joints, as indices in the chain: if they are fixed, a pose determines the others.
 
-    If several choices are possible, the joints nearest to the body are fixed.
+    If several choices are possible, the joints nearest to the body are chosen.
 
     Raises:
         DescriptionError: For each choice of fixed joints, the Jacobian of the others is singular.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
-    tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(_FREE_TRIALS)]
+    tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(20)]
     for free in reversed(list(combinations(range(k), chain.free))):
         square = np.delete(np.array(tried)[:, : chain.coordinates], free, axis=2)
-        if np.abs(np.linalg.det(square)).max() > _LOST:
+        if np.abs(np.linalg.det(square)).max() > 1e-9:
             return free
     raise DescriptionError(
         f"arm.joints: a pose of {chain.body} does not determine the {k} joints that move this "
@@ -154,11 +146,10 @@ class ReachMap:
 
     body: str
     points: Array
-    """(N, 3) [m] positions of the body's point in the base's frame: the end-effector for the body
-    that carries it, the centre of the first shape for other bodies."""
+    """(N, 3) [m] positions of the body's point (`Chain`) in the base's frame."""
     found: Array
-    """(N,) [-] mean number of inverse kinematics solutions at each position, within the joint
-    limits and without self-collision; it is the mean over orientations and fixed joints."""
+    """(N,) [-] number of inverse kinematics solutions at each position, within the joint limits and
+    without self-collision; the mean over orientations and positions of the fixed joints."""
     samples: int
     """Number of joint positions."""
     reach: Array
@@ -168,9 +159,8 @@ class ReachMap:
     spacing_m: float
     """[m] spacing of the lattice."""
     seed: int
-    """Seed of the joint positions."""
     free_joints: tuple[str, ...]
-    """Names of the joints that are fixed at random positions, if the arm is redundant."""
+    """Names of the fixed joints; empty if the chain is not redundant."""
 
     @property
     def rho(self) -> Array:
@@ -183,22 +173,21 @@ def sample_reach_map(
 ) -> ReachMap:
     """Compute the mean number of inverse kinematics solutions for a body in the whole workspace.
 
-    The positions form a lattice of `spacing` [m] in a ball around the mount that contains the whole
-    workspace. In the area formula, J has a column for each joint of the chain that is not fixed.
+    `samples` is the number of random joint positions. The lattice with `spacing` [m] fills a ball
+    around the mount that contains the whole workspace.
 
     Raises:
         ConfigError: Fewer than three joints move the body.
-        DescriptionError: No sampled joint position is free of self-collision, or as for
-            `free_joints`.
+        DescriptionError: Each sample is in self-collision, or as for `free_joints`.
     """
     chain, p_base = Chain(model, body), model.p_base()
-    free, clearance = free_joints(chain), _SelfClearance(model, chain)
+    free, is_free = free_joints(chain), _clearance(model, chain)
     solved = [i for i in range(len(chain.joints)) if i not in free]
     rng, size = np.random.default_rng(seed), chain.coordinates
     steps, J = np.zeros((samples, 3), dtype=int), np.zeros((samples, size, size))
     for i in range(samples):
         q = chain.random(rng)
-        if clearance.is_free(q):
+        if is_free(q):
             at, jacobian = chain.pose_and_jacobian(q)
             steps[i] = np.round((at.translation - p_base) / spacing)
             J[i] = jacobian[:size, solved]
@@ -227,11 +216,7 @@ def sample_reach_map(
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """Fit A, B and C of (9) to the part of a map above a share of the peak; see `fit_parabola`.
-
-    Raises:
-        DescriptionError: The map does not rise and fall with the distance from the mount.
-    """
+    """Fit A, B and C of (9) to a map by `fit_parabola`; a DescriptionError replaces its error."""
     try:
         return fit_parabola(reach_map.rho, reach_map.reach, share)
     except ValueError as error:
@@ -248,18 +233,16 @@ def lattice(radius: float, spacing: float) -> Array:
     return steps[(steps**2).sum(axis=1) <= (radius / spacing) ** 2].astype(np.int16)
 
 
-class _SelfClearance:
-    """Checks the bodies from the mobile base to the chain's body for overlaps."""
+def _clearance(model: RobotModel, chain: Chain) -> Callable[[Array], bool]:
+    """A function: whether no bodies from the base to the chain's body overlap at positions (k,)."""
+    names = model.body_names
+    known = names[: names.index(chain.body) + 1]
+    distances = PairDistances(model, [p for p in candidate_pairs(model) if p.b in known])
+    q, moved = model.configuration((0.0, 0.0, 0.0), model.q_lower), np.array(chain.joints) + 4
 
-    def __init__(self, model: RobotModel, chain: Chain) -> None:
-        names = model.body_names
-        known = names[: names.index(chain.body) + 1]
-        pairs = [pair for pair in candidate_pairs(model) if pair.b in known]
-        self._distances = PairDistances(model, pairs)
-        self._arm = [4 + joint for joint in chain.joints]
-        self._q = model.configuration((0.0, 0.0, 0.0), np.array(model.q_lower))
+    def is_free(positions: Array) -> bool:
+        q[moved] = positions
+        distances.update(q)
+        return min(distances.distances(), default=1.0) > 0.0
 
-    def is_free(self, q: Array) -> bool:
-        self._q[self._arm] = q
-        self._distances.update(self._q)
-        return min(self._distances.distances(), default=1.0) > 0.0
+    return is_free

@@ -6,7 +6,7 @@ more than one process, the processes execute both stages in parallel.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import islice
 from typing import NamedTuple, TypeVar
@@ -37,7 +37,7 @@ class SamplingConfig(Strict):
     """Parameters of the sampling of joint positions, for the pairs of (1) and for P_i."""
 
     seed: int = Field(default=0, ge=0)
-    """[-] seed of all random numbers."""
+    """[-] seed of all random numbers of the sampling."""
     pair_samples: int = Field(default=100_000, ge=100)
     """[-] number of joint positions for (1)."""
     cloud_samples: int = Field(default=200_000, ge=100)
@@ -59,15 +59,8 @@ class SamplingConfig(Strict):
     """[-] number of further attempts of a batch of postures to step into open voxels."""
 
 
-QUICK = SamplingConfig(
-    pair_samples=20_000,
-    cloud_samples=20_000,
-    voxel_plan=0.03,
-    voxel_height=0.03,
-    rounds=1,
-    retries=2,
-    sectors=8,
-)
+_FEWER = {"pair_samples": 20_000, "cloud_samples": 20_000, "rounds": 1, "retries": 2, "sectors": 8}
+QUICK = SamplingConfig(**_FEWER, voxel_plan=0.03, voxel_height=0.03)
 """A coarse sampling, which takes seconds on one core: fewer samples, and voxels of 3 cm."""
 
 _SEED_JOBS = 16  # [-] jobs of random postures per pair, for any number of cores: equal samples
@@ -86,28 +79,25 @@ def sample_clouds(
     processes: int | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Cloud]:
-    """Sample P_i of Algorithm 1 for each pair: closest points on the arm's body, one per voxel.
+    """P_i of Algorithm 1 by the name of the pair, for `pairs` of arm and base: sampled points.
 
-    Random sampling alone finds almost no points at the base's sides. Therefore a flood follows:
-    from known postures, the arm moves such that its closest point enters an empty neighbouring
-    voxel. A posture must satisfy the joint limits, and its distance must be in the sampled range;
-    collisions of other pairs are allowed. The result does not depend on the number of processes.
+    The points are closest points on the arm's body, one per voxel. Random sampling alone finds
+    almost no points at the base's sides. Therefore a flood follows: from known postures, the arm
+    moves such that its closest point enters an empty neighbouring voxel. The second and later
+    floods start at the borders between sectors. A posture must satisfy the joint limits, and its
+    distance must be in the sampled range; collisions of other pairs are allowed.
 
-    Args:
-        model: The robot.
-        pairs: The pairs of arm and base (L_m).
-        config: Parameters of the sampling.
-        progress: Whether to draw a progress bar on standard error.
-        processes: Number of processes; default: one for each usable core.
-        on_progress: Called with the share of the work that is done, 0 to 1.
-
-    Returns:
-        P_i by the name of the pair.
+    `progress` displays a progress bar on standard error. `on_progress` is called with the share of
+    the work that is done, 0 to 1. `processes` is their number, by default one for each usable core;
+    it has no effect on the result.
 
     Raises:
         DescriptionError: The base is too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
+    children = np.random.SeedSequence(config.seed).spawn(len(pairs))
+    seeds = dict(zip(pairs, children, strict=True))
+    begun = _SEED_JOBS / (_SEED_JOBS + config.sectors)  # share of the work before the floods
     bar = progress_bar("sampling the border", 1.0, shown=progress)
     with bar as update, Workers(make_context, processes) as workers:
 
@@ -115,61 +105,50 @@ def sample_clouds(
             update(share)
             on_progress(share)
 
-        return _Sampler(make_context(), workers, pairs, tell).run()
-
-
-class _Sampler:
-    """The stages of the sampling, each for all pairs at once so that no core waits."""
-
-    def __init__(
-        self, context: Context, workers: Workers, pairs: Sequence[Pair], on_progress: OnProgress
-    ) -> None:
-        self._voxels, self._config = context.voxels, context.config
-        self._workers, self._on_progress = workers, on_progress
-        seeds = np.random.SeedSequence(self._config.seed).spawn(len(pairs))
-        self._seed_of = dict(zip(pairs, seeds, strict=True))
-        self._flood = _SEED_JOBS / (_SEED_JOBS + self._config.sectors)
-        """[-] share of the work that is done when the flood starts."""
-
-    def run(self) -> dict[str, Cloud]:
-        """Execute all stages; rounds after the first flood start at the borders of the sectors."""
-        found = self._starts()
+        starts = [(pair, child) for pair in pairs for child in seeds[pair].spawn(_SEED_JOBS)]
+        shells = iter(workers.map(sample_shell, starts, part_of(tell, 0.0, begun)))
+        found = {pair: _joined(list(islice(shells, _SEED_JOBS))) for pair in pairs}
         kept = {pair: _rows(start, slice(0)) for pair, start in found.items()}
-        tell = part_of(self._on_progress, self._flood, 1.0)
-        for _ in range(self._config.rounds):
-            jobs = [job for pair in kept for job in self._jobs(pair, found[pair], kept[pair])]
-            results = self._workers.map(flood_sector, jobs, tell)
-            for job, result in zip(jobs, results, strict=True):
+        context, report = make_context(), part_of(tell, begun, 1.0)
+        for _ in range(config.rounds):
+            jobs = _flood_jobs(context.voxels, seeds, found, kept)
+            for job, result in zip(jobs, workers.map(flood_sector, jobs, report), strict=True):
                 kept[job.pair] = _joined([kept[job.pair], result])
-            found, tell = kept, lambda _: None
-        return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
+            found, report = kept, lambda _: None
+    clouds = {}
+    for pair, (_, points) in kept.items():
+        distances = quantise_distances(context.body.distance(points * POINT_UNIT))
+        clouds[pair.name] = make_cloud(pair.name, points, distances)
+    return clouds
 
-    def _starts(self) -> dict[Pair, Kept]:
-        """Random postures of each pair, with the closest point in the sampled range."""
-        jobs = [(pair, child) for pair, s in self._seed_of.items() for child in s.spawn(_SEED_JOBS)]
-        tell = part_of(self._on_progress, 0.0, self._flood)
-        found = iter(self._workers.map(sample_shell, jobs, tell))
-        return {pair: _joined(list(islice(found, _SEED_JOBS))) for pair in self._seed_of}
 
-    def _jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
-        """One job for each sector with an open voxel at or next to a posture of `given`; after the
-        first round, only postures of other sectors count. `kept` are this pair's postures so far.
-        """
-        taken = self._voxels.keys(self._voxels.cells(kept.points))
-        free = np.ones(self._voxels.count, dtype=bool)
+def _flood_jobs(
+    voxels: Voxels,
+    seeds: Mapping[Pair, np.random.SeedSequence],
+    found: Mapping[Pair, Kept],
+    kept: Mapping[Pair, Kept],
+) -> list[SectorJob]:
+    """A job for each sector and pair with an open voxel at or next to a posture of `found`.
+
+    `kept` are the postures of the previous floods; after the first flood, only postures of other
+    sectors count.
+    """
+    jobs = []
+    for pair, seed in seeds.items():
+        taken, given = voxels.keys(voxels.cells(kept[pair].points)), found[pair]
+        free = np.ones(voxels.count, dtype=bool)
         free[taken] = False
-        sectors = self._voxels.leads_to(given.points, free)
+        sectors = voxels.leads_to(given.points, free)
         if len(taken):  # a sector has already used its own postures
-            home = self._voxels.sectors(self._voxels.keys(self._voxels.cells(given.points)))
+            home = voxels.sectors(voxels.keys(voxels.cells(given.points)))
             sectors[sectors == home[:, None]] = -1
-        owner = self._voxels.sectors(taken)
-        jobs = []
-        for sector, child in enumerate(self._seed_of[pair].spawn(self._config.sectors)):
+        owner = voxels.sectors(taken)
+        for sector, child in enumerate(seed.spawn(voxels.sector_count)):
             leads = (sectors == sector).any(axis=1)
             if leads.any():
                 sources = given.q_m[leads]
                 jobs.append(SectorJob(pair, child, sector, sources, taken[owner == sector]))
-        return jobs
+    return jobs
 
 
 class Kept(NamedTuple):
@@ -179,8 +158,6 @@ class Kept(NamedTuple):
     """(N, n_m) float32 [rad or m] joint positions."""
     points: Array
     """(N, 3) int16 points of the postures, as in `Cloud`."""
-    distances: Array
-    """(N,) uint16 distances of the points, as in `Cloud`."""
 
 
 Columns = TypeVar("Columns", Kept, "Witnesses")
@@ -191,10 +168,10 @@ class Context:
 
     def __init__(self, description: RobotDescription, config: SamplingConfig) -> None:
         self.model, self.config = RobotModel(description), config
-        body = self.body = MobileBody(self.model)
+        self.body = MobileBody(self.model)
         size = np.array([config.voxel_plan, config.voxel_plan, config.voxel_height])
-        reach, sectors = config.d_high, config.sectors
-        self.voxels = Voxels(body.lower, body.upper, reach=reach, size=size, sectors=sectors)
+        box = self.body.lower, self.body.upper
+        self.voxels = Voxels(*box, reach=config.d_high, size=size, sectors=config.sectors)
 
 
 class SectorJob(NamedTuple):
@@ -203,7 +180,6 @@ class SectorJob(NamedTuple):
     pair: Pair
     seed: np.random.SeedSequence
     sector: int
-    """Number of the sector."""
     sources: Array
     """(N, n_m) float32 [rad or m] starting postures."""
     taken: Array
@@ -216,17 +192,14 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
     found = PairReader(context.model, pair).witnesses(q_m)
-    inside = _rows(found, (found.d > config.d_low) & (found.d < config.d_high))
-    points, distances = quantise_points(inside.p_b), quantise_distances(inside.d)
-    return Kept(inside.q_m.astype(np.float32), points, distances)
+    inside = (found.d > config.d_low) & (found.d < config.d_high)
+    return Kept(q_m[inside].astype(np.float32), quantise_points(found.p_b[inside]))
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
-    """Find postures for the open voxels of a sector; `distances` are those of rounded points."""
+    """Find postures for the open voxels of a sector."""
     q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
-    found, points = _Flood(context, job).run(q_m)
-    distances = context.body.distance(points * POINT_UNIT)
-    return Kept(found, points, quantise_distances(distances))
+    return _Flood(context, job).run(q_m)
 
 
 class Witnesses(NamedTuple):
@@ -243,7 +216,7 @@ class Witnesses(NamedTuple):
 
 
 class PairReader:
-    """Computes closest points of a pair for many postures of the arm; the base is at the origin."""
+    """Closest points of a pair in postures q_m (N, n_m) [rad or m], with the base at the origin."""
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         self._model = model
@@ -252,34 +225,30 @@ class PairReader:
         self._q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
 
     def witnesses(self, q_m: Array) -> Witnesses:
-        """The closest points at postures q_m (N, n_m) [rad or m]."""
-        d = np.empty(len(q_m))
-        p_b, normal = np.empty((len(q_m), 3)), np.empty((len(q_m), 3))
-        q, reader = self._q, self._distances
+        """The closest points in the postures."""
+        found = Witnesses(q_m, np.empty(len(q_m)), np.empty((len(q_m), 3)), np.empty((len(q_m), 3)))
         for i, posture in enumerate(q_m):
-            q[4:] = posture
-            reader.update(q)
-            result = reader.nearest_result(0)
-            d[i], p_b[i], normal[i] = result.min_distance, result.getNearestPoint2(), result.normal
-        return Witnesses(q_m, d, p_b, normal)
+            self._q[4:] = posture
+            self._distances.update(self._q)
+            result = self._distances.nearest_result(0)
+            found.d[i], found.normal[i] = result.min_distance, result.normal
+            found.p_b[i] = result.getNearestPoint2()
+        return found
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
-        """(N, 3, n_m) Jacobians of body points at p_b (N, 3) [m] in postures q_m (N, n_m).
+        """(N, 3, n_m) Jacobians of points that are fixed to the body, now at p_b (N, 3) [m].
 
-        The points are fixed to the body. The closest point also moves on the body, so a step with
-        these Jacobians is only an estimate.
+        The closest point also moves on the body, so these Jacobians only approximate its motion.
         """
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
-        J = np.empty((len(q_m), 6, model.nv))
-        origin = np.empty((len(q_m), 3))
+        J, origin = np.empty((len(q_m), 6, model.nv)), np.empty((len(q_m), 3))
         for i, posture in enumerate(q_m):
             self._q[4:] = posture
             pin.computeJointJacobians(model, data, self._q)
             J[i] = pin.getJointJacobian(model, data, self._joint, axes)
             origin[i] = data.oMi[self._joint].translation
         J = J[:, :, 3:]
-        lever = (p_b - origin)[:, :, None]
-        return J[:, :3] + np.cross(J[:, 3:], lever, axis=1)
+        return J[:, :3] + np.cross(J[:, 3:], (p_b - origin)[:, :, None], axis=1)
 
 
 class _Flood:
@@ -290,21 +259,17 @@ class _Flood:
         self._low, self._high, self._retries = config.d_low, config.d_high, config.retries
         self._reader = PairReader(context.model, job.pair)
         self._rng = np.random.default_rng(job.seed)
-        self._open = context.voxels.sector_mask(job.sector)  # (voxels.count,)
+        self._open = self._voxels.sectors(np.arange(self._voxels.count)) == job.sector
         self._open[job.taken] = False
         # Scale of a joint's random step: 1 for a full turn, small for a short travel.
         travel = self._model.q_upper - self._model.q_lower
         self._scale = np.minimum(travel, 2 * np.pi) / (2 * np.pi)
 
-    def run(self, sources: Array) -> tuple[Array, Array]:
-        """Flood the open voxels from starting postures (N, n_m) [rad or m].
+    def run(self, sources: Array) -> Kept:
+        """Flood the open voxels from postures (N, n_m), which are kept if they are in open voxels.
 
-        In up to `retries` + 1 attempts, one posture of a batch makes a step into each open voxel
-        next to the batch.
-
-        Returns:
-            The accepted postures (N, n_m) float32 [rad or m], including sources in open voxels, and
-            their points (N, 3) int16 as in `Cloud`.
+        In each of up to `retries` + 1 attempts, one posture of a batch makes a step into each open
+        voxel next to the batch.
         """
         found = self._reader.witnesses(sources)
         accepted = [self._accepted(found)]
@@ -318,10 +283,10 @@ class _Flood:
             if round_ < self._retries:
                 waiting[round_ + 1].append(found)
         found = _joined(accepted)
-        return found.q_m.astype(np.float32), quantise_points(found.p_b)
+        return Kept(found.q_m.astype(np.float32), quantise_points(found.p_b))
 
     def _accepted(self, found: Witnesses) -> Witnesses:
-        """Select a `found` posture in range for each open voxel, and close these voxels."""
+        """Select one posture in range for each open voxel that has some, and close the voxel."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
         fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
@@ -331,10 +296,7 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Step into each open voxel from the first of the `found` postures that is next to it.
-
-        Steps that would probably leave the sampled range of distances are left out.
-        """
+        """Step into open voxels that are probably in range, from the first posture beside each."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - found.p_b[:, None]
@@ -350,10 +312,10 @@ class _Flood:
         return self._reader.witnesses(tried)
 
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
-        """Compute postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
+        """Postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m] from q.
 
-        J (N, 3, n_m) are the Jacobians at the postures q. Retries add random self-motion, which
-        grows with each retry. Joints that would leave their position limits do not move.
+        Retries add random self-motion, which grows with each retry. Joints that would leave their
+        position limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -364,10 +326,9 @@ class _Flood:
 
 
 def _damped(J: Array, step: Array, free: Array) -> Array:
-    """Joint steps (N, n_m) that move a point by about `step`, near the joint steps `free`.
+    """The damped least-squares joint steps (N, n_m), ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ).
 
-    The result is ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ), the damped least-squares solution, with J
-    (N, 3, n_m), s = `step` (N, 3) [m], ξ = `free` (N, n_m) [rad or m] and λ = `_DAMPING`.
+    s = `step` (N, 3) [m] is the desired step of a point, ξ = `free` (N, n_m), λ = `_DAMPING`.
     """
     J_T = J.transpose(0, 2, 1)
     missing = step[:, :, None] - J @ free[:, :, None]
@@ -398,7 +359,7 @@ _AROUND = np.array(
 
 
 class Voxels:
-    """A voxel grid that covers all points above the floor within a distance of l_m's box.
+    """A grid of voxels in the base's frame, above the floor and around a box that encloses l_m.
 
     Points are int16 in units of 0.1 mm, so that a point has the same voxel on all machines.
     """
@@ -406,14 +367,10 @@ class Voxels:
     def __init__(
         self, lower: Array, upper: Array, *, reach: float, size: Array, sectors: int
     ) -> None:
-        """Create the grid.
+        """Create the grid up to the distance `reach` [m] from the box.
 
-        Args:
-            lower: (3,) [m] lower corner of a box around l_m in the base's frame.
-            upper: (3,) [m] upper corner of that box.
-            reach: [m] largest distance of a point from the box.
-            size: (3,) [m] sides of a voxel, multiples of the points' resolution.
-            sectors: Number of sectors, which are angles around the base's centre.
+        `lower` and `upper` (3,) [m] are corners of the box, `size` (3,) [m] are the sides of a
+        voxel, and `sectors` is the number of equal sectors around the base's centre.
 
         Raises:
             DescriptionError: The base is too large for int16 points.
@@ -430,7 +387,7 @@ class Voxels:
         span = np.ceil(high / POINT_UNIT).astype(int) - self._origin
         self.shape = np.maximum(-(-span // self._size), 1)
         """(3,) number of voxels along x, y and z."""
-        self.count = int(self.shape.prod())
+        self.count, self.sector_count = int(self.shape.prod()), sectors
         # Turned by half a sector: if 4 divides `sectors`, no edge of a sector is on the wheel axis.
         x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
         turn = np.arctan2(y[:, None], x[None, :]).ravel() / (2 * np.pi) + 0.5 / sectors
@@ -454,17 +411,11 @@ class Voxels:
         """(…, 3) [m] centre of each cell (…, 3)."""
         return ((cells + 0.5) * self._size + self._origin) * POINT_UNIT
 
-    def sector_mask(self, sector: int) -> Array:
-        """(count,) whether each voxel is in a sector."""
-        return np.tile(self._sectors == sector, int(self.shape[2]))
-
     def sectors(self, keys: Array) -> Array:
         """(…) sector of the voxels with the indices `keys` (…)."""
         return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3) int16; −1 for a voxel that is
-        not `free` (count,), or outside of the grid.
-        """
+        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 if not `free`."""
         keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

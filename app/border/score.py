@@ -30,7 +30,7 @@ class ScoreField:
     """The score 𝒮 of points (…, 3) [m] in the base's frame, for one body of a robot's arm."""
 
     base: BaseKind
-    """The kind of base, which defines the signed measure that replaces the determinant of (7)."""
+    """The base, whose signed measure replaces the determinant of (7)."""
     p_base: Array
     """(3,) [m] p_base of (9), the arm's mount."""
     A: float
@@ -42,25 +42,21 @@ class ScoreField:
 
     @classmethod
     def of(cls, model: RobotModel, body: str) -> ScoreField:
-        """The score for a body of the arm.
-
-        Raises:
-            DescriptionError: The description has no A, B and C of (9) for the body.
-        """
-        base, reach = model.description.base, model.description.reachability.get(body)
-        if reach is None:
+        """The score for a body of the arm; raises a DescriptionError if A, B and C are missing."""
+        robot = model.description
+        if (reach := robot.reachability.get(body)) is None:
             raise DescriptionError(
-                f"{model.description.name}/robot.toml: reachability.{body}: missing; it is "
-                "required because the body can meet the base"
+                f"{robot.name}/robot.toml: reachability.{body}: missing; it is required because "
+                "the body can meet the base"
             )
-        return cls(base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
+        return cls(robot.base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:
-        """(…) det(J_c J_cᵀ) of (7) at p (…, 3) [m]; for other bases, |measure|."""
+        """(…) |measure| at p (…, 3) [m]; for a differential base, this is det(J_c J_cᵀ) of (7)."""
         return np.abs(self.base.singularity(p)[0])
 
     def reachability(self, p: Array) -> Array:
-        """(…) [-] R, the reachability of points p (…, 3) [m], by their distance from the mount.
+        """(…) [-] R at p (…, 3) [m], a function of the distance from the mount.
 
         Paper: Eq. (9).
         Departure: at distances that differ much from B, (9) is negative and would change the
@@ -72,8 +68,6 @@ class ScoreField:
     def score(self, p: Array) -> Array:
         """(…) S at p (…, 3) [m], with the sign and in the unit of the base's measure.
 
-        For the paper's base it is positive in front of the wheel axis.
-
         Paper: Eq. (10), (11).
         """
         return self._fields(p)[..., 1]
@@ -83,19 +77,21 @@ class ScoreField:
         return self._fields(p)[..., 2:]
 
     def coefficients(self) -> Array:
-        """(9,) the argument of `score_at`: the base's measure, its score unit, p_base, A, B, C."""
+        """(9,) the argument of `field_at`: the base's measure, its score unit, p_base, A, B, C."""
         measure, unit = self.base.measure, self.base.score_unit
         return np.array([*measure, unit, *self.p_base.tolist(), self.A, self.B, self.C])
 
     def _fields(self, p: Array) -> Array:
-        """(…, 5) R, S and ∇S at the points p (…, 3) [m]."""
         p = np.asarray(p, dtype=float)
         return _fields_at(self.coefficients(), p.reshape(-1, 3)).reshape(*p.shape[:-1], 5)
 
 
 @compiled()
-def _field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
-    """R, S and ∇S at p (3,) [m]; ∇R counts as 0 at the mount, where it is undefined."""
+def field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
+    """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m].
+
+    `coefficients` are those of `ScoreField`. At the mount, ∇R is undefined and counts as 0.
+    """
     constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
     A, B, C = coefficients[6], coefficients[7], coefficients[8]
     signed, by_x = constant + quadratic * p[0] * abs(p[0]), 2 * quadratic * abs(p[0])
@@ -115,20 +111,13 @@ def _fields_at(coefficients: Array, points: Array) -> Array:
     """(N, 5) R, S and ∇S at points (N, 3)."""
     found = np.empty((len(points), 5))
     for k in range(len(points)):
-        found[k, 0], found[k, 1], found[k, 2:] = _field_at(coefficients, points[k])
+        found[k, 0], found[k, 1], found[k, 2:] = field_at(coefficients, points[k])
     return found
-
-
-@compiled()
-def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
-    """S of (10) and (11), and ∇S (3,), at the point p (3,) [m], with `ScoreField.coefficients`."""
-    _, score, gradient = _field_at(coefficients, p)
-    return score, gradient
 
 
 @dataclass(frozen=True)
 class RadialProfile:
-    """Reachability as a function of the distance from the mount, for shells around the mount."""
+    """Values as a function of the distance from the arm's mount, for K shells around the mount."""
 
     rho_m: Array
     """(K,) [m] middle of each shell."""
@@ -140,12 +129,10 @@ class RadialProfile:
     """(K,) number of values in each shell."""
 
     def peak(self) -> int:
-        """Index of the shell with the largest mean, of those with at least `_FEWEST` values.
+        """Index of the shell with the largest mean, of those with at least 20 values.
 
-        If no shell has this number, the shells with the most values are compared.
-
-        Raises:
-            ValueError: All shells are empty.
+        If no shell has 20 values, the shells with the most values are compared. A ValueError means
+        that all shells are empty.
         """
         if not self.count.any():
             raise ValueError("there are no values")
@@ -153,15 +140,13 @@ class RadialProfile:
         return int(np.argmax(np.where(enough, self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
-        """The range [m] of distances around the peak in which the mean of each shell is at least
-        `share` [-] of the peak's mean.
+        """The range [m] around the peak in which each shell's mean is at least `share` [-] of the
+        peak's mean.
         """
-        first = last = self.peak()
-        good = self.mean >= share * self.mean[first]
-        while first > 0 and good[first - 1]:
-            first -= 1
-        while last + 1 < len(good) and good[last + 1]:
-            last += 1
+        peak = self.peak()
+        low = np.flatnonzero(~(self.mean >= share * self.mean[peak]))  # also shells without values
+        first = low[low < peak].max(initial=-1) + 1
+        last = low[low > peak].min(initial=len(self.mean)) - 1
         half = (self.rho_m[1] - self.rho_m[0]) / 2 if len(self.rho_m) > 1 else self.rho_m[0]
         return float(max(self.rho_m[first] - half, 0.0)), float(self.rho_m[last] + half)
 
@@ -182,11 +167,8 @@ class ReachFit(NamedTuple):
     """A, B, C of (9) and the quality of the fit."""
 
     A_per_m2: float
-    """[1/m²] A of (9), half of the curvature at the peak."""
     B_m: float
-    """[m] B of (9), the distance of the best reachability."""
     C: float
-    """[-] C of (9), the best reachability."""
     r_squared: float
     """[-] share of the variance of the shells' means that (9) explains; the number of positions in
     a shell is the weight of its mean."""
@@ -195,9 +177,8 @@ class ReachFit(NamedTuple):
     r_squared_positions: float
     """[-] share of the variance of single positions that (9) explains."""
     rho_min_m: float
-    """[m] the smallest fitted distance."""
     rho_max_m: float
-    """[m] the largest fitted distance."""
+    """[m] smallest and largest fitted distance."""
     points: int
     """Number of fitted positions."""
 
@@ -209,16 +190,11 @@ class ReachFit(NamedTuple):
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Fit (9) to positions by least squares with equal weights.
 
-    The fit uses all positions in the best shell and in the shells on both sides of it, up to the
-    first shell whose mean is below `share` times the best mean. Below 0.05 C,
-    `ScoreField.reachability` departs from (9).
+    `rho` (N,) [m] is the distance of each position from the arm's mount, `reach` (N,) [-] its
+    reachability, the mean over orientations with zeros included. The fit uses the best shell, and
+    the shells on both sides of it up to the first one whose mean is below `share` [-] of the best.
 
     Paper: Eq. (9).
-
-    Args:
-        rho: (N,) [m] distance of each position from the arm's mount.
-        reach: (N,) [-] reachability of each position, the mean over orientations; zeros included.
-        share: [-] share of the best mean.
 
     Raises:
         ValueError: There are fewer than four different distances, or the parabola has no maximum at

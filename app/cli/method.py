@@ -230,11 +230,11 @@ def config(
             raise OutputError(f"--out: {out} exists; choose another file or remove this one")
         write_whole(out, text)
     if json:
-        hidden = {"path", "label", "advanced", "log"}
-        rows = [
-            {"path": each.path, "value": tuned.value(each.path), **each.model_dump(exclude=hidden)}
-            for each in tunables().values()
-        ]
+        rows = []
+        for path, each in tunables().items():
+            names = ("choices", "default") if each.choices else ("low", "high", "default", "unit")
+            row = {name: getattr(each, name) for name in ("help", "source", *names)}
+            rows.append({"path": path, "value": tuned.value(path)} | row)
         print_json({"parameters": rows})
     elif out is None:
         print(text, end="")

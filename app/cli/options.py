@@ -14,7 +14,7 @@ import tyro
 from pydantic import BaseModel
 from typing_extensions import Required, TypedDict
 
-from app.config import Config, DisturbanceConfig, Parameter, tunable
+from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import NamedConfig, read_config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
@@ -209,11 +209,11 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
     found = {}
     for name, path in paths.items():
         about = tunable(path)
-        if isinstance(about, Parameter):
-            kind, usual, text = float, f"{about.default:g}", f"[{about.unit}] {about.help}"
-        else:
+        if about.choices:
             kind, usual = str, about.default
             text = f"{about.allowed}: {about.help.rstrip('.')}"
+        else:
+            kind, usual, text = float, f"{about.default:g}", f"[{about.unit}] {about.help}"
         found[name] = Field(kind, f"{usual}, unless robot.toml sets another value", text)
     return _from_fields(found, {})
 
@@ -261,11 +261,11 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
     """
     for name, value in given.items():
         about = tunable(paths[name])
-        if isinstance(about, Parameter):
+        if about.choices:
+            check_name(name, value, about.choices)
+        else:
             option = f"--{name.replace('_', '-')}"
             check_range(option, value, about.low, about.high, about.unit.removeprefix("-"))
-        else:
-            check_name(name, value, about.choices)
     return config.changed({paths[name]: value for name, value in given.items()})
 
 

@@ -1,8 +1,6 @@
 """Files of robots: their folders, URDFs and meshes, packages with meshes, the folder of borders.
 
-A file of an installed package has the address `package://PACKAGE/PATH`. pinocchio reads a robot's
-URDF without its shapes (`bare_urdf`), pybullet with its shapes and on a planar root
-(`planar_urdf`).
+A file of an installed package has the address `package://PACKAGE/PATH`.
 """
 
 import codecs
@@ -13,6 +11,7 @@ import re
 import sys
 import sysconfig
 from collections.abc import Sized
+from contextlib import suppress
 from itertools import pairwise
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
@@ -62,13 +61,12 @@ def user_robots() -> list[Path]:
     user's data folder or, without a home, in `cache_folder`.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
-    return [folder or usual for folder in _listed_folders()]
+    return [home_expanded(entry) if entry else usual for entry in _entries()]
 
 
-def _listed_folders() -> list[Path | None]:
-    """The folders in `$DBB_ROBOTS`; None for an empty entry, or if the variable is not set."""
-    parts = map(str.strip, os.environ.get("DBB_ROBOTS", "").split(os.pathsep))
-    return [home_expanded(part) if part else None for part in parts]
+def _entries() -> list[str]:
+    """The entries of `$DBB_ROBOTS`; one empty entry if the variable is not set."""
+    return [entry.strip() for entry in os.environ.get("DBB_ROBOTS", "").split(os.pathsep)]
 
 
 def is_own(name: str) -> bool:
@@ -78,16 +76,15 @@ def is_own(name: str) -> bool:
 
 def robot_names() -> list[str]:
     """Names of the robots that have a description, including the user's."""
-    found = {path.parent.name for top in _tops() for path in top.glob("*/robot.toml")}
+    tops = ASSETS, *user_robots()
+    found = {path.parent.name for top in tops for path in top.glob("*/robot.toml")}
     return sorted(name for name in found if not name.startswith("."))  # unfinished robots
 
 
 def check_robot_name(name: str) -> None:
-    """Refuse the name of a robot that does not exist.
+    """Raise an UnknownNameError if a robot does not exist.
 
-    Raises:
-        UnknownNameError: The robot does not exist; the message lists the existing robots, and the
-            first unusable folder of `$DBB_ROBOTS`.
+    The message lists the existing robots, and the first unusable folder of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())
@@ -99,7 +96,7 @@ def check_robot_name(name: str) -> None:
 
 def wrong_folders() -> str:
     """A sentence about the first unusable folder of `$DBB_ROBOTS`; empty if there is none."""
-    for folder in filter(None, _listed_folders()):
+    for folder in map(home_expanded, filter(None, _entries())):
         if isfile(folder / "robot.toml"):
             return f"DBB_ROBOTS names the folder of a robot, {folder}: name the folder around it"
         if not isdir(folder):
@@ -110,15 +107,12 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot's description; a delivered robot has precedence over a user's.
-
-    For an unknown name, it is the folder that a delivered robot of this name would have.
-    """
+    """Folder of a robot; for an unknown name, the folder that a delivered robot would have."""
     return next(iter(_folders(name)), ASSETS / name)
 
 
 def hidden_robot(name: str) -> str:
-    """If several folders have a robot of this name: a sentence about an unused one; else empty."""
+    """A sentence about an unused folder with a robot of this name; empty if there is none."""
     used, *others = dict.fromkeys(each.resolve() for each in _folders(name)) or [None]
     if not others:
         return ""
@@ -127,18 +121,13 @@ def hidden_robot(name: str) -> str:
 
 
 def _folders(name: str) -> list[Path]:
-    """All folders with a robot of this name; the first has precedence."""
-    return [folder for top in _tops() if isfile((folder := top / name) / "robot.toml")]
-
-
-def _tops() -> list[Path]:
-    return [ASSETS, *user_robots()]
+    """All folders with a robot of this name; a delivered robot is first and has precedence."""
+    tops = ASSETS, *user_robots()
+    return [folder for top in tops if isfile((folder := top / name) / "robot.toml")]
 
 
 def resolve_package_uri(uri: str) -> Path:
-    """The file of `package://PACKAGE/PATH`, where PACKAGE is an installed package.
-
-    Such a package is a Python package, or a folder in `share`, where wheels put ROS packages.
+    """The file of `package://PACKAGE/PATH` in an installed package; see `package_roots`.
 
     Raises:
         AssetError: The address has a different form, the package is not installed or lacks the
@@ -150,8 +139,7 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     roots = package_roots(package)
     if not roots:
-        # For other names no installation is advised: the name comes from a file, and anyone can
-        # register it.
+        # No advice for other packages: the name comes from a file, and anyone can register it.
         how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
         how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
@@ -172,7 +160,7 @@ def followed(path: Path) -> Path:
 
 
 def package_roots(package: str) -> list[Path]:
-    """Folders of a package: a Python package's own, then those in `share`; none if not installed.
+    """Folders of an installed package: those of the Python package, then those in `share_folders`.
 
     A folder in the current directory does not count, unless `sys.path[1:]` has this directory.
     """
@@ -180,23 +168,17 @@ def package_roots(package: str) -> list[Path]:
     if package.isidentifier() and package != "__main__":  # which has no folder
         spec = importlib.util.find_spec(package)
     roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
-    begun = _working_folder()  # also the first folder of `sys.path`, for `python -m`
-    if begun and begun not in map(Path, sys.path[1:]):  # otherwise installed, as in development
-        roots = [root for root in roots if root.resolve().parent != begun]
+    with suppress(FileNotFoundError):  # the current directory has been removed
+        here = Path.cwd()  # also the first folder of `sys.path`, for `python -m`
+        if here not in map(Path, sys.path[1:]):  # otherwise installed, as in development
+            roots = [root for root in roots if root.resolve().parent != here]
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
         roots += [share / package for share in share_folders() if isdir(share / package)]
     return roots
 
 
-def _working_folder() -> Path | None:
-    try:
-        return Path.cwd()
-    except FileNotFoundError:  # it has been removed
-        return None
-
-
 def share_folders() -> list[Path]:
-    """Folders `share` of all prefixes, where wheels install packages other than Python packages."""
+    """Folders `share`; wheels install ROS packages in them."""
     libraries = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib")}
     prefixes = [*(library / "cmeel.prefix" for library in sorted(libraries)), Path(sys.prefix)]
     return [share for prefix in prefixes if (share := prefix / "share").is_dir()]
@@ -206,17 +188,12 @@ class HasUrdf(Protocol):
     """The part of a robot's description that states the place of the URDF."""
 
     name: str
-    """Name of the robot, and of its folder."""
     urdf: str
-    """Path of the URDF in the robot's folder, or its `package://` address."""
+    """Path of the URDF in the folder of the robot `name`, or its `package://` address."""
 
 
 def urdf_path(description: HasUrdf) -> Path:
-    """The robot's URDF file.
-
-    Raises:
-        AssetError: The file or its package does not exist; see `resolve_package_uri`.
-    """
+    """The robot's URDF file; raises an AssetError if the file or its package is missing."""
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
     path = robot_folder(description.name) / description.urdf
@@ -226,8 +203,8 @@ def urdf_path(description: HasUrdf) -> Path:
 
 
 PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
-"""Joints of the planar root that `planar_urdf` puts under the robot."""
-PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")  # links of the planar root
+PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")
+"""Joints and links of the root under the robot in `planar_urdf`."""
 _ZERO_INERTIAL = (
     '<inertial><mass value="0"/>'
     '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
@@ -235,9 +212,7 @@ _ZERO_INERTIAL = (
 
 
 def resolved_urdf(description: HasUrdf) -> str:
-    """The robot's URDF with the absolute path of each mesh, and an inertia for each link.
-
-    A link without an inertia gets mass and inertia 0, because pybullet would assume 1 kg.
+    """The robot's URDF (`read_urdf`) with the absolute path of each mesh.
 
     Raises:
         AssetError: The URDF or one of its meshes is missing, or a mesh with a relative path is
@@ -252,13 +227,9 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The robot's URDF for other programs, with the `file://` address of each mesh.
+    """The robot's URDF with the `file://` address of each mesh, without shapes of missing meshes.
 
-    A shape whose mesh is not found is left out.
-
-    Raises:
-        AssetError: The URDF is missing.
-        DescriptionError: As for `read_urdf`.
+    The errors are those of `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link, shape in shapes_of(tree):
@@ -272,12 +243,7 @@ def shown_urdf(description: HasUrdf) -> str:
 
 
 def bare_urdf(description: HasUrdf) -> str:
-    """The robot's URDF without shapes, and thus without meshes, which may be missing.
-
-    Raises:
-        AssetError: The URDF is missing.
-        DescriptionError: As for `read_urdf`.
-    """
+    """The robot's URDF without shapes; its meshes may be missing. Errors: those of `read_urdf`."""
     tree = read_urdf(description)
     for link, shape in shapes_of(tree):
         link.remove(shape)
@@ -294,7 +260,7 @@ def shapes_of(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, Elem
 
 
 def read_urdf(description: HasUrdf) -> ElementTree.Element:
-    """The robot's URDF; a link without an inertia gets mass and inertia 0.
+    """The robot's URDF; a link without an inertia gets mass and inertia 0 (pybullet assumes 1 kg).
 
     Raises:
         AssetError: The file is missing.
@@ -334,17 +300,13 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse a file `where` whose first bytes `content` are a `placeholder`.
-
-    Raises:
-        RobotFileError: The content is a placeholder; the message names its kind.
-    """
+    """Raise a RobotFileError if `content`, the start of the file `where`, is a `placeholder`."""
     if name := placeholder(content):
         raise RobotFileError(f"{where}: in the place of the file is {name}")
 
 
 def stated_stl(begin: bytes) -> tuple[int, int]:
-    """Number of facets stated by a binary STL's header, and the size of such a file [bytes]."""
+    """Number of facets in a binary STL's header, and the size [bytes] of a file with them."""
     facets = int.from_bytes(begin[80:84], "little")
     return facets, 84 + 50 * facets
 
@@ -353,7 +315,7 @@ def xml_text(path: Path) -> str:
     """The text of a valid XML file: UTF-16 by its first bytes, or the declared encoding, or UTF-8.
 
     Raises:
-        RobotFileError: The file is a placeholder or of another kind, is too large or cannot be
+        RobotFileError: The file is a placeholder or of another kind, is too large, cannot be
             decoded, or as for `refuse_entities`.
         OSError: The file cannot be read.
     """
@@ -380,10 +342,10 @@ def xml_text(path: Path) -> str:
 
 
 def refuse_entities(content: bytes | str, path: Path) -> None:
-    """Refuse XML that expands, refers to other files or is huge, before parsing a tree.
+    """Refuse XML that a parser of trees could not read safely.
 
     `content` is bytes in their declared encoding, or text, whose declared encoding is ignored;
-    `path` is its name for the message.
+    `path` is the name of the file in the message.
 
     Raises:
         RobotFileError: The XML declares an entity, as in a "billion laughs" attack; nests deeper or
@@ -425,11 +387,7 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
 
 
 def _mesh(reference: str, folder: Path) -> Path:
-    """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF.
-
-    Raises:
-        AssetError: The file does not exist, or a relative path leaves the folder of the URDF.
-    """
+    """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF."""
     if "://" in reference:
         return resolve_package_uri(reference)
     path, rule = Path(reference), ""
@@ -442,10 +400,9 @@ def _mesh(reference: str, folder: Path) -> Path:
 
 
 def planar_urdf(description: HasUrdf) -> str:
-    """The `resolved_urdf` on a root that has two prismatic joints (x, y) and a revolute one (yaw).
+    """The `resolved_urdf` on a root with two prismatic joints (x, y) and a revolute one (yaw).
 
-    pybullet has no planar joint; in pinocchio the same root is `JointModelPlanar`. The errors are
-    those of `resolved_urdf`.
+    It is for pybullet, which has no planar joint. The errors are those of `resolved_urdf`.
     """
     text = resolved_urdf(description)
     parts = [f'<link name="{name}">{_ZERO_INERTIAL}</link>' for name in PLANAR_LINKS]
@@ -461,7 +418,7 @@ def planar_urdf(description: HasUrdf) -> str:
 
 
 def floats(text: str, count: int) -> list[float] | None:
-    """The numbers of an attribute; None if they are not `count` finite numbers."""
+    """The numbers in a text; None if the text is not `count` finite numbers."""
     words = text.split(None, count)  # an attribute may have millions
     if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
         return None

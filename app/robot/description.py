@@ -1,4 +1,4 @@
-"""The description of a robot: one TOML file, typed and validated, with sources of its numbers."""
+"""The description of a robot, `robot.toml`: its records, their validation, and its reader."""
 
 from itertools import chain, combinations
 from pathlib import Path
@@ -39,7 +39,7 @@ class ArmDescription(Sourced):
     mount_link: str
     """URDF link whose origin is the arm's mount: `p_base` of (9)."""
     joints: tuple[str, ...] = Field(min_length=1)
-    """Names of the URDF joints, from the base outwards."""
+    """Names of the URDF's joints, from the base outwards."""
     end_effector_link: str
     """URDF link that carries the end-effector."""
     end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
@@ -196,11 +196,10 @@ class RobotDescription(Strict):
 
 
 def register_base_kind(kind: type[BaseKind]) -> None:
-    """Register a kind of base for descriptions: a record whose `kind` is a `Literal`.
+    """Register a kind of base for descriptions: a record whose `kind` is a `Literal` of one name.
 
-    Raises:
-        DescriptionError: The `Literal` does not have exactly one name, a different kind has it, or
-            the kind does not define all that `BaseKind` demands.
+    A DescriptionError means that the `Literal` has several names, another kind has the name, or the
+    kind lacks a definition that `BaseKind` demands.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
@@ -221,11 +220,7 @@ for _kind in (DifferentialBase, HolonomicBase, CarLikeBase):
 
 
 def differential(description: RobotDescription) -> DifferentialBase:
-    """The base of a robot with a differential base.
-
-    Raises:
-        DescriptionError: The base is of a different kind.
-    """
+    """The base of a robot; raises a DescriptionError if it is not differential."""
     if not isinstance(description.base, DifferentialBase):
         raise DescriptionError(
             f"{description.name} has a {description.base.kind} base, not a differential one"
@@ -237,8 +232,8 @@ def load_description(path: Path) -> RobotDescription:
     """Read and validate a description file.
 
     Raises:
-        DescriptionError: The file is missing, is not TOML, or a field is missing, misspelt or out
-            of its range; the message names file, field and the valid values.
+        DescriptionError: The file is missing or is not TOML, or a field is missing, unknown or
+            invalid; the message names the file, the field and the valid values.
     """
     try:
         return RobotDescription.model_validate(from_toml(file_text(path)))
@@ -258,13 +253,10 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by its name, which is the name of its folder.
+    """The description of a robot by the name of its folder.
 
     A different `name` in the file is ignored: the folder can be a copy of another robot's folder.
-
-    Raises:
-        UnknownNameError: The robot does not exist; the message lists the existing robots.
-        DescriptionError: The description is invalid.
+    Errors: those of `check_robot_name` and `load_description`.
     """
     check_robot_name(name)
     description = load_description(robot_folder(name) / "robot.toml")

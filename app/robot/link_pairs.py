@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, product
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +26,9 @@ class Pair(NamedTuple):
 
 
 class ClosestPoints(NamedTuple):
-    """The closest points of one link pair in the world: the result of FindClosestPoints."""
+    """The closest points of one link pair <a, b> in the world: the result of FindClosestPoints."""
 
     pair: Pair
-    """The link pair; `a` is nearer to the base than `b`."""
     d: float
     """[m] signed distance, negative in penetration."""
     p_a: Array
@@ -47,7 +46,7 @@ class ClosestPoints(NamedTuple):
 
 
 def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
-    """The closest points of a pair, with the closest points of its parts in the field `parts`."""
+    """The closest points of a pair, with those of its parts in the field `parts`."""
     return closest._replace(parts=parts)
 
 
@@ -68,7 +67,6 @@ class LinkPairs:
     samples: int
     """Number of sampled joint positions."""
     seed: int
-    """Seed of the generator."""
 
     @property
     def all(self) -> tuple[Pair, ...]:
@@ -79,8 +77,8 @@ class LinkPairs:
 class PairDistances(ShapeDistances):
     """Distances and closest points of some pairs, by the collision library.
 
-    Call `update` or `update_from` once for each configuration, then the other methods. `sampled`
-    needs no such call. The distance of a body of several shapes is that of its nearest shape.
+    Call `update` or `update_from` for each configuration, then the other methods; `sampled` needs
+    no earlier call. The distance of a body of several shapes is that of its nearest shape.
 
     Attributes:
         pairs: The pairs, in the order of their indices.
@@ -99,21 +97,15 @@ class PairDistances(ShapeDistances):
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
         rows = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
         super().__init__(model, shapes, rows)
-        # References to pinocchio's result objects: requesting these objects again at each step
-        # would take longer than computing the distances.
-        results = self._placed.distanceResults
+        results = self._placed.distanceResults  # reading it takes longer than computing distances
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
-        """For each pair a list: first the results of all pairs of shapes of `a` and `b`, then, if
-        `a` has several parts, the results of each part with the shapes of `b`."""
+        """For each pair, the results of all pairs of its shapes and then, if `a` has several
+        shapes, those of each shape of `a`."""
 
     def update(self, q: Array) -> None:
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
         pin.updateGeometryPlacements(self._model.pin, self.data, self._geometry, self._placed, q)
         pin.computeDistances(self._geometry, self._placed)
-
-    def distance(self, i: int) -> float:
-        """[m] signed distance of the i-th pair."""
-        return self.nearest_result(i).min_distance
 
     def distances(self) -> tuple[float, ...]:
         """[m] signed distances of all pairs."""
@@ -134,7 +126,7 @@ class PairDistances(ShapeDistances):
         found = []
         for at in map(_nearest, self._results[i]):
             p_a, p_b = at.getNearestPoint1(), at.getNearestPoint2()
-            n = at.normal.copy()  # unlike the points it is a view
+            n = at.normal.copy()  # unlike the points, it is a view
             found.append(ClosestPoints(self.pairs[i], at.min_distance, p_a, p_b, n, p_b))
         return with_parts(*found)
 
@@ -153,8 +145,7 @@ def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:
     They are sorted by `a`, from the base outwards, then by `b`, from the end-effector inwards.
     """
     names = model.body_names
-    order = sorted(combinations(range(len(names)), 2), key=lambda ij: (ij[0], -ij[1]))
-    pairs = (Pair(names[i], names[j]) for i, j in order if j - i > 1)
+    pairs = (Pair(a, b) for i, a in enumerate(names) for b in names[: i + 1 : -1])
     return tuple(pair for pair in pairs if pair.name not in model.description.unwatched)
 
 
@@ -164,21 +155,20 @@ def sample_joints(model: RobotModel, count: int, rng: np.random.Generator) -> Ar
 
 
 def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0) -> LinkPairs:
-    """Find the pairs that can collide by random sampling of the joint positions.
+    """Find the pairs that can collide, by `samples` random joint positions.
 
     A pair is in L if at least one sample has a signed distance of zero or less.
 
     Paper: Eq. (1).
     Paper: Eq. (2).
     """
-    pairs = candidate_pairs(model)
+    pairs, lm = candidate_pairs(model), model.body_names[0]
     q_m = sample_joints(model, samples, np.random.default_rng(seed))
     distances = PairDistances(model, pairs).sampled(q_m)
     names = [pair.name for pair in pairs]
     rates = dict(zip(names, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
     least = dict(zip(names, distances.min(axis=0).tolist(), strict=True))
+    mobile = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a == lm)
+    manipulator = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a != lm)
     never = tuple(pair for pair in pairs if rates[pair.name] == 0)
-    colliding, lm = [pair for pair in pairs if rates[pair.name] > 0], model.body_names[0]
-    mobile = tuple(pair for pair in colliding if pair.a == lm)
-    manipulator = tuple(pair for pair in colliding if pair.a != lm)
     return LinkPairs(mobile, manipulator, never, rates, least, samples, seed)

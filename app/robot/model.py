@@ -1,8 +1,7 @@
 """The compiled robot: pinocchio's model on a planar base, reduced to q̇ = (q̇_b, q̇_m).
 
-The planar joint of pinocchio has its velocity in the base's own frame. Thus the map from the
-reduced velocity to pinocchio's is the constant matrix S. The reduced terms are Sᵀ M S and Sᵀ h,
-without a term M Ṡ q̇.
+The velocity of pinocchio's planar joint is in the base's own frame. Thus the map S from the reduced
+velocity to pinocchio's is constant. The reduced terms are Sᵀ M S and Sᵀ h, without M Ṡ q̇.
 """
 
 from __future__ import annotations
@@ -41,20 +40,15 @@ class RobotModel:
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
         shape_ids: Indices of a body's shapes in `geometry`, by the name of the body.
         body_joints: Pinocchio's index of the joint that moves a body, by the name of the body.
-        ee_frame, mount_frame: Pinocchio's indices of the frames of the end-effector and of the
-            arm's mount.
-        n: Degrees of freedom of the reduced velocity, n_b + n_m.
-        n_b: Degrees of freedom of the base.
+        ee_frame, mount_frame: Pinocchio's indices of the frames of end-effector and arm's mount.
+        n, n_b, n_m: Degrees of freedom of the reduced velocity, n = n_b + n_m, base and arm.
         n_d: Number of states of the base's drive besides its velocity.
-        n_m: Degrees of freedom of the arm.
         reading_shapes: Valid shapes of the arrays of a `Measurement`: with and without `drive`.
-        J_m: (n_b, n_b) Jacobian of the base; for a differential base that of (19).
-        J_m_inv: (n_b, n_b) inverse of J_m.
+        J_m, J_m_inv: (n_b, n_b) `BaseKind.J_m`, of (19) for a differential base; its inverse.
         base_rows: (n_b, n) [J_m O] of (19): the rows of ẍ_m and of the base's acceleration limits.
-        S: (3 + n_m, n) map from the reduced velocity to pinocchio's velocity: T J_m, and 1 for the
-            joints of the arm.
+        S: (3 + n_m, n) map from the reduced velocity to pinocchio's: T J_m, and 1 for the arm.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] limits of the base's axes.
-        base_inertia: (n_b,) [kg or kg m²] mass or inertia along each axis.
+        base_inertia: (n_b,) [kg or kg m²] mass or inertia of each axis.
         joint_damping: (n_m,) [N m s/rad or N s/m] damping of the arm's joints.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
         qd_max, tau_max: (n_m,) [rad/s or m/s] and [N m or N] speed and torque limits of the arm.
@@ -66,9 +60,8 @@ class RobotModel:
 
         Raises:
             AssetError: The URDF is missing, or as for `ConvexMesh.hull`.
-            DescriptionError: The URDF lacks a joint or link, a joint of the arm is continuous or
-                out of order, a speed or torque limit is not above zero, position limits contradict
-                each other or the ready posture, or pinocchio cannot read the URDF.
+            DescriptionError: pinocchio cannot read the URDF, the URDF lacks a joint or link, or the
+                order, the kind, a limit or the ready position of an arm's joint is invalid.
         """
         self.description = description
         full = whole_model(description)
@@ -109,17 +102,13 @@ class RobotModel:
     def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:
         """Pinocchio's configuration (4 + n_m,) from the base's pose (x, y, φ) and q_m (n_m,)."""
         x, y, phi = base_pose
-        q = np.empty(4 + self.n_m)
-        q[:4] = x, y, math.cos(phi), math.sin(phi)
-        q[4:] = q_m
-        return q
+        return np.array([x, y, math.cos(phi), math.sin(phi), *q_m])
 
     def joint_positions(self, q_m: Array, angles: Sequence[float] | Array) -> dict[str, float]:
-        """Positions [rad or m] of the joints, by name, from q_m (n_m,) and angles (n_w,) [rad] of
-        the base's `wheels`.
+        """Positions [rad or m] by joint name, from q_m (n_m,) and wheel angles (n_w,) [rad].
 
-        An angle grows when the base rolls forward, or steers to the left, for both directions of a
-        joint's axis.
+        The angles belong to the base's `wheels`. They grow when the base rolls forward or steers to
+        the left, for both directions of a joint's axis.
         """
         signs, arm = self._wheel_signs, self.description.arm
         pairs = zip(self.description.base.wheels, angles, strict=True)
@@ -127,8 +116,9 @@ class RobotModel:
         return dict(zip(arm.joints, map(float, q_m), strict=True)) | turned
 
     def joint_inertia(self, q: Array) -> Array:
-        """(n_m,) [kg m² or kg] inertia of each joint at pinocchio's configuration q, while the base
-        and the other joints are free.
+        """(n_m,) [kg m² or kg] inertia of each joint at pinocchio's configuration q.
+
+        The base and the other joints are free to move.
         """
         return 1.0 / np.diag(np.linalg.inv(self.mass_matrix(q, self.pin.createData())))[3:]
 
@@ -155,7 +145,7 @@ class RobotModel:
     ) -> list[tuple[str, trimesh.Trimesh]]:
         """The meshes of all shapes of the bodies, in the world, each with its body's name.
 
-        `base_pose` (3,) has x, y [m] and heading [rad]; `q_m` (n_m,) are the joint positions.
+        `base_pose` is (x, y, φ) [m, m, rad], `q_m` (n_m,) are the arm's joint positions.
         """
         data, placed = self.pin.createData(), pin.GeometryData(self.geometry)
         q = self.configuration(base_pose, q_m)
@@ -171,10 +161,10 @@ class RobotModel:
         self.base_acceleration_max = np.array(base.max_acceleration)
         self.base_inertia = base.T.T @ (base.mass_kg, base.mass_kg, base.inertia_kgm2)
         self.joint_damping = np.array(arm.joint_damping)
-        self.q_lower = _chosen(arm.position_lower, model.lowerPositionLimit[4:])
-        self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
-        self.qd_max = _chosen(arm.max_velocity, model.velocityLimit[3:])
-        self.tau_max = _chosen(arm.max_effort, model.effortLimit[3:])
+        self.q_lower = np.array(arm.position_lower or model.lowerPositionLimit[4:])
+        self.q_upper = np.array(arm.position_upper or model.upperPositionLimit[4:])
+        self.qd_max = np.array(arm.max_velocity or model.velocityLimit[3:])
+        self.tau_max = np.array(arm.max_effort or model.effortLimit[3:])
         self.q_limits = np.array([self.q_lower, self.q_upper])
         self.qd_limits = np.array([-self.qd_max, self.qd_max])
         self.tau_limits = np.array([-self.tau_max, self.tau_max])
@@ -227,13 +217,11 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
     return DescriptionError(f"{description.name}/robot.toml: {message}")
 
 
-def kept_per_model(
-    most: int,
-) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
-    """A decorator that caches results of a pure function of a model and hashable values.
+def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
+    """A decorator that caches the latest `most` results of a function of a model, for each model.
 
-    All callers share a result and must not change it. A result must not refer to the model, because
-    then neither of the two would ever be freed. The latest `most` results of each model stay.
+    Callers share a result and must not change it. The other arguments must be hashable. A result
+    must not refer to the model: otherwise neither of the two would ever be freed.
     """
 
     def keep(function: OfModel[Options, Result]) -> OfModel[Options, Result]:
@@ -254,15 +242,11 @@ def kept_per_model(
     return keep
 
 
-def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
-    return np.array(stated if stated is not None else from_urdf, dtype=float)
-
-
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
     """[m] upper bound of the distance between the two ends of a chain of joints.
 
     `links` are the poses of the chain's frames, each in the frame before it. `slides` (2, k) [m]
-    has the lower and upper limits of the sliding joints.
+    are the lower and upper limits of the prismatic joints.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())

@@ -1,11 +1,8 @@
 """Convex shapes of the simplified collision bodies (Figure 2b), as records of `robot.toml`.
 
-Each shape provides coal's geometry for signed distances, and a mesh for drawing.
-
 A superquadric (hyper-ellipsoid) is the set of points p with f(p) ≤ 1, where
-f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). The exponent e₁ belongs to the vertical
-profile, e₂ to the plan view: at 1 it is an ellipse, near 0 almost a rectangle. Distances of
-a superquadric are those of a convex polytope that approximates it.
+f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). The exponent e₁ determines the vertical
+profile, e₂ the plan view: an ellipse for an exponent of 1, almost a rectangle for one near 0.
 """
 
 from __future__ import annotations
@@ -125,9 +122,8 @@ class ConvexMesh(_Placed):
             AssetError: The file is missing, or reading exceeds the budget of `app.jobs.bounded`.
             MissingExtraError: trimesh is not installed.
         """
-        # Imported here: the import is slow, and only the distances of this shape need trimesh.
         with extras_named():
-            import trimesh
+            import trimesh  # slow, and possibly not installed
 
         path = resolve_package_uri(self.file)
         read = partial(trimesh.load, force="mesh")
@@ -157,8 +153,8 @@ class Superquadric(_Placed):
     """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, or almost a box.
 
     Its distances are those of a convex polytope of 3,458 vertices on its surface. They are too
-    large by at most the largest depth of the polytope's faces below the surface. This is less than
-    0.5 % of the longest semi-axis for exponents from 0.1 to 1, less than 1 % for those up to 2.
+    large by less than 0.5 % of the longest semi-axis for exponents from 0.1 to 1, by less than 1 %
+    for exponents up to 2.
     """
 
     type: Literal["superquadric"]
@@ -170,7 +166,7 @@ class Superquadric(_Placed):
     """[-] roundness in plan."""
 
     def vertices(self) -> Array:
-        """(N, 3) [m] the polytope's corners, in the shape's own frame; read-only."""
+        """`polytope_vertices` of this shape."""
         return polytope_vertices(self.semi_axes_m, self.e1, self.e2)
 
     def coal_geometry(self) -> coal.CollisionGeometry:
@@ -180,14 +176,13 @@ class Superquadric(_Placed):
 def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
-    A hull without a volume, for example of points on a line, gets a thickness of 0.1 mm. trimesh's
-    own correction of inward triangles is not used: it needs networkx, which may be missing.
+    A hull without a volume, for example of points on a line, gets a thickness of 0.1 mm.
     """
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError
 
     try:
-        hull = trimesh.convex.convex_hull(points, repair=False)
+        hull = trimesh.convex.convex_hull(points, repair=False)  # a repair would need networkx
     except QhullError:
         hull = trimesh.convex.convex_hull(_thick(points), repair=False)
     out = hull.triangles_center - hull.vertices.mean(axis=0)
@@ -200,7 +195,7 @@ _THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def _thick(points: Array) -> Array:
-    """Points (N, 3) [m]; along each axis with an extent below 0.1 mm, two copies replace them."""
+    """Points (N, 3) [m], doubled along each principal axis along which they extend below 0.1 mm."""
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
         if np.ptp(points @ axis) < _THIN:
@@ -258,7 +253,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
     """(…) [-] f of this module at points p (…, 3) [m] in a superquadric's frame; 1 on its surface.
 
-    `semi_axes` are a, b and c [m]; e1 is the exponent from top to bottom, e2 that in plan.
+    `semi_axes` are a, b and c [m]; e1 and e2 are the exponents.
     """
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
     return _power_sum(_power_sum(x, y, e2 / 2), z, e1 / 2) ** (2 / e1)
@@ -271,7 +266,7 @@ def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> 
 
 
 def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, float, float]:
-    """Semi-axes [m] of the superquadric through the corners of a box; e1, e2 as in `implicit`."""
+    """Semi-axes [m] of the superquadric through the corners of a box with side lengths [m]."""
     growth = (2.0 ** (e2 / e1) + 1.0) ** (e1 / 2)
     a, b, c = (0.5 * side * growth for side in size)
     return a, b, c
@@ -281,9 +276,7 @@ def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, floa
 def polytope_vertices(
     semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
 ) -> Array:
-    """(6 intervals² + 2, 3) [m] points of the surface, in its frame; read-only.
-
-    Their hull is inside of the surface, and approximates it.
+    """(6 intervals² + 2, 3) [m] points of a superquadric's surface, in its frame; read-only.
 
     Rays from the centre through a grid on a cube's faces meet the surface at these points. The grid
     is denser towards the edges, where a small exponent bends the surface most.
@@ -303,9 +296,7 @@ def polytope_vertices(
 
 
 def _power_sum(a: Array, b: Array, e: float) -> Array:
-    """(a^(1/e) + b^(1/e))^e for numbers that are not negative, computed with the ratio of both,
-    because powers of the numbers could overflow.
-    """
+    """(a^(1/e) + b^(1/e))^e for a, b ≥ 0, by the ratio of both, because powers could overflow."""
     high, low = np.maximum(a, b), np.minimum(a, b)
     ratio = np.divide(low, high, out=np.zeros_like(high), where=high > 0)
     return high * (1.0 + ratio ** (1.0 / e)) ** e

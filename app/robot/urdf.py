@@ -18,9 +18,6 @@ from app.strict import Array
 if TYPE_CHECKING:
     import trimesh
 
-_MAX_TURN = 4 * np.pi  # [rad] largest roll, pitch or yaw
-_FARTHEST = 10.0  # [m] largest coordinate of the origin of a joint, shape or centre of mass
-
 
 def unit_of(length: float) -> str:
     """The probable unit of a length that is too large in metres, such as `millimetres`."""
@@ -31,19 +28,19 @@ def origin(element: Element, where: str) -> pin.SE3:
     """The `<origin>` [m] of an element, or the identity; `where` begins the message of an error.
 
     Raises:
-        RobotFileError: An attribute is not three numbers, or the numbers are so large that their
-            unit is probably wrong.
+        RobotFileError: An attribute is not three numbers, or the unit of large numbers is probably
+            wrong: an angle exceeds 4π rad, or a coordinate 10 m.
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
-    if np.abs(rpy).max() > _MAX_TURN:
+    if np.abs(rpy).max() > 4 * np.pi:
         words = " ".join(f"{angle:g}" for angle in rpy)
         raise RobotFileError(
             f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
             "degrees are 1.5708"
         )
     xyz = numbers(at, "xyz", (0.0, 0.0, 0.0), where)
-    if (far := float(np.abs(xyz).max())) > _FARTHEST:
+    if (far := float(np.abs(xyz).max())) > 10.0:
         raise RobotFileError(
             f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres, these look "
             f"like {unit_of(far)}"
@@ -54,8 +51,7 @@ def origin(element: Element, where: str) -> pin.SE3:
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
     """The numbers of an attribute `key`, or the default if element or attribute is missing.
 
-    Raises:
-        RobotFileError: The attribute does not have as many finite numbers as the default.
+    A RobotFileError means that their number is not that of the default, or that one is not finite.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -68,16 +64,12 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
 
 
 def without_commas(words: str) -> str:
-    """Advice in an error message about a text of numbers with commas; empty without a comma."""
+    """Advice for an error message if a text of numbers has a comma, otherwise an empty text."""
     return "; write points in numbers and blanks between them, no commas" * ("," in words)
 
 
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
-    """Red, green, blue and opacity [0, 1] of a visual; None if the URDF states no colour.
-
-    If the visual's material states no colour, the material with the same name in the robot's
-    `materials` counts.
-    """
+    """`rgba` of a visual's material; if this is None, that of its namesake in `materials`."""
     if (material := visual.find("material")) is None:
         return None
     return rgba(material) or rgba(materials.get(material.get("name"), material))
@@ -86,7 +78,7 @@ def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[flo
 def rgba(material: Element) -> list[float] | None:
     """Red, green, blue and opacity [0, 1] of a material; None without three or four numbers.
 
-    Values up to 255, commas and a missing opacity are common mistakes and are accepted.
+    Colours up to 255, commas and a missing opacity are accepted, because these mistakes are common.
     """
     found = material.find("color")
     stated = "" if found is None else found.get("rgba", "").replace(",", " ")
@@ -105,9 +97,8 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    The `.bin` files in the folder of a `.gltf`, which have its vertices, count too. The result is
-    above `SMALL` for any mesh, because a few bytes can encode millions of triangles. Errors: those
-    of `resolve_package_uri`.
+    The size includes the `.bin` files in the folder of a `.gltf`. It is at least `SMALL` + 1,
+    because a few bytes can encode millions of triangles. Errors: those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}
@@ -120,7 +111,7 @@ def mesh_bytes(links: Iterable[Element]) -> int:
 def urdf_mesh(
     shape: Element, where: str, load: Callable[[Path], trimesh.Trimesh]
 ) -> tuple[trimesh.Trimesh, float | None]:
-    """A shape's triangles [m], and its radius [m]; the radius is None if the shape is not round.
+    """A shape's triangles [m], and its radius [m]; the radius is None for a box or a mesh.
 
     `load` reads the triangles of a mesh file; `where` begins the message of an error.
 
@@ -139,11 +130,7 @@ def urdf_mesh(
 
 
 def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
-    """Triangles [m] of a box, sphere, cylinder or capsule, and its radius [m], None for a box.
-
-    Raises:
-        RobotFileError: It is none of these shapes, or a size is missing or not above zero.
-    """
+    """As `urdf_mesh`, for a box, sphere, cylinder or capsule."""
     from trimesh import creation  # a slow import
 
     def sizes(key: str, count: int = 1) -> Array:

@@ -34,7 +34,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import trimesh
 
-from app.border.cache import BorderData, DamagedFileError, pack, read, unpack, write
+from app.border.cache import BorderData, DamagedFileError, read, write
 from app.border.dbb import make_cloud
 from app.config import Config
 from app.config_file import read_config, save_config
@@ -213,7 +213,7 @@ def _border(path: Path) -> None:
     distances = np.arange(60, dtype=np.uint16)
     pairs = LinkPairs((pair,), (), (), {pair.name: 0.1}, {pair.name: 0.0}, 10, 0)
     content = BorderData(pairs, {pair.name: make_cloud(pair.name, points, distances)}, "sampled")
-    write(path, *pack(content, "0" * 32))
+    write(path, content, "0" * 32)
 
 
 def _log(path: Path) -> None:
@@ -306,9 +306,7 @@ KINDS = {
     "mesh": Kind("a.stl", _mesh, _shape, _mutate_bytes),
     "log csv": Kind("a.csv", _log, _figures, _mutate_csv),
     "log parquet": Kind("a.parquet", _log, _figures, _mutate_parquet),
-    "border": Kind(
-        "a.npz", _border, partial(read, unpack=partial(unpack, key="0" * 32)), _mutate_border
-    ),
+    "border": Kind("a.npz", _border, partial(read, key="0" * 32), _mutate_border),
     "zip": Kind("a.zip", _write_zip, _open_zip, _mutate_zip),
 }
 

@@ -148,5 +148,5 @@ def _differences(robot: Robot, motion: Motion, t: float, h: float) -> Array:
     for k in range(len(_FIVE)):
         q = motion.at(t + (k - 2) * h)[0].q_m
         reader.update(robot.model.configuration((0.0, 0.0, 0.0), q))
-        d[k] = [reader.distance(i) for i in range(len(reader.pairs))]
+        d[k] = reader.distances()
     return _FIVE @ d / h**2

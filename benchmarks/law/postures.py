@@ -23,7 +23,7 @@ def posture_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
     while True:
         q = rng.uniform(model.q_lower + margin, model.q_upper - margin)
         reader.update(model.configuration((0.0, 0.0, 0.0), q))
-        d = [reader.distance(i) for i in range(len(reader.pairs))]
+        d = reader.distances()
         if min(d) < _NEAR or min(d[:n]) > d_b - _NEAR:
             continue
         search.place(q)

@@ -55,7 +55,9 @@ def _dense(data: BorderData, offset: OffsetContours, count: int, seed: int) -> B
 
 def points_on(offset: OffsetContours, count: int, rng: np.random.Generator) -> Array:
     """(count, 3) [m] random points of the contours, and between them."""
-    heights, vertices = offset.rings[0].heights, offset.rings[0].vertices
+    rows = slice(offset.table.firsts[1])  # those of the first shape
+    heights, corners = offset.table.heights[rows], offset.table.vertices[rows]
+    vertices = np.stack([corners.real, corners.imag], axis=-1)
     level = rng.uniform(0.0, len(heights) - 1.0, count)
     k = level.astype(int)
     up = (level - k)[:, None]

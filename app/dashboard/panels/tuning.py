@@ -8,7 +8,7 @@ from typing import Any
 
 import viser
 
-from app.config import Choice, sections, tunable
+from app.config import sections, tunable
 from app.config_file import decode_config, save_config
 from app.dashboard.markup import banner
 from app.dashboard.panels import Moment, Panel, Viewer
@@ -145,7 +145,7 @@ class ParameterWidget(Panel):
     def _widgets(self, value: float | str) -> tuple[Any, Any]:
         """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
         gui, about, title, exponent = self._gui, self.about, self._title, None
-        if isinstance(about, Choice):
+        if about.choices:
             look: dict[str, Any] = {"initial_value": str(value), "hint": about.help}
             return gui.add_dropdown(title, about.choices, **look), exponent
         low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"

@@ -5,11 +5,10 @@ velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w
 The front wheels point along this velocity, so it is in the double cone |w_y| ≤ tan δ_max |w_x|: the
 curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.
 
-Let (v, ω) be the velocity of a differential base under the same force. The velocity of a car-like
-base is the one in the cone nearest to (v, ω) in the metric of kinetic energy, m v² + I ω². If
-(v, ω) is outside of the cone, the nearest velocity is on an edge of the cone, κ = ±κ_max, and has
-the speed (m v + I κ ω) / (m + I κ²): the base moves along its tightest arc like an inertia m + I κ²
-under a force F_x + κ τ. It moves ahead if κ has the sign of ω, and backwards on the other edge.
+A desired velocity (v, ω) outside of the cone is replaced by the nearest one in the cone, in the
+metric of kinetic energy m v² + I ω². It is on an edge of the cone, κ = ±κ_max, and has the speed
+(m v + I κ ω) / (m + I κ²). On the edge where κ has the sign of ω the base moves ahead, on the other
+edge backwards.
 """
 
 import math
@@ -40,21 +39,12 @@ _HELD = 0.005  # [m/s] commanded speed of the front axle below which the steerin
 def nearest_in_cone(
     v: float, w: float, kappa: float, radius: float, before: float
 ) -> tuple[float, float]:
-    """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), in the norm √(v² + ρ² ω²).
+    """The velocity [m/s, rad/s] in the cone |ω| ≤ κ_max |v| nearest to (v, w) by √(v² + ρ² ω²).
 
-    If both edges of the cone are about equally near, a base that moves at the speed `before` [m/s]
-    keeps its direction. If it is at rest and both are exactly equally near, it moves backwards:
-    this brings the arm ahead of the rear axle, where the score is better.
-
-    Args:
-        v: [m/s] desired speed.
-        w: [rad/s] desired ω.
-        kappa: [1/m] κ_max.
-        radius: [m] ρ, √(I/m).
-        before: [m/s] present speed of the base, or its present speed command.
-
-    Returns:
-        v [m/s] and ω [rad/s].
+    `kappa` [1/m] is κ_max, `radius` [m] is ρ = √(I/m), and `before` [m/s] is the present speed or
+    speed command. If both edges of the cone are about equally near, a moving base keeps its
+    direction. If it is at rest and both are equally near, it moves backwards: this brings the arm
+    ahead of the rear axle, where the score is better.
     """
     if abs(w) <= kappa * abs(v):
         return v, w
@@ -107,25 +97,22 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_velocity(self) -> tuple[float, float]:
-        """Largest v [m/s] and ω [rad/s]."""
         v = self.max_linear_velocity_mps
         return v, v * self.curvature_max
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²] and ω̇ [rad/s²]; ω̇ at top speed, tightest arc, full steering rate."""
+        """The largest v̇, and ω̇ at top speed on the tightest arc, at full steering rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m
 
     @property
     def yaw_limit_nm(self) -> float:
-        """[N m] largest torque about the rear axle's middle: traction limit times wheelbase."""
         return self.traction_limit_n * self.wheelbase_m
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """The joints that roll, then those that steer."""
         return (
             Wheels("rolling", "wheel_joints", self.wheel_joints),
             Wheels("steering", "steering_joints", self.steering_joints),
@@ -137,7 +124,6 @@ class CarLikeBase(BaseKind):
 
     @property
     def measure(self) -> Measure:
-        """Coefficients of sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
@@ -149,8 +135,8 @@ class CarLikeBase(BaseKind):
         return ((Channel((1.0, 0.0, 0.0), a, v),), *arcs)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        v, w = wanted.tolist()
-        return np.array(self._in_cone(v, w, float(before[0])))
+        (v, w), kappa = wanted.tolist(), self.curvature_max
+        return np.array(nearest_in_cone(v, w, kappa, self._radius, float(before[0])))
 
     def drive_at_rest(self) -> Array:
         """(1,) [rad] the steering angle δ = 0: straight ahead."""
@@ -188,24 +174,21 @@ class CarLikeBase(BaseKind):
     def _radius(self) -> float:
         return math.sqrt(self.inertia_kgm2 / self.mass_kg)
 
-    def _in_cone(self, v: float, w: float, before: float) -> tuple[float, float]:
-        return nearest_in_cone(v, w, self.curvature_max, self._radius, before)
-
     def _goal(
         self, speed: float, angle: float, v_cmd: Sequence[float] | Array
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω).
 
-        While the wheels steer, the motion is along the present arc. The speed on this arc is the
-        nearest to the command in the metric of kinetic energy, but 0 if it would oppose the
-        command. It is smaller if the present arc and the command's arc bend to opposite sides.
+        The speed is the one on the present arc nearest to the command, but 0 if it would oppose the
+        command, and smaller if the present arc and the command's arc bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
-        v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)
+        wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max
+        v, w = nearest_in_cone(*wanted, kappa, self._radius, speed)
         angle_to, L = angle, self.wheelbase_m
         if math.hypot(v, L * w) > _HELD:
             angle_to = clamp(math.atan(L * w / v), self.steering_limit_rad)
         turn = self._radius**2 * math.tan(angle) / L  # ρ² κ
         along = (v + turn * w) / (1.0 + turn * math.tan(angle) / L)
-        against = max(-math.tan(angle) * math.tan(angle_to), 0.0) / (L * self.curvature_max) ** 2
+        against = max(-math.tan(angle) * math.tan(angle_to), 0.0) / (L * kappa) ** 2
         return clamp(along * (1.0 - against) if along * v > 0.0 else 0.0, top), angle_to

@@ -9,46 +9,26 @@ from app.strict import Array, Positive
 
 
 def mobile_jacobian(r: float, b: float) -> Array:
-    """J_m of the differential base: (v, ω) = J_m (θ̇_r, θ̇_l).
+    """(2, 2) J_m of the differential base, [m/rad] and [1]: (v, ω) = J_m (θ̇_r, θ̇_l).
+
+    r [m] is the radius of the wheels, b [m] half of the track width.
 
     Paper: Eq. (19), with r/2 instead of −r/2 in the second column: the printed matrix has rank 1
     and contradicts (6).
-
-    Args:
-        r: [m] radius of the wheels.
-        b: [m] half of the track width.
-
-    Returns:
-        (2, 2), first row [m/rad], second row [1].
     """
     return np.array([[r / 2, r / 2], [r / (2 * b), -r / (2 * b)]])
 
 
 def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -> Array:
-    """J_c, from the wheels' speeds to the velocity of the control point, ṗ_c = J_c q̇_b.
+    """(2, 2) [m/rad] J_c of a point that moves with the base: ṗ_c = J_c (θ̇_r, θ̇_l).
 
     The point is at x, y [m] from the base's centre along the axes of the world; phi [rad] is the
-    heading of the base; r and b as in `mobile_jacobian`.
+    heading of the base; r and b are as in `mobile_jacobian`.
 
     Paper: Eq. (5), (6).
-
-    Returns:
-        (2, 2) [m/rad], columns right and left wheel.
     """
-    c = r / (2 * b)
     cos, sin = np.cos(phi), np.sin(phi)
-    return c * np.array([[b * cos - y, b * cos + y], [b * sin + x, b * sin - x]])
-
-
-def singularity_measure(p: Array, r: float, b: float) -> Array:
-    """(…) [m⁴/rad⁴] det(J_c J_cᵀ) at points p (…, 3) [m] in the base's frame.
-
-    It is zero on the wheel axis; r and b as in `mobile_jacobian`.
-
-    Paper: Eq. (7), (8).
-    """
-    c = r / (2 * b)
-    return 4 * b**2 * c**4 * np.asarray(p)[..., 0] ** 2
+    return r / (2 * b) * np.array([[b * cos - y, b * cos + y], [b * sin + x, b * sin - x]])
 
 
 class DifferentialBase(TurningBase):
@@ -67,7 +47,7 @@ class DifferentialBase(TurningBase):
     half_track_m: Positive
     """[m] b of (6), distance between a wheel and the base's centre."""
     left_wheel_joints: tuple[str, ...]
-    """Wheel joints of the URDF on the left side; for drawing only, the drive uses r and b."""
+    """Wheel joints of the URDF on the left side; for drawing only."""
     right_wheel_joints: tuple[str, ...]
     """Wheel joints of the URDF on the right side; for drawing only."""
 
@@ -90,7 +70,10 @@ class DifferentialBase(TurningBase):
 
     @property
     def measure(self) -> Measure:
-        """Coefficients of sign(x) det(J_c J_cᵀ) [m⁴/rad⁴], (7)."""
+        """Coefficients of sign(x) det(J_c J_cᵀ) [m⁴/rad⁴], which is 0 on the wheel axis.
+
+        Paper: Eq. (7), (8).
+        """
         r, b = self.wheel_radius_m, self.half_track_m
         return Measure(0.0, 4 * b**2 * (r / (2 * b)) ** 4)
 

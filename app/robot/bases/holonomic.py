@@ -8,18 +8,15 @@ import numpy as np
 from app.robot.bases.kind import TURN, Axis, Measure, TurningBase
 from app.strict import Array
 
-AHEAD = Axis("v_x", False)
-SIDEWAYS = Axis("v_y", False, way="left")
-
 
 class HolonomicBase(TurningBase):
-    """A base with three independent velocities: no point is singular, and the score is R.
+    """A base with three independent velocities ν = q̇_b = (v_x, v_y, ω).
 
-    ν = q̇_b = (v_x, v_y, ω). In (10) the measure is 1 everywhere and thus S = R. (17) and (18)
-    become m v̇_x = f_x, m v̇_y = f_y, I ω̇ = τ.
+    No point is singular: in (10) the measure is 1 everywhere, and thus S = R. (17) and (18) become
+    m v̇_x = f_x, m v̇_y = f_y, I ω̇ = τ.
     """
 
-    axes: ClassVar[tuple[Axis, ...]] = (AHEAD, SIDEWAYS, TURN)
+    axes: ClassVar[tuple[Axis, ...]] = (Axis("v_x", False), Axis("v_y", False, way="left"), TURN)
 
     kind: Literal["holonomic"]
 

@@ -59,14 +59,14 @@ def twist_map(axes: Sequence[Axis]) -> Array:
 
 
 class Measure(NamedTuple):
-    """Coefficients of the signed mobility measure of a point at x [m] in the base's frame:
-    `constant` + `per_square_metre` · x · |x|.
+    """Coefficients of the signed measure of how well the base can move a point.
+
+    At x [m] in the base's frame the measure is `constant` + `per_square_metre` · x · |x|, in a unit
+    of the kind of base.
     """
 
     constant: float
-    """[the measure's unit] part that is independent of the point."""
     per_square_metre: float
-    """[the measure's unit / m²] part that grows with x · |x|."""
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
@@ -90,9 +90,8 @@ class Wheels(NamedTuple):
     """Wheels that turn by the same angle; for drawing only."""
 
     name: str
-    """Name of these wheels."""
     field: str
-    """Field of the description with the names of the joints."""
+    """Field of the base's record with the names of the joints."""
     joints: tuple[str, ...]
     """Names of the joints in the URDF."""
 
@@ -109,17 +108,16 @@ def _tell_of_link() -> None:
 
 
 class BaseKind(Sourced, ABC):
-    """A base: its numbers, its limits and its drive; a kind derives from this class.
+    """A base: its numbers, its limits and its drive.
 
-    A kind defines `axes`, its fields and the abstract methods; the other methods suit a base whose
-    axes follow their commands independently of each other.
+    A kind derives from this class and defines `axes`, its fields and the abstract methods; the
+    other methods suit a base whose axes follow their commands independently of each other.
     """
 
     axes: ClassVar[tuple[Axis, ...]]
     """The velocity axes ν, in order."""
 
     kind: str
-    """Name of the kind."""
     mass_kg: Positive
     """[kg] m of (17)."""
     inertia_kgm2: Positive
@@ -181,26 +179,23 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """Divisor of the score in (13): the unit of `measure`, divided by m⁴/rad⁴.
+        """S_u, the divisor of the score in (13): 1 for the measure (7) of a differential base.
 
-        S_0 [m⁴/rad⁴] is chosen for the measure (7) of the paper's robot. A measure of another
-        magnitude needs a divisor; for the measure (7) of every differential base it is 1.
+        S_0 [m⁴/rad⁴] is chosen for the measure of the paper's robot. The divisor converts a measure
+        with another unit and magnitude.
         """
         return 1.0
 
     @property
     @abstractmethod
     def measure(self) -> Measure:
-        """Coefficients of the signed measure of how well the base can move a point.
-
-        It replaces sign(x) det(J_c J_cᵀ) in (10).
-        """
-
-    def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The `measure` (…) at points p (…, 3) [m] in the base's frame, and its gradient (…, 3).
+        """Coefficients of the measure that replaces sign(x) det(J_c J_cᵀ) in (10).
 
         The measure must not decrease with x.
         """
+
+    def singularity(self, p: Array) -> tuple[Array, Array]:
+        """The `measure` (…) at points p (…, 3) [m] in the base's frame, and its gradient (…, 3)."""
         constant, quadratic = self.measure
         x = np.asarray(p, dtype=float)[..., 0]
         gradient = np.zeros(np.shape(p))
@@ -211,15 +206,14 @@ class BaseKind(Sourced, ABC):
     def A_b(self) -> Array:
         """(n_b, 3) map from (f_x, f_y, τ_z) [N, N, N m] on the base, in its frame, to ẍ_m.
 
-        Each acceleration [m/s² or rad/s²] along an axis has its own equation, m v̇ = f or I ω̇ = τ,
-        without the limits of `admissible`.
+        The equation of each axis is m v̇ = f or I ω̇ = τ, without the limits of `admissible`.
 
         Paper: Eq. (17), (18).
         """
         return self.T.T / (self.mass_kg, self.mass_kg, self.inertia_kgm2)
 
     def by_axis(self, linear: float, angular: float) -> Array:
-        """(n_b,) the number `linear` for each linear axis, `angular` for each angular axis."""
+        """(n_b,) the number `linear` for each linear axis, `angular` for each angular one."""
         return np.array([angular if axis.angular else linear for axis in self.axes])
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
@@ -228,11 +222,10 @@ class BaseKind(Sourced, ABC):
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """The feasible velocity (n_b,) nearest to the desired one; here the desired one itself.
+        """The feasible velocity (n_b,) nearest to the desired velocity `wanted`; here `wanted`.
 
-        Args:
-            wanted: (n_b,) [m/s or rad/s] desired velocity, within the limits of each axis.
-            before: (n_b,) [m/s or rad/s] previous velocity command.
+        All arrays are in m/s or rad/s. `wanted` (n_b,) is within the limits of each axis, `before`
+        (n_b,) is the previous velocity command.
         """
         del before
         return wanted
@@ -258,14 +251,15 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] by the drive: (v_cmd − v)/τ; v_cmd and this are clipped."""
+        """(n_b,) [m/s² or rad/s²] acceleration by the drive, (v_cmd − v)/τ, within the limits.
+
+        `v` and `v_cmd` (n_b,) [m/s or rad/s] are the velocity and its command, which is clipped to
+        the limits; `drive` is as in `drive_at_rest`.
+        """
         del drive
-        gain, velocities = 1.0 / self.drive_time_constant_s, (np.asarray(v), np.asarray(v_cmd))
-        limits = self.max_velocity, self.max_acceleration
-        axes = zip(*(each.tolist() for each in velocities), *limits, strict=True)
-        return np.array(
-            [clamp((clamp(cmd, top) - now) * gain, a_max) for now, cmd, top, a_max in axes]
-        )
+        gain, limits = 1.0 / self.drive_time_constant_s, (self.max_velocity, self.max_acceleration)
+        axes = zip(map(float, v), map(float, v_cmd), *limits, strict=True)
+        return np.array([clamp((clamp(to, top) - at) * gain, most) for at, to, top, most in axes])
 
     def turned(
         self, angles: list[float], qd_b: list[float], drive: Array, dt: float
@@ -276,7 +270,7 @@ class BaseKind(Sourced, ABC):
 
 
 class TurningBase(BaseKind):
-    """A base that turns independently of its translation; a kind derives from this class."""
+    """A base whose angular axis has limits of its own; a kind derives from this class."""
 
     max_angular_velocity_radps: Positive
     """[rad/s]"""
@@ -285,15 +279,13 @@ class TurningBase(BaseKind):
 
     @property
     def max_velocity(self) -> tuple[float, ...]:
-        """(n_b,) [m/s or rad/s] largest velocity of each axis, linear or angular."""
         v, w = self.max_linear_velocity_mps, self.max_angular_velocity_radps
-        return tuple(w if axis.angular else v for axis in self.axes)
+        return tuple(self.by_axis(v, w).tolist())
 
     @property
     def max_acceleration(self) -> tuple[float, ...]:
-        """(n_b,) [m/s² or rad/s²] largest acceleration of each axis, linear or angular."""
         v, w = self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
-        return tuple(w if axis.angular else v for axis in self.axes)
+        return tuple(self.by_axis(v, w).tolist())
 
 
 def clamp(value: float, limit: float) -> float:
