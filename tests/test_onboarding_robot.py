@@ -341,7 +341,7 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
     model, geometry = written(made), made.parsed.geometry
     units = tuple(u for each in units_of_links(model, geometry).values() for u in each)
     base, hand = units[0], units[-1]
-    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, points=False)
+    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, stopped=True)
     posture = met.random.q_m
     hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
     meshes = meshes_meet(model, base, hand, geometry, posture)
