@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.reach import PEAK, ReachMap, fit_reachability, reach_bodies, sample_reach_map
-from app.border.score import ReachFit
+from app.border.score import FLOOR, ReachFit
 from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
 from app.onboarding.read.links import BASE_DENSITY, LinkInertia
@@ -55,15 +55,13 @@ class Limits(NamedTuple):
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
-    source: dict[str, str]  # source of each limit, by the field of the description
+    source: dict[str, str]  # sources of the four limits, in this order, by their description fields
 
     @property
     def numbers(self) -> Sourced:
         """The four limits with their sources, by the field of the description."""
-        return {
-            name: (values, why)
-            for (name, why), values in zip(self.source.items(), self[:4], strict=True)
-        }
+        named = zip(self.source.items(), self[:4], strict=True)
+        return {name: (values, why) for (name, why), values in named}
 
 
 def read_limits(arm: Arm) -> Limits:
@@ -73,7 +71,7 @@ def read_limits(arm: Arm) -> Limits:
 
     Raises:
         RobotFileError: Position limits of a prismatic joint are missing, or those of any joint are
-            an empty range or probably in another unit; the message names all of these joints.
+            an empty range or probably in another unit.
     """
     _check_ranges(arm.joints)
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
@@ -112,7 +110,7 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
 
     It is 2 or 1 N m s/rad for a strong or weak joint, as for the paper's robot, or 20 N s/m for a
     prismatic joint; but at most m/(3 dt), which pybullet simulates stably. m is the smallest
-    inertia of the joint in random postures, with the base and other joints free; dt = 1 ms.
+    `joint_inertia` in random postures; dt = 1 ms.
     """
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
@@ -139,12 +137,11 @@ def largest_of_postures(model: RobotModel, values: Callable[[Array], Array]) -> 
 
 
 def _range(joint: Joint) -> list[float | None]:
-    """The lower and the upper limit of a joint; None if missing, or not within ±`_LARGEST`."""
+    """The lower and the upper limit of a joint; None if missing or outside of ±`_LARGEST`."""
     return [None if q is None or abs(q) >= _LARGEST else q for q in (joint.lower, joint.upper)]
 
 
 def _assumed_range(joint: Joint) -> tuple[float, float]:
-    """The limits of a joint, with assumed ones on the sides without a limit."""
     low, high = _range(joint)
     return (
         min(0.0, high or 0.0) - _TURN if low is None else low,
@@ -153,7 +150,7 @@ def _assumed_range(joint: Joint) -> tuple[float, float]:
 
 
 def _range_origin(joints: Sequence[Joint], side: str) -> str:
-    """The source of the lower or the upper limits of joints; `side` is `lower` or `upper`."""
+    """The source of the limits of joints on a `side`, `lower` or `upper`."""
     found = defaultdict[str, list[str]](list)
     for joint in joints:
         low, high = _range(joint)
@@ -206,8 +203,8 @@ def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
     """The inertias of all links; a large assumed total mass of the base's links is reduced.
 
-    `BASE_DENSITY` is that of small bases, and large bases are hollow: above `_COMPACT`, the total
-    assumed mass grows only with the power 2/3 of the volume, like the surface.
+    Above `_COMPACT`, the assumed mass grows only with the surface, the power 2/3 of the volume,
+    because large bases are hollow.
     """
     if (total := assumed_mass(inertias, base_links)) <= _COMPACT:
         return inertias
@@ -247,9 +244,8 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 def base_numbers(
     model: RobotModel, wheels: Wheels, inertias: Inertias, q_m: Array, half_track: float | None
 ) -> Sourced:
-    """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
-
-    `half_track` [m] is that of --half-track; None means half of the distance between the wheels.
+    """Numbers of the base with their sources; q_m (n_m,) is the ready posture, `half_track` [m] the
+    value of --half-track, or None.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
@@ -302,7 +298,7 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
     return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
 
 
-SHARE = 0.5  # [-] share of the peak above which (9) is fitted, because the tails are not parabolic
+SHARES = 0.5, 0.2, FLOOR  # [-] shares of the peak above which (9) is fitted, the best ones first
 COUNTED_POSTURES = 20_000  # [-] random joint positions for counting a reachability
 _REACH_SAMPLES = 2000  # [-] number of random postures for an assumed reachability
 _WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
@@ -328,8 +324,10 @@ class Reach(NamedTuple):
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
     """The names of all bodies that can form a pair with l_m, with their coefficients of (9).
 
-    `workers` start at once, so the caller can do other work before it reads the results.
-    Coefficients are assumed if fewer than three joints move the body, or if (9) cannot be fitted.
+    `workers` start at once, so the caller can do other work before it reads the results. The fit
+    uses the first of `SHARES` with which (9) explains the counted reachability better than a
+    constant does. Coefficients are assumed if there is no such fit, or if fewer than three joints
+    move the body.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -343,14 +341,28 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
         return _assumed(model, body, "fewer than three joints move it")
     try:
         counted = sample_reach_map(model, body, samples=COUNTED_POSTURES)
-        fit = fit_reachability(counted, SHARE)
+        fit, share = best_fit(counted)
     except DescriptionError as error:
         return _assumed(model, body, str(error))
     text = (
         f"counted: by |det J| at {counted.samples:,} random joint positions; fitted above "
-        f"{SHARE:g} of the peak, R² {fit.r_squared:.2f}"
+        f"{share:g} of the peak, R² {fit.r_squared:.2f}"
     )
     return Reach(fit.A_per_m2, fit.B_m, fit.C, text, counted, fit)
+
+
+def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
+    """The fit of (9) above the first of `SHARES` with a positive R², and this share [-].
+
+    Few shells of a small workspace are above the first share, and can be almost equal.
+
+    Raises:
+        DescriptionError: There is no such share, or as for `fit_reachability`.
+    """
+    for share in SHARES:
+        if (fit := fit_reachability(counted, share)).r_squared > 0.0:
+            return fit, share
+    raise DescriptionError(f"{counted.body}: a constant fits the reachability map better than (9)")
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
