@@ -18,10 +18,9 @@ from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.offset import offset_contours
 from app.border.score import radial_profile
-from app.onboarding.fit.units import moved
+from app.onboarding.fit.units import moved, placements
 from app.onboarding.record import NewRobot
 from app.onboarding.warn import outside
-from app.robot.model import RobotModel
 from app.strict import Array
 from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
@@ -251,13 +250,6 @@ def _hulls(
         for unit in robot.meetings.units
         for part in unit.parts
     ]
-
-
-def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
-    """The poses of the joint frames in a posture q_m (n_m,), with the base at the origin."""
-    data = model.pin.createData()
-    pin.forwardKinematics(model.pin, data, model.configuration(_ORIGIN, q_m))
-    return [T.copy() for T in data.oMi]
 
 
 def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -> None:

@@ -1,7 +1,6 @@
 """Warnings that a user should read before using a new robot.
 
-`dbb check-robot` repeats two of them for every robot: whether the arm can hold the end-effector
-while the base moves, and whether a person can push the arm against the base.
+`dbb check-robot` repeats `holding_warning` and `push_warning` for every robot.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
 from app.onboarding.fit.stops import STOPPED
 from app.onboarding.fit.travel import followers, with_travel
-from app.onboarding.fit.units import moved
+from app.onboarding.fit.units import moved, placements
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import FREE
 from app.onboarding.read.wheels import turns_round
@@ -68,15 +67,13 @@ def warnings_of(robot: NewRobot) -> list[str]:
 
 def _places(robot: NewRobot) -> Iterator[str]:
     """Warnings of links of the arm below the floor or completely in l_m, in the ready posture."""
-    base, state = MobileBody(robot.model), RobotState(robot.model)
+    base, placed = MobileBody(robot.model), placements(robot.model, robot.ready.q_m)
     own = robot.request.arm_urdf is None
     look = f"check {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
-    state.update_kinematics(at_rest(robot.model, robot.ready.q_m))
     for unit in robot.meetings.units:
         if unit.index in robot.bodies[0].units or not unit.parts:
             continue
-        T = state.data.oMi[unit.joint]
-        corners = np.vstack([moved(part.corners, T) for part in unit.parts])
+        corners = np.vstack([moved(part.corners, placed[unit.joint]) for part in unit.parts])
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
         fixed = unit.index == 1  # no posture moves it
         if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
@@ -102,11 +99,9 @@ def _postures(robot: NewRobot) -> Iterator[str]:
             f"random postures (limit {ALWAYS:.0%}): its task is active in most postures; try a "
             "smaller --buffer-distance, or another number of --bodies"
         )
-    always = ", ".join(robot.verdict.always)
-    always = f"inside the buffer in most postures: {always}" if always else ""
-    whys = {name: always or why for name, why in robot.lacking.items()}
-    for why, names in _grouped(whys):
-        yield f"{names}: no line for guiding: {why}"
+    always = f"inside the buffer in most postures: {', '.join(robot.verdict.always)}"
+    for why, names in _grouped(robot.lacking):
+        yield f"{names}: no line for guiding: {always if robot.verdict.always else why}"
 
 
 def _grouped(whys: Mapping[str, str]) -> Iterator[tuple[str, str]]:
@@ -143,11 +138,12 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
         )
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
-    for name in (name for name in verdict.near if verdict.overlap[name] > _FALSE):
-        yield (
-            f"the bodies of the pair {name} overlap in {verdict.overlap[name]:.0%} of the free "
-            "random postures: the controller avoids these, although no links collide there"
-        )
+    for name in verdict.near:
+        if (overlap := verdict.overlap[name]) > _FALSE:
+            yield (
+                f"the bodies of the pair {name} overlap in {overlap:.0%} of the free random "
+                "postures: the controller avoids these, although no links collide there"
+            )
     for body in robot.bodies:
         links = sum(fit.volume / fit.over_cover for fit in body.fits)  # 0 for flat parts
         if (volume := sum(fit.volume for fit in body.fits)) > _OVER * links:
@@ -174,16 +170,15 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
 
 def _scale(robot: NewRobot) -> Iterator[str]:
     """Warn if links are far longer than the distances of joints, as with meshes in millimetres."""
-    arm, shapes = robot.parsed.arm, robot.parsed.geometry
-    sizes = [
-        max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)
-        for links in arm.segments[1:]
-    ]
-    pin = robot.model.pin
-    apart = sum(float(np.linalg.norm(T.translation)) for T in pin.jointPlacements[3:])
-    if sum(sizes) > _TOO_LARGE * apart:
+    total, shapes = 0.0, robot.parsed.geometry
+    for links in robot.parsed.arm.segments[1:]:
+        sizes = [float(s.hull.extents.max()) for link in links for s in shapes[link].shapes]
+        total += max(sizes, default=0.0)
+    placements = robot.model.pin.jointPlacements[3:]
+    apart = sum(float(np.linalg.norm(T.translation)) for T in placements)
+    if total > _TOO_LARGE * apart:
         yield (
-            f"the arm's links have a total length of {sum(sizes):.2g} m, but its joints are only "
+            f"the arm's links have a total length of {total:.2g} m, but its joints are only "
             f"{apart:.2g} m apart in total: if meshes are too large in the report, set their "
             'scale="..." in the URDF'
         )
@@ -220,10 +215,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Warnings of joints that the model fixes, such as suspensions and those of a head or legs.
-
-    Joints of the base without limits, such as wheels and casters, are not reported.
-    """
+    """Warnings of joints that the model fixes, except the base's wheels and casters."""
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
     if rigid := [joint for joint in above if joint.kind != "fixed"]:
@@ -254,7 +246,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Warnings of the links beside the arm's chain that can leave their bodies; one for a body."""
+    """For each body, a warning of the link beside the arm's chain that leaves the body farthest."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
@@ -272,9 +264,8 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes.
-
-    The points (N, 3) [m] are in the frame of the body's joint.
+    """(N,) [m] lower bounds of the signed distances of points (N, 3) [m], in the frame of a body's
+    joint, to the meshes of the body's shapes.
     """
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
@@ -321,17 +312,16 @@ def _base(robot: NewRobot) -> Iterator[str]:
             f"the base drives along the {way} axis of {robot.parsed.arm.base}: --mount-xyz is in "
             "the frame of that link"
         )
-    inertias, seen, geometry = robot.parsed.inertias, [], robot.parsed.geometry
-    for link, each in [(k, each) for k, each in geometry.items() if k in inertias]:
-        if not each.seen_only:
-            continue
-        if inertias[link].assumed and all(shape.kind == "sphere" for shape in each.shapes):
+    inertias, geometry = robot.parsed.inertias, robot.parsed.geometry
+    seen = [link for link, each in geometry.items() if link in inertias and each.seen_only]
+    for link in list(seen):
+        spheres = all(shape.kind == "sphere" for shape in geometry[link].shapes)
+        if spheres and inertias[link].assumed:
+            seen.remove(link)
             yield (
                 f"{link} is a sphere with only a <visual> and no mass: it counts as a part with "
                 f"{inertias[link].inertia.mass:.2g} kg; if it is a marker, remove its <visual>"
             )
-        else:
-            seen.append(link)
     if seen:
         yield f"links without a collision shape, whose visual shape is used: {', '.join(seen)}"
     if mesh_paths := robot.urdf.count('filename="/'):
@@ -349,7 +339,7 @@ class Carried(NamedTuple):
     axis: Axis  # axis of the base's motion
     speed: float  # [m/s or rad/s]
     place: float  # [-] share of the postures in which the arm cannot hold the position
-    pose: float  # [-] share in which it cannot hold position and orientation at the same time
+    pose: float  # [-] share in which the arm cannot hold position and orientation at the same time
 
     @property
     def text(self) -> str:
@@ -360,10 +350,8 @@ class Carried(NamedTuple):
 
 
 def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
-    """Shares of postures in which the arm cannot hold its end-effector, for each axis of the base.
-
-    In these postures the arm is too slow or lacks a joint, see `lost_ee`. The postures are those of
-    `_near_postures`; the base moves along one axis at its largest commanded speed.
+    """Shares of `_near_postures` with `lost_ee`, for the largest commanded speed along each axis of
+    the base.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, model.description.config.admittance)
@@ -374,40 +362,30 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
         for i in range(n_b):
             moved = state.J_ee[:, :n_b] @ model.J_m_inv[:, i] * speeds[i]
             lost[k, i] = lost_ee(state.J_ee[:, n_b:], moved, model.qd_max)
-    shares = lost.mean(axis=0).tolist()
-    return tuple(
-        Carried(axis, speed, *share)
-        for axis, speed, share in zip(base.axes, speeds.tolist(), shares, strict=True)
-    )
+    rows = zip(base.axes, speeds.tolist(), lost.mean(axis=0).tolist(), strict=True)
+    return tuple(Carried(axis, speed, *shares) for axis, speed, shares in rows)
 
 
 def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, and its pose, while the base moves.
 
-    The criterion is the least-squares residual of J_arm q̇ = -J_base ν within the joints' speed
-    limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
-    linear motion. The solution of all six rows leaves a linear and an angular residual. The pose is
-    lost if one of these exceeds a tenth of the larger one of linear and angular motion, or if the
-    position is lost. A lever of 0.3 m converts angular parts to metres.
+    The position is lost if the residual of J_arm q̇ + `moved`, minimised within the speed limits of
+    the joints, exceeds a tenth of the motion. Only linear rows count. The pose is lost if the
+    position is, or if the linear or the angular part of the residual of all rows exceeds a tenth of
+    the larger part of the motion. A lever of 0.3 m converts angular parts to metres.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
-        moved: (6,) [m/s, rad/s] J_base ν, velocity of the end-effector with the arm at rest.
+        moved: (6,) [m/s, rad/s] velocity of the end-effector if only the base moves.
         qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
     """
-    linear, angular = float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
-    left = np.linalg.norm(_least(J_arm[:3], moved[:3], qd_max))
-    place = bool(left > _LEFT * linear + _NOTHING)
-    scale = np.repeat([1.0, _LEVER], 3)
-    both = _least(scale[:, None] * J_arm, scale * moved, qd_max)
-    most = _LEFT * max(linear, _LEVER * angular) + _NOTHING
-    pose = max(np.linalg.norm(both[:3]), np.linalg.norm(both[3:])) > most
-    return place, place or bool(pose)
-
-
-def _least(J: Array, moved: Array, qd_max: Array) -> Array:
-    """The residual J q̇ + `moved` of the smallest norm with |q̇| ≤ `qd_max`."""
-    return J @ lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls").x + moved
+    scale, lost = np.repeat([1.0, _LEVER], 3), []
+    for rows in (3, 6):
+        J, motion = (scale[:, None] * J_arm)[:rows], (scale * moved)[:rows]
+        left = J @ lsq_linear(J, -motion, (-qd_max, qd_max), method="bvls").x + motion
+        most, worst = (max(np.linalg.norm(v[:3]), np.linalg.norm(v[3:])) for v in (motion, left))
+        lost.append(bool(worst > _LEFT * most + _NOTHING))
+    return lost[0], any(lost)
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
@@ -427,10 +405,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
-    """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
-
-    Each value belongs to one of `_near_postures`, at rest: the `force_bound` of the nearest of
-    `pairs`, the pairs with the base. Without pairs, N is 0.
+    """(N,) [N] largest push on the arm towards the base that the joint torques can resist, for each
+    of `_near_postures`: the `force_bound` of the nearest of `pairs` at rest. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():

@@ -116,6 +116,13 @@ def moved(points: Array, T: pin.SE3) -> Array:
     return points @ T.rotation.T + T.translation
 
 
+def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
+    """The poses of the joint frames in a posture q_m (n_m,), with the base at the origin."""
+    data = model.pin.createData()
+    pin.forwardKinematics(model.pin, data, model.configuration((0.0, 0.0, 0.0), q_m))
+    return [T.copy() for T in data.oMi]
+
+
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether contacts of two units are allowed by design.
 
