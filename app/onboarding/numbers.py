@@ -13,12 +13,12 @@ from app.border.reach import PEAK, ReachMap, fit_reachability, reach_bodies, sam
 from app.border.score import FLOOR, ReachFit
 from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
+from app.onboarding.fit.units import placements
 from app.onboarding.read.links import BASE_DENSITY, LinkInertia
 from app.onboarding.read.tree import Arm, Joint
 from app.onboarding.read.wheels import Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
 from app.robot.model import STABLE_STEPS, RobotModel
-from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
 Inertias = dict[str, LinkInertia]  # by the names of the links
@@ -367,13 +367,11 @@ def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
     """A parabola about the mean distance of the first shape to the mount, assumed because `why`."""
-    state, mount = RobotState(model), model.p_base()
-    shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
+    shape, mount = model.geometry.geometryObjects[model.shape_ids[body][0]], model.p_base()
     rho = []
     for q in sample_joints(model, _REACH_SAMPLES, np.random.default_rng(0)):
-        state.update_kinematics(at_rest(model, q))
-        at = state.data.oMi[shape.parentJoint] * shape.placement
-        rho.append(float(np.linalg.norm(at.translation - mount)))
+        at = placements(model, q)[shape.parentJoint].act(shape.placement.translation)
+        rho.append(float(np.linalg.norm(at - mount)))
     B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _MIN_WIDTH)
     source = f"assumed: a parabola about the body's mean distance in random postures; {why}"
     return Reach(PEAK / width**2, B, PEAK, source, None, None)

@@ -6,7 +6,6 @@ from itertools import combinations, compress, product
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from app.jobs.pool import ALONE, Workers
 from app.onboarding.fit.convex import directions
@@ -17,6 +16,7 @@ from app.onboarding.fit.units import (
     link_shapes,
     moved,
     neighbours,
+    placements,
     shape_distances,
     units_of_links,
 )
@@ -263,8 +263,7 @@ def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[
 def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:
     """The entries of `met` for one pair of units; the job has the index of the pair."""
     found, model, k = job
-    data, units, (a, b) = model.pin.createData(), found.units, found.pairs[k]
-    column = found.random.distances[:, k]
+    units, (a, b), column = found.units, found.pairs[k], found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
     # Not all of many postures: a selection that is evenly spread from shallow to deep collisions.
     met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
@@ -276,10 +275,9 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
         return {}
     masks = {(u, v): np.zeros(len(units[u].surface), dtype=bool) for u, v in ((a, b), (b, a))}
     for posture in postures:
-        q = model.configuration((0.0, 0.0, 0.0), posture)
-        pin.forwardKinematics(model.pin, data, q)
+        placed = placements(model, posture)
         for (u, v), mask in masks.items():
-            T = data.oMi[units[v].joint].actInv(data.oMi[units[u].joint])
+            T = placed[units[v].joint].actInv(placed[units[u].joint])
             left = np.flatnonzero(~mask)
             along = moved(units[u].surface[left], T) @ directions(2).T
             for part in units[v].parts:  # all its hulls, grown by `MARGIN`

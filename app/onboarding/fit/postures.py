@@ -38,7 +38,7 @@ _FLOOR = 0.1  # [m] smallest distance between the arm and the floor
 
 
 class Ready(NamedTuple):
-    """A posture, and the pair that is nearest in it."""
+    """A posture, and the pair that is nearest in this posture."""
 
     q_m: Array  # (n_m,) [rad or m]
     beyond_buffer: float  # [m] smallest distance of a pair beyond its buffer; inf without a pair
@@ -47,7 +47,7 @@ class Ready(NamedTuple):
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
     """The best of random postures by `RULE`, rounded to 0.01 rad or m."""
-    search, mount = PostureSearch(model, pairs, model.description.config.border.d_b), model.p_base()
+    search = PostureSearch(model, pairs, model.description.config.border.d_b)
     span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready posture exceeds one turn
     random = np.random.default_rng(seed).random((_SAMPLES, model.n_m))
     postures = search.middle + (random - 0.5) * (1 - 2 * _KEPT) * span
@@ -62,7 +62,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
         return (
             1.5 * min(_ready(search, q_m).beyond_buffer, _ENOUGH) / _ENOUGH
             + manipulability_of(q_m) / best
-            + _placed(search, mount)
+            + _placed(search, model.p_base())
             - 0.5 * float(np.mean(np.abs(q_m - search.middle) / span))
         )
 
@@ -326,12 +326,12 @@ class _Guide:
         than `INNER` d_b with few tries, then with all tries. If there is no result, the first of
         the other lines that a run can start is yielded.
         """
-        mount, body = self._model.p_base(), self.body
-        tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
+        mount = self._model.p_base()
+        tops = _tops(self.body, float(mount[2]) + _OVER_MOUNT)
         heights = [round(share * top + over, 3) for share, over in _HEIGHTS for top in tops]
         last = [round(top + _JUST_OVER, 3) for top in tops]
         outs = np.arange(_FARTHEST, self._d_b + _OUTSIDE, -_NEARER).round(3).tolist()
-        starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
+        starts = list((_front if name == "guiding-front" else _lateral)(self.body, mount, outs))
         tried = [*product(starts, heights), *product(starts, last)]
         found: list[_Candidate] = []
         for k, (start, z) in enumerate(tried):
@@ -446,13 +446,12 @@ class _Guide:
 
 def _sampled(search: PostureSearch) -> tuple[Array, Array, Array]:
     """Random postures (N, n_m), their end-effector positions (N, 3) [m] and `flaw` texts (N,)."""
-    postures = list(search.guesses(np.random.default_rng(0), _SAMPLES))
-    places, flaws = [], []
-    for q_m in postures:
+    found = []
+    for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
         search.place(q_m)
-        flaws.append(search.flaw())
-        places.append(search.state.T_world_ee.translation.copy())
-    return np.array(postures), np.array(places), np.array(flaws)
+        found.append((q_m, search.state.T_world_ee.translation.copy(), search.flaw()))
+    postures, places, flaws = map(np.array, zip(*found, strict=True))
+    return postures, places, flaws
 
 
 _LED = (
@@ -463,7 +462,7 @@ _LED = (
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] tops of l_m's parts, clipped to `most`, from high to low, more than `_SAME_TOP` apart."""
+    """[m] tops of l_m's parts, at most `most`, from high to low, more than `_SAME_TOP` apart."""
     found: list[float] = []
     for top in sorted((min(float(part.upper[2]), most) for part in body.parts), reverse=True):
         if not found or top < found[-1] - _SAME_TOP:
@@ -473,8 +472,7 @@ def _tops(body: MobileBody, most: float) -> list[float]:
 
 def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
     """[m] distance from p (3,) [m] along `inwards` (3,) to l_m; 0 if the ray misses l_m."""
-    size = body.upper - body.lower
-    steps = np.arange(0.0, float(np.abs(inwards) @ size), _STEP)
+    steps = np.arange(0.0, float(np.abs(inwards) @ (body.upper - body.lower)), _STEP)
     met = body.distance(p + steps[:, None] * inwards) <= _STEP
     return float(steps[met.argmax()]) if met.any() else 0.0
 
@@ -484,19 +482,18 @@ def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[
     because a base without sideways motion hardly avoids a line to its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
-    for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
-        for out in outs:
-            for side, edge in ((1.0, body.upper[1]), (-1.0, body.lower[1])):
-                yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
+    sides = ((1.0, body.upper[1]), (-1.0, body.lower[1]))
+    places = dict.fromkeys((float(np.clip(mount[0], low, high)), high, low))
+    for x, out, (side, edge) in product(places, outs, sides):
+        yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
     """Starts ahead of the base: left of the mount, near both edges of the base, at the mount."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
-    for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):
-        for out in outs:
-            yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
+    for y, out in product((min(beside, high), low + 0.05, high - 0.05, float(mount[1])), outs):
+        yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
 
 
 def _point(values: Iterable[float]) -> Point:
