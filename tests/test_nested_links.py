@@ -21,8 +21,9 @@ from app.onboarding.check import check_robot
 from app.onboarding.fit import grouping
 from app.onboarding.fit.collision_sampling import Meetings, nested_links, sample_meetings
 from app.onboarding.fit.units import make_units
-from app.onboarding.new_robot import compiled, description, parse
+from app.onboarding.new_robot import parse
 from app.onboarding.request import Request
+from app.onboarding.write import compiled, description
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.state import RobotState

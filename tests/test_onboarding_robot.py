@@ -48,13 +48,13 @@ from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
 from app.onboarding.fit.postures import Place, Point
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
-from app.onboarding.new_robot import compiled, description, finish, parse
+from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.record import NewRobot
 from app.onboarding.report import draw, report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried, warnings_of
-from app.onboarding.write import description_text, mesh_name
+from app.onboarding.write import compiled, description, description_text, mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.bases.kind import FORWARD

@@ -16,7 +16,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.border.sampling import SamplingConfig
 from app.errors import DbbError, UnreachableError
-from app.onboarding import SIDES
+from app.onboarding import SIDES, warn
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
 from app.onboarding.fit.grouping import MAX_UNDETECTED, detection_of
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
@@ -26,13 +26,6 @@ from app.onboarding.numbers import gravity_load, largest_of_postures
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.warn import (
-    borne_push,
-    carried_ee,
-    holding_warning,
-    push_warning,
-    weaker_than_person,
-)
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -282,7 +275,7 @@ def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
 
 def holding_row(model: RobotModel) -> Row:
     """Warn if the arm often cannot hold its end-effector in place while the base moves."""
-    carried = carried_ee(model)
+    carried = warn.carried_ee(model)
     numbers = {
         f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
         for each in carried
@@ -290,20 +283,20 @@ def holding_row(model: RobotModel) -> Row:
     }
     worst = max(each.place for each in carried)
     text = f"the arm can hold its end-effector in place in {1 - worst:.0%} of the postures"
-    warning = holding_warning(carried)
+    warning = warn.holding_warning(carried)
     return Row("end-effector in place", "warned" if warning else "passed", warning or text, numbers)
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
     """Warn if a person can often push the arm against the base: its torques are too small."""
-    borne = borne_push(model, data.pairs.mobile)
+    borne = warn.borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
-    person, weak = weaker_than_person(model, borne)
+    person, weak = warn.weaker_than_person(model, borne)
     text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
     if weak > 0.0:
         text += f"; in {weak:.0%} of the postures, a push of {person:g} N is too strong for them"
-    warning, numbers = push_warning(model, borne), {"least_push_borne_n": float(borne.min())}
+    warning, numbers = warn.push_warning(model, borne), {"least_push_borne_n": float(borne.min())}
     return Row("push", "warned" if warning else "passed", warning or text, numbers)
 
 
@@ -431,7 +424,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         return Row(name, "nothing to show", text, numbers)
     outcome: Outcome = "warned" if warning else "passed"
     if moved < (least := GIVES_WAY * config.border.d_b):
-        held = bool(holding_warning(carried_ee(model)))
+        held = bool(warn.holding_warning(warn.carried_ee(model)))
         text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
         outcome = "warned" if held else "failed"
     return Row(name, outcome, f"{text}; {warning}" if warning else text, numbers)

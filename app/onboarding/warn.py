@@ -447,18 +447,10 @@ def _near_postures(model: RobotModel) -> Array:
     If fewer than 25 of 2,000 random postures qualify, the distance does not matter. If all have
     contact, the only posture is that of the lower limits.
     """
-    mobile = model.body_names[0]
-    distances = PairDistances(model, candidate_pairs(model))
-    clear, near = [], []
-    for q_m in sample_joints(model, _SAMPLES, np.random.default_rng(0)):
-        distances.update(model.configuration((0.0, 0.0, 0.0), q_m))
-        d = distances.distances()
-        if min(d, default=1.0) <= 0.0:
-            continue
-        clear.append(q_m)
-        to_base = [x for x, pair in zip(d, distances.pairs, strict=True) if pair.a == mobile]
-        if min(to_base, default=0.0) < _NEAR:
-            near.append(q_m)
-        if len(near) == _POSTURES:
-            break
-    return np.array(near if len(near) >= _POSTURES // 4 else clear[:_POSTURES] or [model.q_lower])
+    pairs, q_m = candidate_pairs(model), sample_joints(model, _SAMPLES, np.random.default_rng(0))
+    distances = PairDistances(model, pairs).sampled(q_m)
+    clear = (distances > 0.0).all(axis=1)
+    to_base = distances[:, [pair.a == model.body_names[0] for pair in pairs]]
+    near = clear & (to_base < _NEAR).any(axis=1)
+    chosen = near if near.sum() >= _POSTURES // 4 else clear
+    return q_m[chosen][:_POSTURES] if chosen.any() else model.q_lower[None]
