@@ -30,7 +30,7 @@ from app.dashboard import job
 from app.errors import AssetError, DescriptionError, RobotFileError, UnreachableError
 from app.jobs.pool import ALONE, Workers
 from app.onboarding import check as checks
-from app.onboarding import new_robot
+from app.onboarding import new_robot, warn
 from app.onboarding.check import (
     arm_row,
     base_row,
@@ -54,7 +54,13 @@ from app.onboarding.record import NewRobot
 from app.onboarding.report import draw, report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried, warnings_of
-from app.onboarding.write import compiled, description, description_text, mesh_name
+from app.onboarding.write import (
+    compiled,
+    description,
+    description_text,
+    mesh_name,
+    rebased_urdf,
+)
 from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.bases.kind import FORWARD
@@ -538,7 +544,7 @@ def test_outcome_of_a_guiding_run_depends_on_base_arm_and_buffer(
     """The runs are replaced by their figures, and the contacts of the first of two steps."""
     from app.simulation import run
 
-    monkeypatch.setattr(checks, "carried_ee", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
+    monkeypatch.setattr(warn, "carried_ee", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
 
     def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
         least = bare if controller == "none" else near
@@ -719,7 +725,7 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     urdf = str(ASSETS / "husky_panda" / "robot.urdf")
     request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
     parsed = parse(request)
-    urdf = new_robot.rebased_urdf(parsed, name="husky_fit", header="test")
+    urdf = rebased_urdf(parsed, name="husky_fit", header="test")
     path = write(request.out.parent, urdf)
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
@@ -759,7 +765,7 @@ def test_upper_arm_near_the_base_keeps_its_own_body(tmp_path: Path) -> None:
         out=tmp_path / "ur10_fit",
     )
     parsed = parse(request)
-    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="ur10_fit", header="test"))
+    path = write(tmp_path, rebased_urdf(parsed, name="ur10_fit", header="test"))
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=2000, seed=1, d_b=0.15)
@@ -785,7 +791,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     )
     request = Request(urdf=str(write(tmp_path, low)), base="base", tip="hand", out=tmp_path / "low")
     parsed = parse(request)
-    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="low", header="test"))
+    path = write(tmp_path, rebased_urdf(parsed, name="low", header="test"))
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=1500, seed=1, d_b=0.15)

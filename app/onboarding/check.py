@@ -85,8 +85,8 @@ def check_robot(
         description: The description.
         runs: Whether to simulate the guiding runs, which take most of the time.
         tell: Called with the name of each step before it begins.
-        processes: Number of processes that sample the border; None means one for each usable core.
-        sampling: Parameters of a coarser border; None means the complete border.
+        processes: Number of processes that sample the border; default: one for each usable core.
+        sampling: Parameters of a coarser border; default: the complete border.
     """
     tell("loading the robot")
     try:

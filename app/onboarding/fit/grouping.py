@@ -65,9 +65,7 @@ class Verdict(NamedTuple):
     spurious: tuple[str, ...]  # monitored pairs whose bodies overlap although their links never do
     always: tuple[str, ...]
     """Monitored pairs that overlap in a posture, and are inside their buffer in most free ones."""
-    unwatched: dict[
-        str, str
-    ]  # pairs that are not monitored; the value is `BY_LINKS` or `BY_BODIES`
+    unwatched: dict[str, str]  # `BY_LINKS` or `BY_BODIES`, by the pair that is not monitored
     near: dict[str, float]  # [-] share of free postures inside the buffer, by monitored pair
     cost: float  # [-] total cost; the best grouping has the smallest
 
@@ -126,7 +124,7 @@ def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: in
     ]
     names, distances = _body_distances(model, grouping.bodies, np.vstack(q_m))
     watched = [name not in grouping.verdict.unwatched for name in names]
-    return bool((distances[:, watched] > 0.0).all(axis=1).sum() <= _MISSED * len(distances))
+    return _share(np.all(distances[:, watched] > 0.0, axis=1)) <= _MISSED
 
 
 def _arm_grouping(
@@ -186,7 +184,7 @@ def judge(
     parts = (possible & real, possible & ~real)
     chosen = np.concatenate([np.flatnonzero(part)[:ENOUGH] for part in parts])
     q_m, hits, real = meetings.random.q_m[chosen], collides[chosen], real[chosen]
-    free = real if real.all() else ~real
+    free = np.ones_like(real) if real.all() else ~real
     names, distances = _body_distances(model, bodies, q_m)
     owner = {unit: k for k, body in enumerate(bodies) for unit in body.units}
     ends = [sorted((owner[u], owner[v])) for u, v in meetings.pairs]
@@ -352,10 +350,8 @@ def _left_out(
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
-    """The largest range of one of the `joints` that contains no posture of q_m (N, n_m), as text.
-
-    The text is empty if the range is below `LEAST` of the joint's range, or of a turn if that is
-    less; or if N is below `_FEWEST_CONTACTS`, because the range is then a coincidence.
+    """The largest range of one of the `joints` without a posture of q_m (N, n_m), as text; empty if
+    it is below `LEAST` of the joint's range or of a turn, or if N is below `_FEWEST_CONTACTS`.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
@@ -374,11 +370,11 @@ def _body_distances(
 ) -> tuple[list[str], Array]:
     """Names of all pairs of bodies that are not neighbours, and their distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
-    joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
-    shapes = [
-        [(joint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
-        for joint, body in zip(joints, bodies, strict=True)
-    ]
+    shapes = []
+    for body in bodies:
+        joint = model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint
+        placed = [(joint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
+        shapes.append(placed)
     names = [f"{bodies[i].name}-{bodies[j].name}" for i, j in pairs]
     return names, shape_distances(model, shapes, pairs, q_m)
 
@@ -391,13 +387,12 @@ def _ranked(
     slides: frozenset[int],
     apart: Collection[tuple[int, int]] = (),
 ) -> list[tuple[float, list[list[int]]]]:
-    """All valid divisions of the chain into groups, each with a lower bound of its cost.
+    """All valid divisions of the chain into groups, each with the cost of its number of bodies.
 
-    The bound is the cost of the number of bodies. The order is that of the bound plus the cost of
-    the collisions that ideal bodies would miss, which overlap exactly if their links overlap. Each
-    group has a link with a shape. No group joins unit 1, if it has shapes, with a unit of `slides`,
-    the units on prismatic joints of the arm. If possible, the units of each pair in `apart` are in
-    bodies that are a pair.
+    They are sorted by this cost plus that of the collisions missed by ideal bodies, which overlap
+    exactly if their links overlap. Each group has a shape. No group joins unit 1, if it has shapes,
+    with the units on prismatic joints, `slides`. If possible, the bodies of each pair of units in
+    `apart` are a pair.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
