@@ -807,7 +807,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         "lift is limited before upper reaches base, which a pair can detect with "
         "--buffer-distance 0.13"
     )
-    assert why in limits.source["position_upper"]
+    assert why in limits.numbers["position_upper"][1]
     monkeypatch.setattr(stops, "MARGIN", 1.0)  # as for a UR's upper arm, 12 mm beside its foot
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
     assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]

@@ -49,19 +49,26 @@ def with_source(
 
 
 class Limits(NamedTuple):
-    """Limits (n_m,) of the arm's joints [rad or m, rad/s or m/s, N m or N], and their sources."""
+    """Limits (n_m,) of the arm's joints [rad or m, rad/s or m/s, N m or N]."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
-    source: dict[str, str]  # sources of the four limits, in this order, by their description fields
+    assumed: dict[str, dict[str, list[str]]]
+    """Joints without a limit in the URDF, by the field of the description and the assumed limit."""
+    stops: dict[str, str]  # reasons of narrower position limits, by the name of the joint
 
     @property
     def numbers(self) -> Sourced:
         """The four limits with their sources, by the field of the description."""
-        named = zip(self.source.items(), self[:4], strict=True)
-        return {name: (values, why) for (name, why), values in named}
+        stops = [f"{name} is limited before {why}" for name, why in self.stops.items()]
+        found = {}
+        for (field, assumed), values in zip(self.assumed.items(), self[:4], strict=True):
+            parts = [f"assumed for {', '.join(names)}: {what}" for what, names in assumed.items()]
+            parts += stops if field.startswith("position") else []
+            found[field] = values, "; ".join(["from the URDF", *parts])
+        return found
 
 
 def read_limits(arm: Arm) -> Limits:
@@ -77,15 +84,15 @@ def read_limits(arm: Arm) -> Limits:
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
     lower, upper = zip(*map(_assumed_range, arm.joints), strict=True)
-    source = {
-        "position_lower": _range_origin(arm.joints, "lower"),
-        "position_upper": _range_origin(arm.joints, "upper"),
-        "max_velocity": _origin({"1.5 rad/s or 0.3 m/s": speedless}),
-        "max_effort": "from the URDF",
+    assumed = {
+        "position_lower": _assumed_limits(arm.joints, "lower"),
+        "position_upper": _assumed_limits(arm.joints, "upper"),
+        "max_velocity": {"1.5 rad/s or 0.3 m/s": speedless} if speedless else {},
+        "max_effort": {},
     }
     velocity = tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True))
     effort = tuple(_within(joint.effort, 1e5) for joint in arm.joints)
-    return Limits(lower, upper, velocity, effort, source)
+    return Limits(lower, upper, velocity, effort, assumed, {})
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
@@ -101,8 +108,7 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
         f"{_GRAVITY_SHARE:g} times the largest gravity load in random postures, at least "
         f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
     )
-    source = limits.source | {"max_effort": _origin({why: missing})}
-    return limits._replace(effort=effort, source=source)
+    return limits._replace(effort=effort, assumed=limits.assumed | {"max_effort": {why: missing}})
 
 
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
@@ -149,8 +155,8 @@ def _assumed_range(joint: Joint) -> tuple[float, float]:
     )
 
 
-def _range_origin(joints: Sequence[Joint], side: str) -> str:
-    """The source of the limits of joints on a `side`, `lower` or `upper`."""
+def _assumed_limits(joints: Sequence[Joint], side: str) -> dict[str, list[str]]:
+    """Joints without a limit on a `side`, `lower` or `upper`, by the assumed limit."""
     found = defaultdict[str, list[str]](list)
     for joint in joints:
         low, high = _range(joint)
@@ -160,7 +166,7 @@ def _range_origin(joints: Sequence[Joint], side: str) -> str:
             found["half a turn"].append(joint.name)
         elif joint.unstated == side:
             found["0, as the URDF states only the other"].append(joint.name)
-    return _origin(found)
+    return dict(found)
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
@@ -192,12 +198,6 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
 def _within(value: float | None, most: float) -> float:
     """The value if it is above 0 and below `most`, otherwise 0."""
     return value if value and 0 < value < most else 0.0
-
-
-def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
-    """The source of limits; `assumed` has the names of joints by the limit assumed for them."""
-    parts = [f"assumed for {', '.join(names)}: {what}" for what, names in assumed.items() if names]
-    return "; ".join(["from the URDF", *parts])
 
 
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:

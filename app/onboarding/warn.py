@@ -16,7 +16,6 @@ from app.control.inputs import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
-from app.onboarding.fit.stops import STOPPED
 from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved, placements
 from app.onboarding.numbers import read_limits
@@ -189,17 +188,15 @@ def _joints(robot: NewRobot) -> Iterator[str]:
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
     for name, (low, high, lower, upper) in zip(robot.parsed.arm.names, ranges, strict=True):
         if (low, high) != (lower, upper):
-            *_, why = limits.source["position_lower"].partition(f"; {name}{STOPPED}")
             yield (
                 f"{name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
-                f"before {why.partition('; ')[0]}"
+                f"before {limits.stops[name]}"
             )
-    assumed: dict[str, str] = {}
-    for field, text in limits.source.items():
-        for part in text.split("; "):
-            if part.startswith("assumed for "):  # for both position limits at once, or for one
-                assumed.setdefault(part.removeprefix("assumed for "), field.replace("_", " "))
-    for part, field in assumed.items():
+    fields: dict[str, str] = {}  # the first field: both position limits can be assumed alike
+    for field, assumed in limits.assumed.items():
+        for what, names in assumed.items():
+            fields.setdefault(f"{', '.join(names)}: {what}", field.replace("_", " "))
+    for part, field in fields.items():
         yield f"{field} of {part} (assumed)"
 
 

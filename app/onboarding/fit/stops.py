@@ -18,8 +18,6 @@ from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
 
-STOPPED = " is limited before "
-"""Words between the name of a joint and the reason of its limits, in the source of the limits."""
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSTURES = 60  # [-] sampled postures of the other joints at each of these positions
 _ARM = 2  # pinocchio's first joint of the arm
@@ -77,10 +75,7 @@ def with_stops(
             raise RobotFileError(
                 f"--ready: {b.name} can meet {a.name} near this posture; choose another posture"
             )
-    why = "".join(f"; {name}{STOPPED}{text}" for name, text in stops.items())
-    fields = ("position_lower", "position_upper")
-    source = limits.source | {field: limits.source[field] + why for field in fields}
-    return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), source=source)
+    return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), stops=stops)
 
 
 def contact_margin(distances: Array) -> float:
