@@ -93,11 +93,11 @@ def test_box_fit_recovers_a_rotated_box() -> None:
 
 def test_least_weighted_volume_wins_and_is_compared_with_the_hull() -> None:
     points = cloud(5)
-    fit = fit_best(points, {"capsule": 1.0, "box": 1.0, "hull": 1.0})
+    fit = fit_best(hull(points), {"capsule": 1.0, "box": 1.0, "hull": 1.0})
     assert fit.volume == min(volume_of(f(hull(points).corners)) for f in FITS.values())
     assert fit.over_cover == pytest.approx(fit.volume / hull(points).volume)
     assert fit.over_cover >= 1.0
-    heavy = fit_best(points, {"capsule": 1.0, "box": 1e6, "hull": 1e6})
+    heavy = fit_best(hull(points), {"capsule": 1.0, "box": 1e6, "hull": 1e6})
     assert heavy.shape.type == "capsule"
 
 
@@ -176,7 +176,7 @@ def test_base_parts_are_merged_with_the_least_added_volume(
     parts = [rng.uniform(-0.1, 0.1, (20, 3)) + place for place in places]
     divisions = bodies._divided(parts)
     assert [len(groups) for groups in divisions] == [1, 2, 3, 4]
-    centres = [points.mean(axis=0) for points in divisions[2]]
+    centres = [group.corners.mean(axis=0) for group in divisions[2]]
     for place in np.unique(places, axis=0):
         assert min(np.abs(centre - place).max() for centre in centres) < 0.1
     assert len(seen) == len(set(seen)) == 7 + 21 + 5 + 4 + 3 + 2 + 1

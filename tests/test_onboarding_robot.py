@@ -298,7 +298,7 @@ def test_collision_is_undetected_if_no_watched_pair_of_bodies_overlaps(
 
 def test_rare_collisions_are_sampled_with_more_postures(made: NewRobot) -> None:
     """A Stretch has only 114 collisions in 6,000 postures: too few for the undetected share."""
-    units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
+    units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "stopped": True}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
     hits = (few.collides.any(axis=1) & few.random.possible).sum()

@@ -146,7 +146,7 @@ def _make_robot(
     reach = {body: each for body, each in counted if body in near}
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     model = write.compiled(content, path)
-    held, fit = warn.holding_warning(warn.carried_ee(model)), vars(fitted) | {"model": model}
+    held, fit = warn.holding_warning(warn.carried_ee(model)), vars(replace(fitted, model=model))
     return NewRobot(**fit, urdf=urdf, content=content, ready=ready, reach=reach, held=held), data
 
 

@@ -98,9 +98,11 @@ def _postures(robot: NewRobot) -> Iterator[str]:
             f"random postures (limit {ALWAYS:.0%}): its task is active in most postures; try a "
             "smaller --buffer-distance, or another number of --bodies"
         )
-    always = f"inside the buffer in most postures: {', '.join(robot.verdict.always)}"
-    for why, names in _grouped(robot.lacking):
-        yield f"{names}: no line for guiding: {always if robot.verdict.always else why}"
+    whys = robot.lacking
+    if always := ", ".join(robot.verdict.always):
+        whys = dict.fromkeys(whys, f"inside the buffer in most postures: {always}")
+    for why, names in _grouped(whys):
+        yield f"{names}: no line for guiding: {why}"
 
 
 def _grouped(whys: Mapping[str, str]) -> Iterator[tuple[str, str]]:

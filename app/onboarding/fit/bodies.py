@@ -52,7 +52,7 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]
     tried = [
-        [fit_best(points, {kind: 1.0}) for points in groups]
+        [fit_best(around, {kind: 1.0}) for around in groups]
         for groups in _divided(corners)
         for kind in ("box", "hull")
     ]
@@ -65,17 +65,17 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     return FittedBody("lm", units[0].frame, links, mobile, tuple(fits))
 
 
-def _divided(corners: Sequence[Array]) -> list[list[Array]]:
-    """Divisions of parts into one, two, three and four groups; hull corners represent a group.
+def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
+    """Divisions of parts into one, two, three and four groups; the hull represents a group.
 
     Each division results from the one with one group more by the merger that adds the least volume.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
-    divisions: list[list[Array]] = []
+    divisions: list[list[PointHull]] = []
     for new in range(len(groups), 2 * len(groups)):
         if len(groups) <= _MOST:
-            divisions.insert(0, [each.corners for each in groups.values()])
+            divisions.insert(0, [*groups.values()])
         if len(groups) == 1:
             break
         for pair in combinations(groups, 2):
@@ -175,18 +175,15 @@ class ArmFitter:
         tried = sorted(swept(self._model, needed).items(), key=lambda each: each[1].volume)
         if tried[0][1].volume < _SPOT:
             return None
-        fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint) for joint, (c, v) in tried[:2]]
+        fits = [(fit_best(around, ARM_WEIGHTS), joint) for joint, around in tried[:2]]
         one, frame = min(fits, key=lambda each: each[0].volume)
         seen = [swept(self._model, {**none, j: p})[frame].corners for j, p in pieces]
-
-        def cost(division: Sequence[Array]) -> float:
-            volume = sum(hull(corners).volume for corners in division)
-            return volume / _LEFT ** (len(division) - 1)
-
-        several = min(_divided(seen), key=cost)
+        several = min(
+            _divided(seen), key=lambda each: sum(h.volume for h in each) / _LEFT ** (len(each) - 1)
+        )
         if len(several) == 1:
             return (one,), frame
-        return tuple(fit_best(corners, ARM_WEIGHTS) for corners in several), frame
+        return tuple(fit_best(around, ARM_WEIGHTS) for around in several), frame
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:

@@ -22,6 +22,27 @@ _TRIANGLES = 2000  # [-] approximate number of triangles in the search of a plan
 _PLANES = 7  # [-] number of tried planes along each axis
 
 
+class PointHull(NamedTuple):
+    """The convex hull of points."""
+
+    corners: Array
+    """(M, 3) [m] corners; for flat points, the points, rounded to 1 µm and without duplicates, or
+    unchanged if there are fewer than five."""
+    volume: float  # [m³], 0 for flat points and for fewer than five points
+
+
+def hull(points: Array) -> PointHull:
+    """The convex hull of points (N, 3) [m]."""
+    points = np.asarray(points, dtype=float)
+    if len(points) < 5:
+        return PointHull(points, 0.0)
+    try:
+        found = ConvexHull(points)
+    except QhullError:
+        return PointHull(np.unique(np.round(points, 6), axis=0), 0.0)
+    return PointHull(points[found.vertices], float(found.volume))
+
+
 class Fit(NamedTuple):
     """A convex shape around points."""
 
@@ -32,13 +53,12 @@ class Fit(NamedTuple):
     protrusion: float  # [m] largest extent beyond the points' hull, along one of 162 directions
 
 
-def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
-    """The shape with the smallest weighted volume around points (N, 3) [m].
+def fit_best(around: PointHull, weights: dict[str, float]) -> Fit:
+    """The shape with the smallest weighted volume around a hull.
 
     `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull.
-    `volume` [m³] is that of the points' convex hull, if it is known and all points are its corners.
     """
-    corners, inner = hull(points) if volume is None else (points, volume)
+    corners, inner = around
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
     shapes = {kind: kinds[kind](corners) for kind in weights}
     shape = shapes[min(shapes, key=lambda kind: weights[kind] * volume_of(shapes[kind]))]
@@ -145,27 +165,6 @@ def support(shape: Shape, D: Array) -> Array:
 def volume_of(shape: Shape) -> float:
     """[m³] volume of a shape."""
     return float(shape.coal_geometry().computeVolume())
-
-
-class PointHull(NamedTuple):
-    """The convex hull of points."""
-
-    corners: Array
-    """(M, 3) [m] corners; for flat points, the points, rounded to 1 µm and without duplicates, or
-    unchanged if there are fewer than five."""
-    volume: float  # [m³], 0 for flat points and for fewer than five points
-
-
-def hull(points: Array) -> PointHull:
-    """The convex hull of points (N, 3) [m]."""
-    points = np.asarray(points, dtype=float)
-    if len(points) < 5:
-        return PointHull(points, 0.0)
-    try:
-        found = ConvexHull(points)
-    except QhullError:
-        return PointHull(np.unique(np.round(points, 6), axis=0), 0.0)
-    return PointHull(points[found.vertices], float(found.volume))
 
 
 def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:

@@ -20,7 +20,6 @@ from app.strict import Array
 
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSTURES = 60  # [-] sampled postures of the other joints at each of these positions
-_ARM = 2  # pinocchio's first joint of the arm
 LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
 _ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
 
@@ -50,7 +49,7 @@ def with_stops(
             continue
         postures = sample_joints(model, _POSTURES, np.random.default_rng(0)).clip(lower, upper)
         stopping, possible = [], False
-        for joint in range(b.joint - _ARM + 1):
+        for joint in range(b.joint - 1):  # pinocchio's joint 2 is the first one of the arm
             values = np.linspace(lower[joint], upper[joint], _VALUES)
             tried = np.repeat(postures[:, None], _VALUES, axis=1)
             tried[:, :, joint] = values
