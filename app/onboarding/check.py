@@ -292,7 +292,8 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
     borne = warn.borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
-    person, weak = warn.weaker_than_person(model, borne)
+    person = model.description.config.hand.f_max
+    weak = float((borne < person).mean())
     text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
     if weak > 0.0:
         text += f"; in {weak:.0%} of the postures, a push of {person:g} N is too strong for them"

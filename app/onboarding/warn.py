@@ -419,19 +419,13 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     return np.array(found)
 
 
-def weaker_than_person(model: RobotModel, borne: Array) -> tuple[float, float]:
-    """[N] force of a person; [-] share of `borne`, a result of `borne_push`, below this force."""
-    person = model.description.config.hand.f_max
-    return person, float((borne < person).mean()) if len(borne) else 0.0
-
-
 def push_warning(model: RobotModel, borne: Array) -> str:
     """A warning of an arm that a person can push against the base, or empty.
 
     `borne` is the result of `borne_push`.
     """
-    person, weak = weaker_than_person(model, borne)
-    if weak <= _OFTEN:
+    person = model.description.config.hand.f_max
+    if not len(borne) or (weak := float((borne < person).mean())) <= _OFTEN:
         return ""
     return (
         f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the "

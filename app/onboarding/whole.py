@@ -153,9 +153,7 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
         return tree, []  # `find_arm` reports this
     joints, said = dict(tree.joints), []
     for leader, parts, places, sums in _telescopes(tree.chain(base, tip)):
-        led = _followers(tree, parts, leader.name, abs(sums[-1]))
-        changed = (*led, *_joined(leader, parts, places, sums))
-        joints |= {joint.name: joint for joint in changed}
+        joints |= {joint.name: joint for joint in _joined(tree, leader, parts, places, sums)}
         said.append(
             f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
             f"one joint: the position of {leader.name} is now the sum of their positions"
@@ -191,25 +189,25 @@ def _telescopes(
             yield leader, parts, [poses[joint.name] for joint in parts], sums
 
 
-def _followers(tree: Tree, parts: Sequence[Joint], leader: str, total: float) -> Iterator[Joint]:
-    """Joints outside a telescope that follow one of its parts, changed so that they follow the
-    leader, whose new position is `total` times its former position.
+def _joined(
+    tree: Tree,
+    leader: Joint,
+    parts: Sequence[Joint],
+    places: Sequence[pin.SE3],
+    sums: Sequence[float],
+) -> Iterator[Joint]:
+    """The changed joints for a telescope: the leader moves the last part, the others are on it, and
+    joints outside that follow one of the parts follow the leader.
     """
-    own = {joint.name: joint.mimic or (leader, 1.0, 0.0) for joint in parts}
+    low, high = leader.lower or 0.0, leader.upper or 0.0
+    total, end, last = abs(sums[-1]), places[-1], parts[-1].child
+    own = {joint.name: joint.mimic or (leader.name, 1.0, 0.0) for joint in parts}
     for joint in tree.joints.values():
         if joint.name not in own and joint.mimic is not None and joint.mimic[0] in own:
             name, factor, offset = joint.mimic
             _, part_factor, part_offset = own[name]
-            mimic = leader, factor * part_factor / total, offset + factor * part_offset
+            mimic = leader.name, factor * part_factor / total, offset + factor * part_offset
             yield joint._replace(mimic=mimic)
-
-
-def _joined(
-    leader: Joint, parts: Sequence[Joint], places: Sequence[pin.SE3], sums: Sequence[float]
-) -> Iterator[Joint]:
-    """The changed joints of a telescope: the leader moves the last part, the others are on it."""
-    low, high = leader.lower or 0.0, leader.upper or 0.0
-    total, end, last = abs(sums[-1]), places[-1], parts[-1].child
     along = places[0].rotation @ parts[0].axis * np.sign(sums[-1])
     yield leader._replace(
         parent=parts[0].parent,
