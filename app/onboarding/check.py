@@ -81,12 +81,9 @@ def check_robot(
     true and the robot has pairs of arm and base, but each guiding run ends with an error, cannot
     start or has "nothing to show".
 
-    Args:
-        description: The description.
-        runs: Whether to simulate the guiding runs, which take most of the time.
-        tell: Called with the name of each step before it begins.
-        processes: Number of processes that sample the border; default: one for each usable core.
-        sampling: Parameters of a coarser border; default: the complete border.
+    `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
+    called with the name of each step before it begins. `processes` sample the border, by default
+    one for each usable core; `sampling` are the parameters of a coarser border.
     """
     tell("loading the robot")
     try:

@@ -196,7 +196,6 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
 
 
 def _within(value: float | None, most: float) -> float:
-    """The value if it is above 0 and below `most`, otherwise 0."""
     return value if value and 0 < value < most else 0.0
 
 
@@ -226,7 +225,6 @@ _BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as for the paper's robot
 _ACCELERATION = 3.0, 6.0  # [m/s²], [rad/s²] as for the paper's robot
 _FRICTION = 0.5  # [-] coefficient of friction between wheels and floor
 _YAW_FACTOR = 2.0  # [-] factor of the yaw inertia, as for the paper's robot
-_TIME_CONSTANT = 0.05  # [s] of the drive
 _GRAVITY = 9.81  # [m/s²]
 _AS_PAPERS = "assumed: as for the paper's robot"
 
@@ -269,7 +267,7 @@ def base_numbers(
             round(_FRICTION * _GRAVITY * mass, 1),
             f"assumed: friction coefficient {_FRICTION:g}, with the whole weight on driven wheels",
         ),
-        "drive_time_constant_s": (_TIME_CONSTANT, "assumed: half of a 10 Hz command period"),
+        "drive_time_constant_s": (0.05, "assumed: half of a 10 Hz command period"),
     }
     if kind != "car-like":  # the steering limits its angular velocity
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0

@@ -61,8 +61,8 @@ class Meetings:
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]  # units that are not neighbours, by their indices
     close: frozenset[tuple[int, int]]
-    """Pairs that no pair of bodies can monitor: the units are within d_b in most free postures, or
-    they are units of the arm that touch, but overlap by at most 3 mm."""
+    """Pairs of units that no pair of bodies can monitor: within d_b in most free postures, or units
+    of the arm that touch, but overlap by at most 3 mm."""
     apart: frozenset[tuple[int, int]]
     """Pairs of a unit on the base and a unit of the arm, not nested, that are within d_b in most
     free postures and overlap by over 5 mm in some: joint limits have to prevent the overlap."""

@@ -161,13 +161,9 @@ def find_place(
     preference is: lines with a contact, then those with the smallest distance; lines on which the
     arm best holds its end-effector while the base moves; the order of `_front` or `_lateral`.
 
-    Args:
-        model: The robot.
-        pairs: The monitored pairs; at least one of them has l_m.
-        name: The scenario, `guiding-front` or `guiding-lateral`.
-        fault: Returns the fault of a line, or an empty string, as `fault_of_run` does.
-        anyway: Whether to return the first tested line if all tested lines have a fault.
-        on_progress: Called with the finished share of the search.
+    `name` is the scenario, `guiding-front` or `guiding-lateral`. At least one of the monitored
+    `pairs` has l_m. For `fault` and `anyway` see `chosen`. `on_progress` is called with the
+    finished share of the search.
     """
     d_b = model.description.config.border.d_b
     guide = _Guide(model, pairs, d_b)
@@ -191,8 +187,9 @@ def chosen(
 ) -> Place | str:
     """The first line without a fault, of at most three lines that come nearer than `INNER` d_b [m].
 
-    If each of these lines has a fault, the result is the first line if `anyway` is true, otherwise
-    a text with the faults. If no line comes near enough, the result is an empty text.
+    `fault` returns the fault of a line, or an empty string, as `fault_of_run` does. If each of the
+    lines has a fault, the result is the first line if `anyway` is true, otherwise a text with the
+    faults. If no line comes near enough, the result is an empty text.
     """
     tried: dict[Place, str] = {}
     for line in islice((each for each in lines if each.nearest < INNER * d_b), _MAX_RUNS):
