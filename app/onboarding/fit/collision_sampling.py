@@ -79,7 +79,7 @@ class Meetings:
 
     @property
     def grazing(self) -> frozenset[tuple[int, int]]:
-        """Pairs of the arm's units that touch, but overlap by at most 3 mm, whatever d_b is."""
+        """Pairs of the arm's units that touch, but overlap by at most 3 mm, for any d_b."""
         distances = np.vstack([self.random.distances, self.rare.distances])
         return _grazing(self.units, self.pairs, distances)
 
