@@ -16,13 +16,13 @@ import pytest
 import trimesh
 from trimesh.creation import box
 
-from app.onboarding import new_robot
 from app.onboarding.check import check_robot
 from app.onboarding.fit import grouping
 from app.onboarding.fit.collision_sampling import Meetings, nested_links, sample_meetings
 from app.onboarding.fit.units import make_units
-from app.onboarding.new_robot import compiled, description, parse
+from app.onboarding.new_robot import parse
 from app.onboarding.request import Request
+from app.onboarding.write import compiled, description, in_pieces_urdf, rebased_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -58,8 +58,8 @@ def with_torso(folder: Path, shape: str) -> Toy:
     path = write(folder, robot([*cart(), *torso, *arm()]))
     request = Request(urdf=str(path), base="base", tip="hand", out=folder / "torso")
     parsed = parse(request)
-    urdf = new_robot.rebased_urdf(parsed, name="torso", header="test")
-    urdf, pieces = new_robot.in_pieces_urdf(urdf, parsed.geometry, folder)
+    urdf = rebased_urdf(parsed, name="torso", header="test")
+    urdf, pieces = in_pieces_urdf(urdf, parsed.geometry, folder)
     path, parsed = write(folder, urdf), replace(parsed, geometry=pieces)
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)

@@ -13,18 +13,18 @@ from scipy.spatial import ConvexHull
 from app.onboarding.fit import bodies
 from app.onboarding.fit.bodies import swept
 from app.onboarding.fit.convex import (
+    PointHull,
     convex_pieces,
     fit_best,
     fit_box,
     fit_capsule,
     fit_hull,
     hull,
-    hull_corners,
-    hull_volume,
     lean_corners,
     support,
     volume_of,
 )
+from app.robot.model import RobotModel
 from app.robot.shapes import hull_mesh, shape_mesh
 from tests.robots import husky_panda
 
@@ -93,11 +93,11 @@ def test_box_fit_recovers_a_rotated_box() -> None:
 
 def test_least_weighted_volume_wins_and_is_compared_with_the_hull() -> None:
     points = cloud(5)
-    fit = fit_best(points, {"capsule": 1.0, "box": 1.0, "hull": 1.0})
-    assert fit.volume == min(volume_of(f(hull_corners(points))) for f in FITS.values())
-    assert fit.over_cover == pytest.approx(fit.volume / hull_volume(points))
+    fit = fit_best(hull(points), {"capsule": 1.0, "box": 1.0, "hull": 1.0})
+    assert fit.volume == min(volume_of(f(hull(points).corners)) for f in FITS.values())
+    assert fit.over_cover == pytest.approx(fit.volume / hull(points).volume)
     assert fit.over_cover >= 1.0
-    heavy = fit_best(points, {"capsule": 1.0, "box": 1e6, "hull": 1e6})
+    heavy = fit_best(hull(points), {"capsule": 1.0, "box": 1e6, "hull": 1e6})
     assert heavy.shape.type == "capsule"
 
 
@@ -110,16 +110,16 @@ def test_round_cloud_is_reduced_to_few_corners_that_enclose_it() -> None:
     D /= np.linalg.norm(D, axis=1)[:, None]
     points = D * [0.4, 0.5, 0.3] + [1.0, 0.0, 0.2]
     lean = lean_corners(points)
-    assert len(lean) < 1300 < len(hull_corners(points))
+    assert len(lean) < 1300 < len(hull(points).corners)
     faces, ones = ConvexHull(lean).equations, np.ones(len(points))
     assert (faces @ np.column_stack([points, ones]).T).max() < 0.0
-    assert 1.0 < hull_volume(lean) / hull_volume(points) < 1.02
+    assert 1.0 < hull(lean).volume / hull(points).volume < 1.02
     out = (lean @ D[:500].T).max(axis=0) - (points @ D[:500].T).max(axis=0)
     assert out.max() < 4e-3
     thin = lean_corners(D * [1.0, 0.02, 0.02])  # a rod of 2 m
     assert np.ptp(thin, axis=0) == pytest.approx([2.0, 0.04, 0.04], rel=0.02)
     few = cloud(6)
-    np.testing.assert_array_equal(lean_corners(few), hull_corners(few))
+    np.testing.assert_array_equal(lean_corners(few), hull(few).corners)
 
 
 def test_sweep_through_a_joint_is_computed_once(
@@ -129,8 +129,13 @@ def test_sweep_through_a_joint_is_computed_once(
     rng, asked = np.random.default_rng(2), []
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}
     swept(husky_panda(), points)
-    axis = bodies._axis
-    monkeypatch.setattr(bodies, "_axis", lambda model, j: (asked.append(j), axis(model, j))[1])
+    positions = bodies._positions
+
+    def counted(model: RobotModel, joint: int, turns: bool) -> np.ndarray:
+        asked.append(joint)
+        return positions(model, joint, turns)
+
+    monkeypatch.setattr(bodies, "_positions", counted)
     swept(husky_panda(), points | {5: points[6]})
     assert asked.count(8) == 1  # the sweep from 8 outwards is stored; from 5 and 6 it is new
     assert asked.count(7) == 1
@@ -161,7 +166,7 @@ def test_base_parts_are_merged_with_the_least_added_volume(
     """No hull is computed twice, which saves a minute for Centauro's 25 parts."""
     seen: list[bytes] = []
 
-    def counted(points: np.ndarray) -> tuple[np.ndarray, float]:
+    def counted(points: np.ndarray) -> PointHull:
         seen.append(points.tobytes())
         return hull(points)
 
@@ -171,7 +176,7 @@ def test_base_parts_are_merged_with_the_least_added_volume(
     parts = [rng.uniform(-0.1, 0.1, (20, 3)) + place for place in places]
     divisions = bodies._divided(parts)
     assert [len(groups) for groups in divisions] == [1, 2, 3, 4]
-    centres = [points.mean(axis=0) for points in divisions[2]]
+    centres = [group.corners.mean(axis=0) for group in divisions[2]]
     for place in np.unique(places, axis=0):
         assert min(np.abs(centre - place).max() for centre in centres) < 0.1
     assert len(seen) == len(set(seen)) == 7 + 21 + 5 + 4 + 3 + 2 + 1
@@ -185,10 +190,10 @@ def test_convex_pieces_have_little_more_volume_than_the_mesh() -> None:
         boxes.append(post.apply_translation((x, y, 0.25)))
     tower = trimesh.util.concatenate(boxes)
     assert isinstance(tower, trimesh.Trimesh)
-    whole, solid = hull_volume(tower.vertices), sum(box.volume for box in boxes)
+    whole, solid = hull(tower.vertices).volume, sum(box.volume for box in boxes)
     pieces = convex_pieces(tower)
     assert whole > 2.0 * solid
-    assert sum(hull_volume(piece.vertices) for piece in pieces) < 1.4 * solid
+    assert sum(hull(piece.vertices).volume for piece in pieces) < 1.4 * solid
     assert sum(piece.area for piece in pieces) == pytest.approx(tower.area)
     assert len(convex_pieces(boxes[0])) == 1
 

@@ -21,7 +21,7 @@ from app.onboarding.read.links import read_geometry
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
 from app.onboarding.warn import held_still, wheels_carried
-from app.onboarding.write import rebased_urdf
+from app.onboarding.write import compiled, description, rebased_urdf
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import collision_shapes
 from app.simulation.plants.engines import SAME_PICTURE, compare_engines
@@ -886,8 +886,8 @@ def robot_model(folder: Path, options: Request) -> RobotModel:
     """The model of a robot that is parsed and written, without the fitted bodies."""
     parsed = parse(options)
     urdf = rebased_urdf(parsed, name="toy", header="test")
-    content = new_robot.description(options, parsed)
-    return new_robot.compiled(content, write(folder, urdf, "robot.urdf"))
+    content = description(options, parsed)
+    return compiled(content, write(folder, urdf, "robot.urdf"))
 
 
 def test_an_error_of_a_library_becomes_one_line(

@@ -30,7 +30,7 @@ from app.dashboard import job
 from app.errors import AssetError, DescriptionError, RobotFileError, UnreachableError
 from app.jobs.pool import ALONE, Workers
 from app.onboarding import check as checks
-from app.onboarding import new_robot
+from app.onboarding import new_robot, warn
 from app.onboarding.check import (
     arm_row,
     base_row,
@@ -48,13 +48,19 @@ from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
 from app.onboarding.fit.postures import Place, Point
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
-from app.onboarding.new_robot import compiled, description, finish, parse
+from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.record import NewRobot
 from app.onboarding.report import draw, report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried, warnings_of
-from app.onboarding.write import description_text, mesh_name
+from app.onboarding.write import (
+    compiled,
+    description,
+    description_text,
+    mesh_name,
+    rebased_urdf,
+)
 from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.bases.kind import FORWARD
@@ -292,7 +298,7 @@ def test_collision_is_undetected_if_no_watched_pair_of_bodies_overlaps(
 
 def test_rare_collisions_are_sampled_with_more_postures(made: NewRobot) -> None:
     """A Stretch has only 114 collisions in 6,000 postures: too few for the undetected share."""
-    units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
+    units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "stopped": True}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
     hits = (few.collides.any(axis=1) & few.random.possible).sum()
@@ -341,7 +347,7 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
     model, geometry = written(made), made.parsed.geometry
     units = tuple(u for each in units_of_links(model, geometry).values() for u in each)
     base, hand = units[0], units[-1]
-    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, points=False)
+    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, stopped=True)
     posture = met.random.q_m
     hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
     meshes = meshes_meet(model, base, hand, geometry, posture)
@@ -538,7 +544,7 @@ def test_outcome_of_a_guiding_run_depends_on_base_arm_and_buffer(
     """The runs are replaced by their figures, and the contacts of the first of two steps."""
     from app.simulation import run
 
-    monkeypatch.setattr(checks, "carried_ee", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
+    monkeypatch.setattr(warn, "carried_ee", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
 
     def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
         least = bare if controller == "none" else near
@@ -719,7 +725,7 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     urdf = str(ASSETS / "husky_panda" / "robot.urdf")
     request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
     parsed = parse(request)
-    urdf = new_robot.rebased_urdf(parsed, name="husky_fit", header="test")
+    urdf = rebased_urdf(parsed, name="husky_fit", header="test")
     path = write(request.out.parent, urdf)
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
@@ -759,7 +765,7 @@ def test_upper_arm_near_the_base_keeps_its_own_body(tmp_path: Path) -> None:
         out=tmp_path / "ur10_fit",
     )
     parsed = parse(request)
-    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="ur10_fit", header="test"))
+    path = write(tmp_path, rebased_urdf(parsed, name="ur10_fit", header="test"))
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=2000, seed=1, d_b=0.15)
@@ -785,7 +791,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     )
     request = Request(urdf=str(write(tmp_path, low)), base="base", tip="hand", out=tmp_path / "low")
     parsed = parse(request)
-    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="low", header="test"))
+    path = write(tmp_path, rebased_urdf(parsed, name="low", header="test"))
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=1500, seed=1, d_b=0.15)
@@ -801,7 +807,7 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         "lift is limited before upper reaches base, which a pair can detect with "
         "--buffer-distance 0.13"
     )
-    assert why in limits.source["position_upper"]
+    assert why in limits.numbers["position_upper"][1]
     monkeypatch.setattr(stops, "MARGIN", 1.0)  # as for a UR's upper arm, 12 mm beside its foot
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
     assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]

@@ -10,12 +10,15 @@ import pinocchio as pin
 import pytest
 import trimesh
 
+from app.border.reach import ReachMap, fit_reachability, lattice
+from app.errors import DescriptionError
 from app.onboarding.fit import units
 from app.onboarding.fit.bodies import ArmFitter
 from app.onboarding.fit.collision_sampling import Meetings, Postures, _grazing
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.grouping import _ranked
 from app.onboarding.fit.units import Part, Unit, neighbours, shape_distances, units_of_links
+from app.onboarding.numbers import SHARES, best_fit
 from app.onboarding.read.links import LinkGeometry, LinkShape
 from app.onboarding.read.tree import Joint, Tree, extends
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
@@ -227,3 +230,23 @@ def test_shape_distances_agree_with_the_library_up_to_half_a_metre(
     assert not near.all()
     np.testing.assert_allclose(ours[near], theirs[near], atol=1e-5)
     assert (ours[~near] >= 0.5 - 1e-5).all()
+
+
+def test_a_fit_that_is_worse_than_a_constant_uses_more_of_the_reachability() -> None:
+    """A Racecar with an SO-101, whose few shells were almost equal, had an R² of -304."""
+    points = 0.08 * lattice(0.6, 0.08)
+    rho = np.linalg.norm(points, axis=1)
+
+    def counted(best: float, width: float) -> ReachMap:
+        reach = 100 * np.exp(-(((rho - best) / width) ** 2))
+        return ReachMap("lEE", points, reach, 1, reach, np.zeros(3), 0.08, 0, ())
+
+    narrow = counted(0.21, 0.045)
+    assert fit_reachability(narrow, SHARES[0]).r_squared < 0.0
+    fit, share = best_fit(narrow)
+    assert share < SHARES[0]
+    assert fit.r_squared > 0.9
+    assert fit.B_m == pytest.approx(0.21, abs=0.01)
+    assert best_fit(counted(0.3, 0.2))[1] == SHARES[0]
+    with pytest.raises(DescriptionError, match="a constant fits the reachability map better"):
+        best_fit(counted(0.5, 0.03))

@@ -16,11 +16,11 @@ from matplotlib.axes import Axes
 
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
-from app.onboarding.fit.units import moved, units_of_links
+from app.onboarding.fit.units import moved, placements, units_of_links
 from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.report import BODY_COLOURS, fill, placements
+from app.onboarding.report import BODY_COLOURS, fill
 from app.robot.assets import urdf_path
 from app.robot.description import load_robot
 from app.robot.model import RobotModel

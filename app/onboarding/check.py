@@ -16,7 +16,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.border.sampling import SamplingConfig
 from app.errors import DbbError, UnreachableError
-from app.onboarding import SIDES
+from app.onboarding import SIDES, warn
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
 from app.onboarding.fit.grouping import MAX_UNDETECTED, detection_of
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
@@ -26,13 +26,6 @@ from app.onboarding.numbers import gravity_load, largest_of_postures
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.warn import (
-    borne_push,
-    carried_ee,
-    holding_warning,
-    push_warning,
-    weaker_than_person,
-)
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -68,8 +61,7 @@ class Row(NamedTuple):
     """The result of one check."""
 
     name: str
-    outcome: Outcome
-    """passed, warned or failed; "nothing to show" if no posture or run tests the robot."""
+    outcome: Outcome  # "nothing to show" if no posture or run tests the robot
     text: str
     numbers: dict[str, float]  # the measured values by their names
 
@@ -82,19 +74,16 @@ def check_robot(
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
 ) -> Iterator[Row]:
-    """All checks of a description; a row is available as soon as its check ends.
+    """All checks of a description with its parameters; each row is yielded as soon as it is known.
 
     A check that ends with an error fails, and its row has the message. If the model or the border
-    fails, the checks that need it are left out. The checks use the parameters of the description.
-    The last row is a failed row `guiding` if `runs` is true and the robot has pairs of arm and
-    base, but each guiding run ends with an error, cannot start or has "nothing to show".
+    fails, the checks that need it are left out. The last row is a failed row `guiding` if `runs` is
+    true and the robot has pairs of arm and base, but each guiding run ends with an error, cannot
+    start or has "nothing to show".
 
-    Args:
-        description: The description.
-        runs: Whether to simulate the guiding runs, which take most of the time.
-        tell: Called with the name of each step before it begins.
-        processes: Number of processes that sample the border; None means one for each usable core.
-        sampling: Parameters of a coarser border; None means the complete border.
+    `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
+    called with the name of each step before it begins. `processes` sample the border, by default
+    one for each usable core; `sampling` are the parameters of a coarser border.
     """
     tell("loading the robot")
     try:
@@ -135,7 +124,7 @@ def check_robot(
 
 
 def _done(name: str, check: Callable[..., Row], *arguments: object) -> Row:
-    """The row of a check; an exception becomes a row with the outcome failed."""
+    """The row of a check; an exception becomes a failed row."""
     try:
         return check(*arguments)
     except DbbError as error:
@@ -163,10 +152,11 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
             for key, theirs, own in zip(worst, engine.mass_and_bias(q_m, qd), ours, strict=True):
                 worst[key] = max(worst[key], float(np.abs(theirs - own).max() / np.abs(own).max()))
     most = max(worst.values())
-    good = most < _AGREE
     text = f"M and C q̇ + g differ from pinocchio's by {most:.1e} of the largest entry"
-    text += "" if good else "; add an <inertial> to every link, with the mass 0 for frames"
-    return Row(name, "passed" if good else "failed", text, worst)
+    if most < _AGREE:
+        return Row(name, "passed", text, worst)
+    text += "; add an <inertial> to every link, with the mass 0 for frames"
+    return Row(name, "failed", text, worst)
 
 
 def engines_row(model: RobotModel) -> Row:
@@ -282,7 +272,7 @@ def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
 
 def holding_row(model: RobotModel) -> Row:
     """Warn if the arm often cannot hold its end-effector in place while the base moves."""
-    carried = carried_ee(model)
+    carried = warn.carried_ee(model)
     numbers = {
         f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
         for each in carried
@@ -290,26 +280,27 @@ def holding_row(model: RobotModel) -> Row:
     }
     worst = max(each.place for each in carried)
     text = f"the arm can hold its end-effector in place in {1 - worst:.0%} of the postures"
-    warning = holding_warning(carried)
+    warning = warn.holding_warning(carried)
     return Row("end-effector in place", "warned" if warning else "passed", warning or text, numbers)
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
     """Warn if a person can often push the arm against the base: its torques are too small."""
-    borne = borne_push(model, data.pairs.mobile)
+    borne = warn.borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
-    person, weak = weaker_than_person(model, borne)
+    person = model.description.config.hand.f_max
+    weak = float((borne < person).mean())
     text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
     if weak > 0.0:
         text += f"; in {weak:.0%} of the postures, a push of {person:g} N is too strong for them"
-    warning, numbers = push_warning(model, borne), {"least_push_borne_n": float(borne.min())}
+    warning, numbers = warn.push_warning(model, borne), {"least_push_borne_n": float(borne.min())}
     return Row("push", "warned" if warning else "passed", warning or text, numbers)
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that each body in a pair with l_m has a reachability. Warn if a pair is inside its
-    buffer in most postures without contact, and if no pair has l_m.
+    """Check that each body in a pair with l_m has a reachability; warn if no pair has l_m, or if a
+    pair is inside its buffer in most postures without contact.
     """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
@@ -350,9 +341,9 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair with l_m has points at the heights that the arm reaches,
     from the floor to the top of l_m.
 
-    A gap between the lowest and the highest point causes a warning. Below and above these points,
-    the exact offset of l_m replaces missing points; the row reports these heights and pairs. The
-    check fails if all borders are empty; it warns if no pair has l_m.
+    A gap between the lowest and the highest point, or no pair with l_m, causes a warning. Below and
+    above these points, the exact offset of l_m replaces missing points; the row reports these
+    heights and pairs. The check fails if all borders are empty.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -387,13 +378,12 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """Guide the end-effector towards the base, and compare with a run without avoidance.
 
-    A run that cannot start is `warned`. The outcome of another run is the first of these that
-    applies:
+    The outcome is the first of these that applies:
 
+    - `warned` if the run cannot start;
     - `failed` after a contact, an unsolved QP, or a distance of arm and base below 0.03 m;
     - "nothing to show" if no pair has l_m, or the arm without avoidance stays d_b/2 or more away;
-    - `warned` if the base moves by less than d_b/3, and `holding_row` warns;
-    - `failed` if the base moves by less than d_b/3;
+    - `warned` if the base moves by less than d_b/3 and `holding_row` warns, otherwise `failed`;
     - `warned` if d_b is too small for the speed of the run;
     - `passed`.
     """
@@ -409,7 +399,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         return Row(name, "warned", f"the run cannot start: {error}", {})
     figures, warning = guided.figures, buffer_warning(guided.trace.buffer, config)
     flags = {what: guided.trace.of(quantity) for quantity, what in _TOUCHED.items()}
-    steps = {what: int(flag.sum()) for what, flag in flags.items() if flag.any()}
+    steps = [f"{what} in {int(flag.sum())}" for what, flag in flags.items() if flag.any()]
     touched = int(np.any([*flags.values()], axis=0).sum())
     failures, moved = int(figures["solver_failures"]), float(figures["base_displacement_m"])
     near, without = figures["min_clearance_m"], bare["min_clearance_m"]
@@ -418,24 +408,21 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         "solver_failures": float(failures),
         "base_displacement_m": moved,
     }
-    text = f"{touched} steps with contact"
-    if steps:
-        text += f" ({', '.join(f'{what} in {count}' for what, count in steps.items())})"
-    text += f", {failures} steps without a solution of the QP"
+    where = f" ({', '.join(steps)})" if steps else ""
+    text = f"{touched} steps with contact{where}, {failures} steps without a solution of the QP"
     if near is not None:
         numbers |= {"min_clearance_m": float(near), "min_clearance_without_m": float(without)}
         text = (
             f"smallest distance to the base {near:.3f} m ({without:.3f} m without avoidance), base "
             f"moved by {moved:.3f} m, {text}"
         )
-    shown = without is not None and without < config.border.d_b / 2
     if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
-    if not shown:
+    if without is None or without >= config.border.d_b / 2:
         return Row(name, "nothing to show", text, numbers)
     outcome: Outcome = "warned" if warning else "passed"
     if moved < (least := GIVES_WAY * config.border.d_b):
-        held = bool(holding_warning(carried_ee(model)))
+        held = bool(warn.holding_warning(warn.carried_ee(model)))
         text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
         outcome = "warned" if held else "failed"
     return Row(name, outcome, f"{text}; {warning}" if warning else text, numbers)

@@ -15,38 +15,21 @@ from app.errors import RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
-from app.onboarding import SIDES
-from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
-from app.onboarding.fit.grouping import Detection, Grouping, detection_of, find_grouping
+from app.onboarding import SIDES, numbers, warn, write
+from app.onboarding.fit.collision_sampling import ENOUGH, sample_meetings
+from app.onboarding.fit.grouping import detection_of, find_grouping
 from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, line_from
 from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import Unit, make_units
-from app.onboarding.numbers import (
-    Limits,
-    base_numbers,
-    completed,
-    damping,
-    find_reach,
-    read_limits,
-    with_plausible_base,
-)
 from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate
 from app.onboarding.read.tree import Arm, find_arm
 from app.onboarding.read.wheels import find_drive, stands_on_floor, with_rigid_suspensions
-from app.onboarding.record import NewRobot, Parsed
+from app.onboarding.record import Fitted, NewRobot, Parsed
 from app.onboarding.request import Request
-from app.onboarding.warn import borne_push, carried_ee, holding_warning, push_warning, warnings_of
 from app.onboarding.whole import Whole, one_message, whole_robot
-from app.onboarding.write import (
-    compiled,
-    description,
-    in_pieces_urdf,
-    rebased_urdf,
-    write_robot,
-)
 from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
@@ -81,12 +64,11 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Create a robot and its border, and write the complete folder or nothing.
 
-    `helpers` starts workers after the meshes are read. They do all parallel work, except that
-    `processes` other processes sample the border (default: one for each usable core). `sampling`
-    are the parameters of a coarser border. With them, the calling process samples the border alone,
-    because starting others would take longer. `whole` is the result of `whole_robot`, if it is
-    known. `tell` is called with the name of each step before it begins. `on_progress` is called
-    with the finished share, 0 to 1, of a long step.
+    `helpers` starts workers for all parallel work except the border, which `processes` other
+    processes sample (default: one for each usable core). With `sampling`, the parameters of a
+    coarser border, the calling process samples the border alone, because starting others would take
+    longer. `whole` is the result of `whole_robot`, if it is known. `tell` is called with the name
+    of each step before it begins, `on_progress` with the finished share, 0 to 1, of a long step.
 
     Raises:
         RobotFileError: The zip or the URDF cannot become a robot, a library refuses it, or the name
@@ -134,14 +116,14 @@ def _make_robot(
 ) -> tuple[NewRobot, BorderData]:
     """Write the URDF; make the border, and the robot without warnings and lines for guiding."""
     path = folder / _URDF
-    urdf, pieces = in_pieces_urdf(urdf, parsed.geometry, folder)
+    urdf, pieces = write.in_pieces_urdf(urdf, parsed.geometry, folder)
     parsed = replace(parsed, geometry=pieces)
     write_whole(path, urdf)
-    bare = compiled(description(request, parsed), path)
-    parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
+    bare = write.compiled(write.description(request, parsed), path)
+    parsed = replace(parsed, limits=numbers.completed(parsed.limits, parsed.arm, bare))
     fitted = _embodied(request, parsed, bare, path, work)
-    request, parsed, model, meetings, (bodies, verdict), detection = fitted
-    counted = find_reach(model, work.workers)
+    request, parsed, model = fitted.request, fitted.parsed, fitted.model
+    counted = numbers.find_reach(model, work.workers)
     work.tell("sampling the border")
     data = work.border(model)
     work.tell("choosing the ready posture")
@@ -149,20 +131,23 @@ def _make_robot(
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
         ready, rule = judge_ready(model, data.pairs, np.array(request.ready, float)), "from --ready"
-    base = base_numbers(model, parsed.wheels, parsed.inertias, ready.q_m, request.half_track)
+    base = numbers.base_numbers(
+        model, parsed.wheels, parsed.inertias, ready.q_m, request.half_track
+    )
     arm = {
         "ready_position": (tuple(ready.q_m.tolist()), rule),
-        "joint_damping": (damping(parsed.limits, parsed.arm, model), _DAMPING),
+        "joint_damping": (numbers.damping(parsed.limits, parsed.arm, model), _DAMPING),
     }
-    content = description(request, parsed, bodies, (base, arm), verdict.unwatched)
+    content = write.description(
+        request, parsed, fitted.bodies, (base, arm), fitted.verdict.unwatched
+    )
     work.tell("counting the reachability")
     near = {pair.b for pair in data.pairs.mobile}
     reach = {body: each for body, each in counted if body in near}
     content["reachability"] = {name: each.content() for name, each in reach.items()}
-    model = compiled(content, path)
-    held = holding_warning(carried_ee(model))
-    fit = meetings, bodies, verdict, detection, ready, reach
-    return NewRobot(request, parsed, urdf, content, model, *fit, {}, {}, held, []), data
+    model = write.compiled(content, path)
+    held, fit = warn.holding_warning(warn.carried_ee(model)), vars(replace(fitted, model=model))
+    return NewRobot(**fit, urdf=urdf, content=content, ready=ready, reach=reach, held=held), data
 
 
 def _written(robot: NewRobot, data: BorderData, folder: Path, work: _Work) -> NewRobot:
@@ -181,32 +166,21 @@ def _written(robot: NewRobot, data: BorderData, folder: Path, work: _Work) -> Ne
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     content = {name: place.content() for name, place in places.items()}
     content = robot.content | {"lines": content, "without_line": lacking}
-    model = compiled(content, folder / _URDF)
+    model = write.compiled(content, folder / _URDF)
     robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
-    weak = push_warning(model, borne_push(model, data.pairs.mobile))
-    robot = replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)])
+    weak = warn.push_warning(model, warn.borne_push(model, data.pairs.mobile))
+    robot = replace(robot, warnings=[*filter(None, [weak]), *warn.warnings_of(robot)])
     work.tell("writing the report")
-    write_robot(robot, folder)
+    write.write_robot(robot, folder)
     drawn = next(pictures)
     write_whole(folder / "report.html", report_html(robot, data, drawn))
     write_whole(folder / VIEW, drawn.view)
     return robot
 
 
-class _Embodied(NamedTuple):
-    """A robot with fitted bodies."""
-
-    request: Request  # with the final buffer distance
-    parsed: Parsed  # with the final joint limits
-    model: RobotModel
-    meetings: Meetings
-    grouping: Grouping
-    detection: Detection
-
-
 def _embodied(
     request: Request, parsed: Parsed, bare: RobotModel, path: Path, work: _Work
-) -> _Embodied:
+) -> Fitted:
     """Fit bodies around groups of links, up to three times while `Detection.fails`.
 
     The result is the fit with the fewest pairs in `Detection.blind` and, among these, the least
@@ -220,7 +194,7 @@ def _embodied(
     work.tell("sampling random postures")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
-    found: list[_Embodied] = []
+    found: list[Fitted] = []
     while not found or (found[-1].detection.fails and len(found) < _MAX_FITS):
         if found:
             work.tell("sampling other random postures")
@@ -241,18 +215,18 @@ def _embodied(
             parsed = replace(parsed, changes=(*parsed.changes, said))
             continue
         work.tell("fitting bodies")
-        count = _count(request, units, [len(each.grouping.bodies) for each in found])
+        count = _count(request, units, [len(each.bodies) for each in found])
         separate = [links for each in found for links in each.detection.unseen]
         grouping = find_grouping(bare, meetings, request.buffer, count, work.on_progress, separate)
         limited = replace(parsed, limits=limits)
         unwatched = grouping.verdict.unwatched
-        content = description(request, limited, grouping.bodies, unwatched=unwatched)
-        model = compiled(content, path)
+        content = write.description(request, limited, grouping.bodies, unwatched=unwatched)
+        model = write.compiled(content, path)
         detection = detection_of(model, geometry, request.buffer, work.workers)
-        found.append(_Embodied(request, limited, model, meetings, grouping, detection))
+        found.append(Fitted(request, limited, model, meetings, *grouping, detection))
     best = min(found, key=lambda each: (len(each.detection.blind), each.detection.undetected))
     if best.detection.blind:
-        tried = sorted({len(each.grouping.bodies) - 1 for each in found})
+        tried = sorted({len(each.bodies) - 1 for each in found})
         raise RobotFileError(
             f"the bodies of {', '.join(best.detection.blind)} do not enclose their links; "
             f"choose a number of --bodies other than {' and '.join(map(str, tried))}, or a "
@@ -264,8 +238,8 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    Without --bodies, the third fit has one body more than the larger of the first two, if the arm
-    has enough moving units with shapes. `found` has the earlier numbers of bodies, including l_m.
+    Without --bodies, the third fit has one body more than the first two, if the arm has enough
+    moving units with shapes. `found` has the earlier numbers of bodies, including l_m.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies
@@ -281,7 +255,7 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
         AssetError, UnknownNameError: As for `whole_robot`.
     """
     tree, arm, changes = whole or whole_robot(request)
-    limits = read_limits(arm)
+    limits = numbers.read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
@@ -294,30 +268,28 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    inertias = with_plausible_base(inertias, arm.base_links)
+    inertias = numbers.with_plausible_base(inertias, arm.base_links)
     return Parsed(tree, arm, geometry, wheels, inertias, limits, changes)
 
 
 def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
     """The checked robot and the text of its new URDF; converts foreign meshes into `folder`."""
-    parsed = parse(request, whole)
-    header = (
-        f"Made by dbb new-robot from {request.shown_source}; its sources and licences: SOURCES.md"
-    )
-    return parsed, rebased_urdf(parsed, name=request.name, header=header, home=folder)
+    parsed, source = parse(request, whole), request.shown_source
+    header = f"Made by dbb new-robot from {source}; its sources and licences: SOURCES.md"
+    return parsed, write.rebased_urdf(parsed, name=request.name, header=header, home=folder)
 
 
-def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
+def _check_ready(request: Request, arm: Arm, limits: numbers.Limits) -> None:
     """Refuse a ready posture with a wrong number of joints, or outside of the position limits."""
-    if request.ready is None:
+    ready = request.ready
+    if ready is None:
         return
-    if len(request.ready) != len(arm.joints):
+    if len(ready) != len(arm.joints):
         raise RobotFileError(
-            f"--ready: it has {len(request.ready)} numbers, but the arm has {len(arm.joints)} "
-            f"joints: {', '.join(arm.names)}"
+            f"--ready: it has {len(ready)} numbers, but the arm has {len(arm.joints)} joints: "
+            f"{', '.join(arm.names)}"
         )
-    rows = zip(arm.names, request.ready, limits.lower, limits.upper, strict=True)
-    for name, q, low, high in rows:
+    for name, q, low, high in zip(arm.names, ready, limits.lower, limits.upper, strict=True):
         if not low <= q <= high:
             raise RobotFileError(
                 f"--ready: {name} at {q:g} is outside of its limits, {low:g} to {high:g}"

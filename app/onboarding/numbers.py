@@ -10,15 +10,15 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.reach import PEAK, ReachMap, fit_reachability, reach_bodies, sample_reach_map
-from app.border.score import ReachFit
+from app.border.score import FLOOR, ReachFit
 from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
+from app.onboarding.fit.units import placements
 from app.onboarding.read.links import BASE_DENSITY, LinkInertia
 from app.onboarding.read.tree import Arm, Joint
 from app.onboarding.read.wheels import Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
 from app.robot.model import STABLE_STEPS, RobotModel
-from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
 Inertias = dict[str, LinkInertia]  # by the names of the links
@@ -49,21 +49,26 @@ def with_source(
 
 
 class Limits(NamedTuple):
-    """Limits (n_m,) of the arm's joints [rad or m, rad/s or m/s, N m or N], and their sources."""
+    """Limits (n_m,) of the arm's joints [rad or m, rad/s or m/s, N m or N]."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
-    source: dict[str, str]  # source of each limit, by the field of the description
+    assumed: dict[str, dict[str, list[str]]]
+    """Joints without a limit in the URDF, by the field of the description and the assumed limit."""
+    stops: dict[str, str]  # reasons of narrower position limits, by the name of the joint
 
     @property
     def numbers(self) -> Sourced:
         """The four limits with their sources, by the field of the description."""
-        return {
-            name: (values, why)
-            for (name, why), values in zip(self.source.items(), self[:4], strict=True)
-        }
+        stops = [f"{name} is limited before {why}" for name, why in self.stops.items()]
+        found = {}
+        for (field, assumed), values in zip(self.assumed.items(), self[:4], strict=True):
+            parts = [f"assumed for {', '.join(names)}: {what}" for what, names in assumed.items()]
+            parts += stops if field.startswith("position") else []
+            found[field] = values, "; ".join(["from the URDF", *parts])
+        return found
 
 
 def read_limits(arm: Arm) -> Limits:
@@ -73,21 +78,21 @@ def read_limits(arm: Arm) -> Limits:
 
     Raises:
         RobotFileError: Position limits of a prismatic joint are missing, or those of any joint are
-            an empty range or probably in another unit; the message names all of these joints.
+            an empty range or probably in another unit.
     """
     _check_ranges(arm.joints)
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
     lower, upper = zip(*map(_assumed_range, arm.joints), strict=True)
-    source = {
-        "position_lower": _range_origin(arm.joints, "lower"),
-        "position_upper": _range_origin(arm.joints, "upper"),
-        "max_velocity": _origin({"1.5 rad/s or 0.3 m/s": speedless}),
-        "max_effort": "from the URDF",
+    assumed = {
+        "position_lower": _assumed_limits(arm.joints, "lower"),
+        "position_upper": _assumed_limits(arm.joints, "upper"),
+        "max_velocity": {"1.5 rad/s or 0.3 m/s": speedless} if speedless else {},
+        "max_effort": {},
     }
     velocity = tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True))
     effort = tuple(_within(joint.effort, 1e5) for joint in arm.joints)
-    return Limits(lower, upper, velocity, effort, source)
+    return Limits(lower, upper, velocity, effort, assumed, {})
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
@@ -103,8 +108,7 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
         f"{_GRAVITY_SHARE:g} times the largest gravity load in random postures, at least "
         f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
     )
-    source = limits.source | {"max_effort": _origin({why: missing})}
-    return limits._replace(effort=effort, source=source)
+    return limits._replace(effort=effort, assumed=limits.assumed | {"max_effort": {why: missing}})
 
 
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
@@ -112,7 +116,7 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
 
     It is 2 or 1 N m s/rad for a strong or weak joint, as for the paper's robot, or 20 N s/m for a
     prismatic joint; but at most m/(3 dt), which pybullet simulates stably. m is the smallest
-    inertia of the joint in random postures, with the base and other joints free; dt = 1 ms.
+    `joint_inertia` in random postures; dt = 1 ms.
     """
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
@@ -139,12 +143,11 @@ def largest_of_postures(model: RobotModel, values: Callable[[Array], Array]) -> 
 
 
 def _range(joint: Joint) -> list[float | None]:
-    """The lower and the upper limit of a joint; None if missing, or not within ±`_LARGEST`."""
+    """The lower and the upper limit of a joint; None if missing or outside of ±`_LARGEST`."""
     return [None if q is None or abs(q) >= _LARGEST else q for q in (joint.lower, joint.upper)]
 
 
 def _assumed_range(joint: Joint) -> tuple[float, float]:
-    """The limits of a joint, with assumed ones on the sides without a limit."""
     low, high = _range(joint)
     return (
         min(0.0, high or 0.0) - _TURN if low is None else low,
@@ -152,8 +155,8 @@ def _assumed_range(joint: Joint) -> tuple[float, float]:
     )
 
 
-def _range_origin(joints: Sequence[Joint], side: str) -> str:
-    """The source of the lower or the upper limits of joints; `side` is `lower` or `upper`."""
+def _assumed_limits(joints: Sequence[Joint], side: str) -> dict[str, list[str]]:
+    """Joints without a limit on a `side`, `lower` or `upper`, by the assumed limit."""
     found = defaultdict[str, list[str]](list)
     for joint in joints:
         low, high = _range(joint)
@@ -163,7 +166,7 @@ def _range_origin(joints: Sequence[Joint], side: str) -> str:
             found["half a turn"].append(joint.name)
         elif joint.unstated == side:
             found["0, as the URDF states only the other"].append(joint.name)
-    return _origin(found)
+    return dict(found)
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
@@ -193,21 +196,14 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
 
 
 def _within(value: float | None, most: float) -> float:
-    """The value if it is above 0 and below `most`, otherwise 0."""
     return value if value and 0 < value < most else 0.0
-
-
-def _origin(assumed: Mapping[str, Sequence[str]]) -> str:
-    """The source of limits; `assumed` has the names of joints by the limit assumed for them."""
-    parts = [f"assumed for {', '.join(names)}: {what}" for what, names in assumed.items() if names]
-    return "; ".join(["from the URDF", *parts])
 
 
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
     """The inertias of all links; a large assumed total mass of the base's links is reduced.
 
-    `BASE_DENSITY` is that of small bases, and large bases are hollow: above `_COMPACT`, the total
-    assumed mass grows only with the power 2/3 of the volume, like the surface.
+    Above `_COMPACT`, the assumed mass grows only with the surface, the power 2/3 of the volume,
+    because large bases are hollow.
     """
     if (total := assumed_mass(inertias, base_links)) <= _COMPACT:
         return inertias
@@ -229,7 +225,6 @@ _BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as for the paper's robot
 _ACCELERATION = 3.0, 6.0  # [m/s²], [rad/s²] as for the paper's robot
 _FRICTION = 0.5  # [-] coefficient of friction between wheels and floor
 _YAW_FACTOR = 2.0  # [-] factor of the yaw inertia, as for the paper's robot
-_TIME_CONSTANT = 0.05  # [s] of the drive
 _GRAVITY = 9.81  # [m/s²]
 _AS_PAPERS = "assumed: as for the paper's robot"
 
@@ -247,9 +242,8 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 def base_numbers(
     model: RobotModel, wheels: Wheels, inertias: Inertias, q_m: Array, half_track: float | None
 ) -> Sourced:
-    """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
-
-    `half_track` [m] is that of --half-track; None means half of the distance between the wheels.
+    """Numbers of the base with their sources; q_m (n_m,) is the ready posture, `half_track` [m] the
+    value of --half-track, or None.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
@@ -273,7 +267,7 @@ def base_numbers(
             round(_FRICTION * _GRAVITY * mass, 1),
             f"assumed: friction coefficient {_FRICTION:g}, with the whole weight on driven wheels",
         ),
-        "drive_time_constant_s": (_TIME_CONSTANT, "assumed: half of a 10 Hz command period"),
+        "drive_time_constant_s": (0.05, "assumed: half of a 10 Hz command period"),
     }
     if kind != "car-like":  # the steering limits its angular velocity
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
@@ -302,7 +296,7 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
     return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
 
 
-SHARE = 0.5  # [-] share of the peak above which (9) is fitted, because the tails are not parabolic
+SHARES = 0.5, 0.2, FLOOR  # [-] shares of the peak above which (9) is fitted, the best ones first
 COUNTED_POSTURES = 20_000  # [-] random joint positions for counting a reachability
 _REACH_SAMPLES = 2000  # [-] number of random postures for an assumed reachability
 _WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
@@ -328,8 +322,10 @@ class Reach(NamedTuple):
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
     """The names of all bodies that can form a pair with l_m, with their coefficients of (9).
 
-    `workers` start at once, so the caller can do other work before it reads the results.
-    Coefficients are assumed if fewer than three joints move the body, or if (9) cannot be fitted.
+    `workers` start at once, so the caller can do other work before it reads the results. The fit
+    uses the first of `SHARES` with which (9) explains the counted reachability better than a
+    constant does. Coefficients are assumed if there is no such fit, or if fewer than three joints
+    move the body.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -343,25 +339,37 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
         return _assumed(model, body, "fewer than three joints move it")
     try:
         counted = sample_reach_map(model, body, samples=COUNTED_POSTURES)
-        fit = fit_reachability(counted, SHARE)
+        fit, share = best_fit(counted)
     except DescriptionError as error:
         return _assumed(model, body, str(error))
     text = (
         f"counted: by |det J| at {counted.samples:,} random joint positions; fitted above "
-        f"{SHARE:g} of the peak, R² {fit.r_squared:.2f}"
+        f"{share:g} of the peak, R² {fit.r_squared:.2f}"
     )
     return Reach(fit.A_per_m2, fit.B_m, fit.C, text, counted, fit)
 
 
+def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
+    """The fit of (9) above the first of `SHARES` with a positive R², and this share [-].
+
+    Few shells of a small workspace are above the first share, and can be almost equal.
+
+    Raises:
+        DescriptionError: There is no such share, or as for `fit_reachability`.
+    """
+    for share in SHARES:
+        if (fit := fit_reachability(counted, share)).r_squared > 0.0:
+            return fit, share
+    raise DescriptionError(f"{counted.body}: a constant fits the reachability map better than (9)")
+
+
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
     """A parabola about the mean distance of the first shape to the mount, assumed because `why`."""
-    state, mount = RobotState(model), model.p_base()
-    shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
+    shape, mount = model.geometry.geometryObjects[model.shape_ids[body][0]], model.p_base()
     rho = []
     for q in sample_joints(model, _REACH_SAMPLES, np.random.default_rng(0)):
-        state.update_kinematics(at_rest(model, q))
-        at = state.data.oMi[shape.parentJoint] * shape.placement
-        rho.append(float(np.linalg.norm(at.translation - mount)))
+        at = placements(model, q)[shape.parentJoint].act(shape.placement.translation)
+        rho.append(float(np.linalg.norm(at - mount)))
     B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _MIN_WIDTH)
     source = f"assumed: a parabola about the body's mean distance in random postures; {why}"
     return Reach(PEAK / width**2, B, PEAK, source, None, None)

@@ -1,6 +1,6 @@
 """Records of a new robot: the content of its URDF, and the robot that is made from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from app.onboarding.fit.bodies import FittedBody
@@ -30,21 +30,27 @@ class Parsed:
 
 
 @dataclass(frozen=True)
-class NewRobot:
-    """All data for the files of a new robot; lines for guiding and warnings are added last."""
+class Fitted:
+    """A robot with fitted bodies."""
 
-    request: Request
-    parsed: Parsed
-    urdf: str  # text of the new URDF
-    content: dict[str, Any]  # description in the form of `RobotDescription`
+    request: Request  # with the final buffer distance
+    parsed: Parsed  # with the final joint limits
     model: RobotModel
     meetings: Meetings
     bodies: list[FittedBody]
     verdict: Verdict  # quality of the grouping
     detection: Detection
+
+
+@dataclass(frozen=True)
+class NewRobot(Fitted):
+    """All data for the files of a new robot; lines for guiding and warnings are added last."""
+
+    urdf: str  # text of the new URDF
+    content: dict[str, Any]  # description in the form of `RobotDescription`
     ready: Ready
     reach: dict[str, Reach]  # reachability by the name of the body
-    places: dict[str, Place]  # line for guiding by the name of the scenario
-    lacking: dict[str, str]  # reason for a missing line, by the name of the scenario
     held: str  # warning that the arm cannot hold its end-effector in place, or empty
-    warnings: list[str]  # warnings; each is one sentence
+    places: dict[str, Place] = field(default_factory=dict)  # line by the name of the scenario
+    lacking: dict[str, str] = field(default_factory=dict)  # reason for a missing line, likewise
+    warnings: list[str] = field(default_factory=list)  # warnings; each is one sentence

@@ -1,6 +1,6 @@
 """The report of a new robot: a page with warnings, pictures and tables, and a 3D view."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
 from typing import Any, Literal, NamedTuple
 
@@ -18,10 +18,9 @@ from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.offset import offset_contours
 from app.border.score import radial_profile
-from app.onboarding.fit.units import moved
+from app.onboarding.fit.units import moved, placements
 from app.onboarding.record import NewRobot
 from app.onboarding.warn import outside
-from app.robot.model import RobotModel
 from app.strict import Array
 from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
@@ -48,7 +47,7 @@ class Pictures(NamedTuple):
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """Draw a robot and its border, not its lines for guiding, which other workers still search."""
+    """Draw a robot and its border; the job lacks lines and warnings, which are found meanwhile."""
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
@@ -65,7 +64,7 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
             "Bodies over the hulls of the links, in the ready posture",
             png=pictures.bodies,
             tables=[_bodies(robot)],
-            points=_bare(pictures.bare),
+            points=[*_bare(pictures.bare)],
             note=f"The file {VIEW} in the same folder shows links and bodies in three dimensions.",
         ),
         Part("Pairs", tables=[_pairs(robot, data)], points=_verdict(robot)),
@@ -81,17 +80,14 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
 VIEW = "bodies.html"  # name of the file that shows links and bodies in three dimensions
 
 
-def _bare(bare: dict[str, Bare]) -> list[str]:
-    """Sentences on the links that extend beyond their bodies."""
-    sentences = []
+def _bare(bare: dict[str, Bare]) -> Iterator[str]:
     whys = {"design": "only links of neighbouring bodies", "mistake": "links of other bodies"}
     for why, reaching in whys.items():
-        if links := [link for link, each in bare.items() if each == why]:
-            sentences.append(
+        if links := ", ".join(link for link, each in bare.items() if each == why):
+            yield (
                 f"extending beyond their bodies by {why}, because {reaching} can reach these "
-                f"parts: {', '.join(links)}"
+                f"parts: {links}"
             )
-    return sentences
 
 
 def _bodies(robot: NewRobot) -> Grid:
@@ -107,11 +103,11 @@ def _bodies(robot: NewRobot) -> Grid:
 def _pairs(robot: NewRobot, data: BorderData) -> Grid:
     pairs, verdict, rows = data.pairs, robot.verdict, []
     sets = {"L_m": pairs.mobile, "L_m^c": pairs.manipulator, "never": pairs.never}
-    for group, each in sets.items():
-        for name in (pair.name for pair in each):
-            overlap, least = f"{pairs.rates[name]:.3%}", f"{pairs.least_distance_m[name]:+.3f}"
-            shares = (f"{each.get(name, 0.0):.1%}" for each in (verdict.overlap, verdict.near))
-            rows.append((name, group, overlap, least, *shares))
+    for group, pair in ((group, pair) for group, each in sets.items() for pair in each):
+        overlap = f"{pairs.rates[pair.name]:.3%}"
+        least = f"{pairs.least_distance_m[pair.name]:+.3f}"
+        shares = (f"{each.get(pair.name, 0.0):.1%}" for each in (verdict.overlap, verdict.near))
+        rows.append((pair.name, group, overlap, least, *shares))
     inside = f"within {robot.request.buffer:g} m in free postures"
     head = ("pair", "set", "overlap", "smallest distance [m]", "overlap in free postures", inside)
     return Grid(head, rows)
@@ -169,7 +165,7 @@ _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
 def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
-    """PNG of the links' hulls (`COLOURS`) and bodies in the ready posture, from three sides."""
+    """PNG of the links' hulls and the bodies in the ready posture, from three sides."""
     model = robot.model
     hulls = _hulls(robot, placements(model, robot.ready.q_m), bare)
     bodies = model.placed_meshes(_ORIGIN, robot.ready.q_m)
@@ -202,10 +198,9 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
     meshes = model.placed_meshes(_ORIGIN, robot.ready.q_m)
     base = [np.asarray(mesh.vertices) for name, mesh in meshes if name == model.body_names[0]]
     top = max(float(corners[:, 2].max()) for corners in base)
-    heights = (0.5 * top, top + 0.5 * d_b)
     with styled():
         figure = new_figure(5.2)
-        for axes, z in zip(figure.subplots(1, 2), heights, strict=True):
+        for axes, z in zip(figure.subplots(1, 2), (0.5 * top, top + 0.5 * d_b), strict=True):
             for corners in base:
                 fill(axes, corners, 0, 1, SOFT, 0.5)
             for k, piece in enumerate(offset.contours(z)):
@@ -223,20 +218,18 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 def reach_png(robot: NewRobot) -> bytes | None:
     """PNG of counted reachabilities (means over spherical shells) and their fits (9), or None."""
-    counted = {name: r for name, r in robot.reach.items() if r.counted is not None}
+    counted = [(name, r.counted, r.fit) for name, r in robot.reach.items() if r.counted and r.fit]
     if not counted:
         return None
     with styled():
         figure = new_figure(3.6)
         panels = np.atleast_1d(figure.subplots(1, len(counted)))
-        for axes, (name, reach) in zip(panels, counted.items(), strict=True):
-            assert reach.counted is not None
-            assert reach.fit is not None
-            profile = radial_profile(reach.counted.rho, reach.counted.reach)
+        for axes, (name, reach_map, fit) in zip(panels, counted, strict=True):
+            profile = radial_profile(reach_map.rho, reach_map.reach)
             axes.plot(profile.rho_m, profile.mean, "o", color=INK, label="counted")
-            rho = np.linspace(reach.fit.rho_min_m, reach.fit.rho_max_m, 100)
-            axes.plot(rho, reach.fit.at(rho), color=BODY_COLOURS[0], label="(9)")
-            title = f"{name}: R² {reach.fit.r_squared:.2f}"
+            rho = np.linspace(fit.rho_min_m, fit.rho_max_m, 100)
+            axes.plot(rho, fit.at(rho), color=BODY_COLOURS[0], label="(9)")
+            title = f"{name}: R² {fit.r_squared:.2f}"
             axes.set(title=title, xlabel="distance from the mount [m]", ylabel="reachability [-]")
             axes.legend()
         return png_of(figure)
@@ -245,7 +238,7 @@ def reach_png(robot: NewRobot) -> bytes | None:
 def _hulls(
     robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]
 ) -> list[tuple[Array, str]]:
-    """Corners (N, 3) [m] of each hull of a link, and the link's colour in `COLOURS`."""
+    """Corners (N, 3) [m] of each hull of a link, and the colour of the link."""
     return [
         (moved(part.corners, placed[unit.joint]), COLOURS[bare.get(part.link)])
         for unit in robot.meetings.units
@@ -253,15 +246,8 @@ def _hulls(
     ]
 
 
-def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
-    """The poses of the joint frames in a posture q_m (n_m,), with the base at the origin."""
-    data = model.pin.createData()
-    pin.forwardKinematics(model.pin, data, model.configuration(_ORIGIN, q_m))
-    return [T.copy() for T in data.oMi]
-
-
 def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -> None:
-    """Draw the hull of points (N, 3) [m], projected to the coordinates with the indices x and y."""
+    """Draw the hull of points (N, 3) [m], projected to the coordinates with the indices x, y."""
     flat = points[:, [x, y]]
     ring = flat[ConvexHull(flat, qhull_options="QJ").vertices]  # QJ: a plate can become a line
     style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}
@@ -277,9 +263,8 @@ def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """`Bare` of each link that extends beyond its body by more than `_BARE`, by the link's name.
-
-    `placed` are the poses of the joint frames in the ready posture, by pinocchio's indices.
+    """`Bare` of each link that extends beyond its body by more than `_BARE`, by the link's name;
+    `placed` are the `placements` in the ready posture.
     """
     found: dict[str, Bare] = {}
     for k, body in enumerate(robot.bodies):
@@ -296,7 +281,7 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
 
 
 def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]) -> str:
-    """A page with a 3D view of the links, in the colours of `COLOURS`, and of the bodies."""
+    """A page with a 3D view of the links and of the bodies."""
     hulls = _hulls(robot, placed, bare)
     links = [(trimesh.convex.convex_hull(points), colour, 1.0) for points, colour in hulls]
     meshes = robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)

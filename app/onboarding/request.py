@@ -94,7 +94,7 @@ class Request:
 
     @property
     def buffer(self) -> float:
-        """[m] the buffer distance: `d_b`, or that of the paper if `d_b` is None."""
+        """[m] the buffer distance: `d_b`, or the paper's value if `d_b` is None."""
         return Config().border.d_b if self.d_b is None else self.d_b
 
     @property
@@ -148,7 +148,7 @@ def check_request(request: Request) -> None:
         UnknownNameError: The kind of base does not exist.
         ConfigError: A number is out of bounds, an option contradicts another one or the kind of the
             base, a package has no folder, an entry is not of the form NAME=…, or a robot of this
-            name exists in another folder. The message names the option and the remedy.
+            name exists in another folder.
         RobotFileError: The folder's name is not a valid name of a robot.
     """
     used = robot_folder(request.name)
@@ -160,10 +160,10 @@ def check_request(request: Request) -> None:
     check_range("--buffer-distance", request.buffer, known.low, known.high, known.unit)
     check_range("--seed", request.seed, 0, MAX_SEEDS)
     for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
-        for coordinate in getattr(request, field):
+        coordinates = getattr(request, field)
+        for coordinate in coordinates:
             check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
-    for field in ("mount_xyz", "mount_rpy"):
-        if request.arm_urdf is None and any(getattr(request, field)):
+        if request.arm_urdf is None and field.startswith("mount") and any(coordinates):
             raise ConfigError(
                 f"{option(field)}: places an arm with its own URDF; add --arm-urdf, or remove "
                 f"{option(field)}: in a single URDF a joint places the arm"
@@ -189,9 +189,8 @@ def check_request(request: Request) -> None:
         raise ConfigError(
             "--wheels: a holonomic base has no wheels in its description; remove the option"
         )
-    if request.wheel_radius is not None and (
-        request.half_track is None or request.wheels is not None
-    ):
+    complete = request.half_track is not None and request.wheels is None
+    if request.wheel_radius is not None and not complete:
         raise ConfigError("--wheel-radius: needs --half-track, and excludes --wheels")
 
 
@@ -211,7 +210,7 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
     """The values of an option by the names in its entries: `NAME=…` or, as in ROS, `NAME:=…`.
 
-    An entry of another form raises a `ConfigError`; its message calls the value `what`.
+    An entry of another form raises a `ConfigError` whose message calls the value `what`.
     """
     found = {}
     for each in entries:

@@ -1,7 +1,6 @@
 """Warnings that a user should read before using a new robot.
 
-`dbb check-robot` repeats two of them for every robot: whether the arm can hold the end-effector
-while the base moves, and whether a person can push the arm against the base.
+`dbb check-robot` repeats `holding_warning` and `push_warning` for every robot.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,9 +16,8 @@ from app.control.inputs import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
-from app.onboarding.fit.stops import STOPPED
 from app.onboarding.fit.travel import followers, with_travel
-from app.onboarding.fit.units import moved
+from app.onboarding.fit.units import moved, placements
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import FREE
 from app.onboarding.read.wheels import turns_round
@@ -68,15 +66,13 @@ def warnings_of(robot: NewRobot) -> list[str]:
 
 def _places(robot: NewRobot) -> Iterator[str]:
     """Warnings of links of the arm below the floor or completely in l_m, in the ready posture."""
-    base, state = MobileBody(robot.model), RobotState(robot.model)
+    base, placed = MobileBody(robot.model), placements(robot.model, robot.ready.q_m)
     own = robot.request.arm_urdf is None
     look = f"check {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
-    state.update_kinematics(at_rest(robot.model, robot.ready.q_m))
     for unit in robot.meetings.units:
         if unit.index in robot.bodies[0].units or not unit.parts:
             continue
-        T = state.data.oMi[unit.joint]
-        corners = np.vstack([moved(part.corners, T) for part in unit.parts])
+        corners = np.vstack([moved(part.corners, placed[unit.joint]) for part in unit.parts])
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
         fixed = unit.index == 1  # no posture moves it
         if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
@@ -102,9 +98,9 @@ def _postures(robot: NewRobot) -> Iterator[str]:
             f"random postures (limit {ALWAYS:.0%}): its task is active in most postures; try a "
             "smaller --buffer-distance, or another number of --bodies"
         )
-    always = ", ".join(robot.verdict.always)
-    always = f"inside the buffer in most postures: {always}" if always else ""
-    whys = {name: always or why for name, why in robot.lacking.items()}
+    whys = robot.lacking
+    if always := ", ".join(robot.verdict.always):
+        whys = dict.fromkeys(whys, f"inside the buffer in most postures: {always}")
     for why, names in _grouped(whys):
         yield f"{names}: no line for guiding: {why}"
 
@@ -143,11 +139,12 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
         )
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
-    for name in (name for name in verdict.near if verdict.overlap[name] > _FALSE):
-        yield (
-            f"the bodies of the pair {name} overlap in {verdict.overlap[name]:.0%} of the free "
-            "random postures: the controller avoids these, although no links collide there"
-        )
+    for name in verdict.near:
+        if (overlap := verdict.overlap[name]) > _FALSE:
+            yield (
+                f"the bodies of the pair {name} overlap in {overlap:.0%} of the free random "
+                "postures: the controller avoids these, although no links collide there"
+            )
     for body in robot.bodies:
         links = sum(fit.volume / fit.over_cover for fit in body.fits)  # 0 for flat parts
         if (volume := sum(fit.volume for fit in body.fits)) > _OVER * links:
@@ -174,16 +171,15 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
 
 def _scale(robot: NewRobot) -> Iterator[str]:
     """Warn if links are far longer than the distances of joints, as with meshes in millimetres."""
-    arm, shapes = robot.parsed.arm, robot.parsed.geometry
-    sizes = [
-        max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)
-        for links in arm.segments[1:]
-    ]
-    pin = robot.model.pin
-    apart = sum(float(np.linalg.norm(T.translation)) for T in pin.jointPlacements[3:])
-    if sum(sizes) > _TOO_LARGE * apart:
+    total, shapes = 0.0, robot.parsed.geometry
+    for links in robot.parsed.arm.segments[1:]:
+        sizes = [float(s.hull.extents.max()) for link in links for s in shapes[link].shapes]
+        total += max(sizes, default=0.0)
+    placements = robot.model.pin.jointPlacements[3:]
+    apart = sum(float(np.linalg.norm(T.translation)) for T in placements)
+    if total > _TOO_LARGE * apart:
         yield (
-            f"the arm's links have a total length of {sum(sizes):.2g} m, but its joints are only "
+            f"the arm's links have a total length of {total:.2g} m, but its joints are only "
             f"{apart:.2g} m apart in total: if meshes are too large in the report, set their "
             'scale="..." in the URDF'
         )
@@ -194,17 +190,15 @@ def _joints(robot: NewRobot) -> Iterator[str]:
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
     for name, (low, high, lower, upper) in zip(robot.parsed.arm.names, ranges, strict=True):
         if (low, high) != (lower, upper):
-            *_, why = limits.source["position_lower"].partition(f"; {name}{STOPPED}")
             yield (
                 f"{name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
-                f"before {why.partition('; ')[0]}"
+                f"before {limits.stops[name]}"
             )
-    assumed: dict[str, str] = {}
-    for field, text in limits.source.items():
-        for part in text.split("; "):
-            if part.startswith("assumed for "):  # for both position limits at once, or for one
-                assumed.setdefault(part.removeprefix("assumed for "), field.replace("_", " "))
-    for part, field in assumed.items():
+    fields: dict[str, str] = {}  # the first field: both position limits can be assumed alike
+    for field, assumed in limits.assumed.items():
+        for what, names in assumed.items():
+            fields.setdefault(f"{', '.join(names)}: {what}", field.replace("_", " "))
+    for part, field in fields.items():
         yield f"{field} of {part} (assumed)"
 
 
@@ -220,10 +214,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Warnings of joints that the model fixes, such as suspensions and those of a head or legs.
-
-    Joints of the base without limits, such as wheels and casters, are not reported.
-    """
+    """Warnings of joints that the model fixes, except the base's wheels and casters."""
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
     if rigid := [joint for joint in above if joint.kind != "fixed"]:
@@ -254,7 +245,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Warnings of the links beside the arm's chain that can leave their bodies; one for a body."""
+    """For each body, a warning of the link beside the arm's chain that leaves the body farthest."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
@@ -272,9 +263,8 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes.
-
-    The points (N, 3) [m] are in the frame of the body's joint.
+    """(N,) [m] lower bounds of the signed distances of points (N, 3) [m], in the frame of a body's
+    joint, to the meshes of the body's shapes.
     """
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
@@ -321,17 +311,16 @@ def _base(robot: NewRobot) -> Iterator[str]:
             f"the base drives along the {way} axis of {robot.parsed.arm.base}: --mount-xyz is in "
             "the frame of that link"
         )
-    inertias, seen, geometry = robot.parsed.inertias, [], robot.parsed.geometry
-    for link, each in [(k, each) for k, each in geometry.items() if k in inertias]:
-        if not each.seen_only:
-            continue
-        if inertias[link].assumed and all(shape.kind == "sphere" for shape in each.shapes):
+    inertias, geometry = robot.parsed.inertias, robot.parsed.geometry
+    seen = [link for link, each in geometry.items() if link in inertias and each.seen_only]
+    for link in list(seen):
+        spheres = all(shape.kind == "sphere" for shape in geometry[link].shapes)
+        if spheres and inertias[link].assumed:
+            seen.remove(link)
             yield (
                 f"{link} is a sphere with only a <visual> and no mass: it counts as a part with "
                 f"{inertias[link].inertia.mass:.2g} kg; if it is a marker, remove its <visual>"
             )
-        else:
-            seen.append(link)
     if seen:
         yield f"links without a collision shape, whose visual shape is used: {', '.join(seen)}"
     if mesh_paths := robot.urdf.count('filename="/'):
@@ -349,7 +338,7 @@ class Carried(NamedTuple):
     axis: Axis  # axis of the base's motion
     speed: float  # [m/s or rad/s]
     place: float  # [-] share of the postures in which the arm cannot hold the position
-    pose: float  # [-] share in which it cannot hold position and orientation at the same time
+    pose: float  # [-] share in which the arm cannot hold position and orientation at the same time
 
     @property
     def text(self) -> str:
@@ -360,10 +349,8 @@ class Carried(NamedTuple):
 
 
 def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
-    """Shares of postures in which the arm cannot hold its end-effector, for each axis of the base.
-
-    In these postures the arm is too slow or lacks a joint, see `lost_ee`. The postures are those of
-    `_near_postures`; the base moves along one axis at its largest commanded speed.
+    """Shares of `_near_postures` with `lost_ee`, for the largest commanded speed along each axis of
+    the base.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, model.description.config.admittance)
@@ -374,40 +361,30 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
         for i in range(n_b):
             moved = state.J_ee[:, :n_b] @ model.J_m_inv[:, i] * speeds[i]
             lost[k, i] = lost_ee(state.J_ee[:, n_b:], moved, model.qd_max)
-    shares = lost.mean(axis=0).tolist()
-    return tuple(
-        Carried(axis, speed, *share)
-        for axis, speed, share in zip(base.axes, speeds.tolist(), shares, strict=True)
-    )
+    rows = zip(base.axes, speeds.tolist(), lost.mean(axis=0).tolist(), strict=True)
+    return tuple(Carried(axis, speed, *shares) for axis, speed, shares in rows)
 
 
 def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, and its pose, while the base moves.
 
-    The criterion is the least-squares residual of J_arm q̇ = -J_base ν within the joints' speed
-    limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
-    linear motion. The solution of all six rows leaves a linear and an angular residual. The pose is
-    lost if one of these exceeds a tenth of the larger one of linear and angular motion, or if the
-    position is lost. A lever of 0.3 m converts angular parts to metres.
+    The position is lost if the residual of J_arm q̇ + `moved`, minimised within the speed limits of
+    the joints, exceeds a tenth of the motion. Only linear rows count. The pose is lost if the
+    position is, or if the linear or the angular part of the residual of all rows exceeds a tenth of
+    the larger part of the motion. A lever of 0.3 m converts angular parts to metres.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
-        moved: (6,) [m/s, rad/s] J_base ν, velocity of the end-effector with the arm at rest.
+        moved: (6,) [m/s, rad/s] velocity of the end-effector if only the base moves.
         qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
     """
-    linear, angular = float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
-    left = np.linalg.norm(_least(J_arm[:3], moved[:3], qd_max))
-    place = bool(left > _LEFT * linear + _NOTHING)
-    scale = np.repeat([1.0, _LEVER], 3)
-    both = _least(scale[:, None] * J_arm, scale * moved, qd_max)
-    most = _LEFT * max(linear, _LEVER * angular) + _NOTHING
-    pose = max(np.linalg.norm(both[:3]), np.linalg.norm(both[3:])) > most
-    return place, place or bool(pose)
-
-
-def _least(J: Array, moved: Array, qd_max: Array) -> Array:
-    """The residual J q̇ + `moved` of the smallest norm with |q̇| ≤ `qd_max`."""
-    return J @ lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls").x + moved
+    scale, lost = np.repeat([1.0, _LEVER], 3), []
+    for rows in (3, 6):
+        J, motion = (scale[:, None] * J_arm)[:rows], (scale * moved)[:rows]
+        left = J @ lsq_linear(J, -motion, (-qd_max, qd_max), method="bvls").x + motion
+        most, worst = (max(np.linalg.norm(v[:3]), np.linalg.norm(v[3:])) for v in (motion, left))
+        lost.append(bool(worst > _LEFT * most + _NOTHING))
+    return lost[0], any(lost)
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
@@ -427,10 +404,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
-    """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
-
-    Each value belongs to one of `_near_postures`, at rest: the `force_bound` of the nearest of
-    `pairs`, the pairs with the base. Without pairs, N is 0.
+    """(N,) [N] largest push on the arm towards the base that the joint torques can resist, for each
+    of `_near_postures`: the `force_bound` of the nearest of `pairs` at rest. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():
@@ -444,19 +419,13 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     return np.array(found)
 
 
-def weaker_than_person(model: RobotModel, borne: Array) -> tuple[float, float]:
-    """[N] force of a person; [-] share of `borne`, a result of `borne_push`, below this force."""
-    person = model.description.config.hand.f_max
-    return person, float((borne < person).mean()) if len(borne) else 0.0
-
-
 def push_warning(model: RobotModel, borne: Array) -> str:
     """A warning of an arm that a person can push against the base, or empty.
 
     `borne` is the result of `borne_push`.
     """
-    person, weak = weaker_than_person(model, borne)
-    if weak <= _OFTEN:
+    person = model.description.config.hand.f_max
+    if not len(borne) or (weak := float((borne < person).mean())) <= _OFTEN:
         return ""
     return (
         f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the "
@@ -471,18 +440,10 @@ def _near_postures(model: RobotModel) -> Array:
     If fewer than 25 of 2,000 random postures qualify, the distance does not matter. If all have
     contact, the only posture is that of the lower limits.
     """
-    mobile = model.body_names[0]
-    distances = PairDistances(model, candidate_pairs(model))
-    clear, near = [], []
-    for q_m in sample_joints(model, _SAMPLES, np.random.default_rng(0)):
-        distances.update(model.configuration((0.0, 0.0, 0.0), q_m))
-        d = distances.distances()
-        if min(d, default=1.0) <= 0.0:
-            continue
-        clear.append(q_m)
-        to_base = [x for x, pair in zip(d, distances.pairs, strict=True) if pair.a == mobile]
-        if min(to_base, default=0.0) < _NEAR:
-            near.append(q_m)
-        if len(near) == _POSTURES:
-            break
-    return np.array(near if len(near) >= _POSTURES // 4 else clear[:_POSTURES] or [model.q_lower])
+    pairs, q_m = candidate_pairs(model), sample_joints(model, _SAMPLES, np.random.default_rng(0))
+    distances = PairDistances(model, pairs).sampled(q_m)
+    clear = (distances > 0.0).all(axis=1)
+    to_base = distances[:, [pair.a == model.body_names[0] for pair in pairs]]
+    near = clear & (to_base < _NEAR).any(axis=1)
+    chosen = near if near.sum() >= _POSTURES // 4 else clear
+    return q_m[chosen][:_POSTURES] if chosen.any() else model.q_lower[None]

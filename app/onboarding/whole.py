@@ -1,7 +1,6 @@
 """The robot of a request: one or two URDFs as one tree, before any shape is read.
 
-This module imports little, so a wrong file is refused before slow imports and before
-processes start.
+This module imports little, so that a wrong file is refused before slow imports.
 """
 
 import logging
@@ -9,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import accumulate
+from operator import mul
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR
 
 @contextmanager
 def one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert an exception of a library to a `RobotFileError` of one line with the step `doing`."""
+    """Convert an exception of a library to a `RobotFileError` that names the step `doing`."""
     try:
         yield
     except DbbError:
@@ -88,7 +88,7 @@ def with_arm(tree: Tree, arm: Tree, base: str, tip: str, T: pin.SE3) -> tuple[Tr
     """A tree with the root of an arm fixed to the link `base`, and the new name of the arm's `tip`.
 
     Links and joints of the arm whose names also occur in `tree` get the prefix `arm_`. T is
-    T_base_root, the pose of the arm's root. A missing link `base` is an error.
+    T_base_root, the pose of the arm's root. A missing link `base` raises a `RobotFileError`.
     """
     tree.check_link(base, "--base")
     tree = _renamed(tree, {}, _distinct(tree.joints, {ARM_ON_BASE}, tree.joints, "{}_joint"))
@@ -105,9 +105,9 @@ def with_arm(tree: Tree, arm: Tree, base: str, tip: str, T: pin.SE3) -> tuple[Tr
 def with_distinct_names(tree: Tree) -> tuple[Tree, dict[str, str]]:
     """The tree with distinct names, and the new names of its renamed links by the old ones.
 
-    A joint with the name of a link or with a reserved name gets the suffix `_joint`. A link with a
-    reserved name gets the suffix `_link`. This program and pinocchio use the reserved names.
-    pinocchio and MuJoCo cannot distinguish a link from a joint of the same name.
+    A joint with the name of a link gets the suffix `_joint`, because pinocchio and MuJoCo cannot
+    distinguish the two. So does a joint with a name that this program or pinocchio reserves; a link
+    with such a name gets the suffix `_link`.
     """
     links = _distinct(tree.links, _OWN_LINKS, {*tree.links, *tree.joints}, "{}_link")
     foreign = {links.get(name, name) for name in tree.links} | _OWN_JOINTS
@@ -145,19 +145,15 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     """A tree with one joint for each telescope from `base` to `tip`; a sentence on each telescope.
 
     A telescope has one independent prismatic joint and others that follow it (`<mimic>`). In the
-    new tree, this joint alone moves the last part, by the sum of all positions. Each other
-    part becomes a child of the last part, on an independent prismatic joint, whose limits include
-    all positions of the part relative to the last part.
+    new tree, this joint alone moves the last part, by the sum of all positions. Each other part
+    becomes a child of the last part, on an independent prismatic joint, whose limits include all
+    positions of the part relative to the last part.
     """
     if not {base, tip} <= tree.links.keys():
         return tree, []  # `find_arm` reports this
     joints, said = dict(tree.joints), []
-    chain = tree.chain(base, tip)
-    for run, parts, sums in _telescopes(chain):
-        leader, *others = sorted(parts, key=lambda joint: joint.mimic is not None)
-        led = _followers(tree, parts, leader.name, abs(sums[-1]))
-        changed = (*led, *_joined(run, parts, sums, leader, others))
-        joints |= {joint.name: joint for joint in changed}
+    for leader, parts, places, sums in _telescopes(tree.chain(base, tip)):
+        joints |= {joint.name: joint for joint in _joined(tree, leader, parts, places, sums)}
         said.append(
             f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
             f"one joint: the position of {leader.name} is now the sum of their positions"
@@ -165,67 +161,56 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     return replace(tree, joints=joints), said
 
 
-def _telescopes(chain: list[Joint]) -> Iterator[tuple[list[Joint], list[Joint], list[float]]]:
-    """For each telescope: all joints from its first to its last part, the joints of its parts, and
-    the total travel of each part along the axis of the first part, for a unit travel of the leader.
+def _telescopes(
+    chain: list[Joint],
+) -> Iterator[tuple[Joint, list[Joint], list[pin.SE3], list[float]]]:
+    """For each telescope: its leader (the independent joint), the joints of its parts, the poses of
+    the parts relative to the parent of the first one, and the total travel of each part along the
+    axis of the first part, for a unit travel of the leader.
 
-    The joints of the parts are prismatic and parallel, with only fixed joints between them. The
-    leader is the independent one; the others follow it.
+    The joints of the parts are prismatic and parallel, with only fixed joints between them.
     """
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
-        own = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
-        first = moving.index(own[0])
-        together = own == moving[first : first + len(own)]
-        if len(own) > 1 and together and {j.kind for j in own} == {"prismatic"}:
-            run = chain[chain.index(own[0]) : chain.index(own[-1]) + 1]
-            cosines = _directions(run, own)
-            factors = (joint.mimic[1] if joint.mimic else 1.0 for joint in own)
-            sums = [*accumulate(k * f for k, f in zip(map(round, cosines), factors, strict=True))]
-            if min(map(abs, cosines)) > PARALLEL and sums[-1] != 0.0:
-                yield run, own, sums
+        parts = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
+        run = chain[chain.index(parts[0]) : chain.index(parts[-1]) + 1]
+        together = parts == [joint for joint in run if joint in moving]
+        if len(parts) == 1 or not together or {joint.kind for joint in parts} != {"prismatic"}:
+            continue
+        offsets = [joint.mimic[2] if joint in parts and joint.mimic else 0.0 for joint in run]
+        motions = [joint.motion(q) for joint, q in zip(run, offsets, strict=True)]
+        names = [joint.name for joint in run]
+        poses = dict(zip(names, accumulate(motions, mul), strict=True))
+        axes = [poses[joint.name].rotation @ joint.axis for joint in parts]
+        cosines = [float(axes[0] @ axis) for axis in axes]
+        factors = (joint.mimic[1] if joint.mimic else 1.0 for joint in parts)
+        sums = [*accumulate(k * f for k, f in zip(map(round, cosines), factors, strict=True))]
+        if min(map(abs, cosines)) > PARALLEL and sums[-1] != 0.0:
+            yield leader, parts, [poses[joint.name] for joint in parts], sums
 
 
-def _directions(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
-    """The cosines of the angles between the axis of the first part and those of all parts."""
-    found, R = [], np.eye(3)
-    for joint in run:
-        R = R @ joint.T_parent_child.rotation
-        if joint in parts:
-            found.append(R @ joint.axis)
-    return [float(found[0] @ axis) for axis in found]
-
-
-def _followers(tree: Tree, parts: Sequence[Joint], leader: str, total: float) -> Iterator[Joint]:
-    """Joints outside a telescope that follow one of its parts; they will follow the leader, whose
-    new position is `total` times its former position.
+def _joined(
+    tree: Tree,
+    leader: Joint,
+    parts: Sequence[Joint],
+    places: Sequence[pin.SE3],
+    sums: Sequence[float],
+) -> Iterator[Joint]:
+    """The changed joints for a telescope: the leader moves the last part, the others are on it, and
+    joints outside that follow one of the parts follow the leader.
     """
-    own = {joint.name: joint.mimic or (leader, 1.0, 0.0) for joint in parts}
+    low, high = leader.lower or 0.0, leader.upper or 0.0
+    total, end, last = abs(sums[-1]), places[-1], parts[-1].child
+    own = {joint.name: joint.mimic or (leader.name, 1.0, 0.0) for joint in parts}
     for joint in tree.joints.values():
         if joint.name not in own and joint.mimic is not None and joint.mimic[0] in own:
             name, factor, offset = joint.mimic
             _, part_factor, part_offset = own[name]
-            mimic = leader, factor * part_factor / total, offset + factor * part_offset
+            mimic = leader.name, factor * part_factor / total, offset + factor * part_offset
             yield joint._replace(mimic=mimic)
-
-
-def _joined(
-    run: Sequence[Joint],
-    parts: Sequence[Joint],
-    sums: Sequence[float],
-    leader: Joint,
-    others: Sequence[Joint],
-) -> Iterator[Joint]:
-    """The changed joints of a telescope: the leader moves the last part; `others` are on it."""
-    low, high = leader.lower or 0.0, leader.upper or 0.0
-    places, T = {}, pin.SE3.Identity()
-    for joint in run:
-        T = T * joint.motion(joint.mimic[2] if joint in parts and joint.mimic else 0.0)
-        places[joint.name] = T
-    total, end, last = abs(sums[-1]), places[parts[-1].name], parts[-1].child
-    along = places[parts[0].name].rotation @ parts[0].axis * np.sign(sums[-1])
+    along = places[0].rotation @ parts[0].axis * np.sign(sums[-1])
     yield leader._replace(
-        parent=run[0].parent,
+        parent=parts[0].parent,
         child=last,
         T_parent_child=end,
         axis=end.rotation.T @ along,
@@ -234,11 +219,11 @@ def _joined(
         effort=(leader.effort or 0.0) / total,
         velocity=(leader.velocity or 0.0) * total,
     )
+    names = [joint.name for joint in parts if joint is not leader]
     free = leader._replace(parent=last, effort=0.0, velocity=0.0)
-    for joint, part, factor in zip(others, parts[:-1], sums[:-1], strict=True):
-        place = places[part.name]
+    for name, part, place, factor in zip(names, parts[:-1], places[:-1], sums[:-1], strict=True):
         lower, upper = sorted((factor * np.sign(sums[-1]) - total) * q for q in (low, high))
         axis, T = place.rotation.T @ along, end.actInv(place)
         yield free._replace(
-            name=joint.name, child=part.child, T_parent_child=T, axis=axis, lower=lower, upper=upper
+            name=name, child=part.child, T_parent_child=T, axis=axis, lower=lower, upper=upper
         )

@@ -1,7 +1,6 @@
 """Bodies around groups of links: small convex shapes around the points that other links can reach.
 
-A unit is a group of links that moves as one rigid body (`app.onboarding.fit.units`). A body
-encloses one or more units.
+A body encloses one or more units (`app.onboarding.fit.units`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from app.errors import RobotFileError
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings
-from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_volume, lean_corners
+from app.onboarding.fit.convex import Fit, PointHull, fit_best, hull, lean_corners
 from app.onboarding.fit.units import Unit, hulls, moved, shape_distances
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import Hull
@@ -37,23 +36,23 @@ class FittedBody(NamedTuple):
     name: str
     frame: str  # link whose frame the shapes use
     links: tuple[str, ...]
-    units: tuple[int, ...]  # indices of the units (groups of links) that the body encloses
+    units: tuple[int, ...]  # indices of the units that the body encloses
     fits: tuple[Fit, ...]  # its shapes, in `frame`
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """For a link of this body, the links nested with it in bodies nearer to the base, except in the
-    neighbour of this body."""
+    """For a link of this body, the links nested with it in bodies nearer to the base that are not
+    the neighbour of this body."""
 
 
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
-    By default l_m has one box. Each further shape, and each polytope instead of a box, must save
-    `_SAVES` contacts of l_m with the arm per posture, in postures in which no links touch.
+    l_m has one box, unless each further shape, and each polytope instead of a box, saves more than
+    `_SAVES` contacts of l_m with the arm per posture, in the postures of `_touched`.
     """
-    units, base = meetings.units, meetings.units[0]
+    units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]
     tried = [
-        [fit_best(points, {kind: 1.0}) for points in groups]
+        [fit_best(around, {kind: 1.0}) for around in groups]
         for groups in _divided(corners)
         for kind in ("box", "hull")
     ]
@@ -63,27 +62,27 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     ]
     fits = tried[int(np.argmin(costs))]
     links = tuple(link for k in mobile for link in units[k].links)
-    return FittedBody("lm", base.frame, links, mobile, tuple(fits))
+    return FittedBody("lm", units[0].frame, links, mobile, tuple(fits))
 
 
-def _divided(corners: Sequence[Array]) -> list[list[Array]]:
-    """Divisions of parts into one, two, three and four groups; hull corners represent a group.
+def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
+    """Divisions of parts into one, two, three and four groups; the hull represents a group.
 
     Each division results from the one with one group more by the merger that adds the least volume.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
-    known: dict[tuple[int, int], tuple[float, tuple[Array, float]]] = {}  # growth and merged hull
-    divisions: list[list[Array]] = []
+    known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
+    divisions: list[list[PointHull]] = []
     for new in range(len(groups), 2 * len(groups)):
         if len(groups) <= _MOST:
-            divisions.insert(0, [points for points, _ in groups.values()])
+            divisions.insert(0, [*groups.values()])
         if len(groups) == 1:
             break
-        for i, j in combinations(groups, 2):
-            if (i, j) not in known:
-                (a, first), (b, second) = groups[i], groups[j]
-                merged = hull(np.vstack([a, b]))
-                known[i, j] = merged[1] - first - second, merged
+        for pair in combinations(groups, 2):
+            if pair not in known:
+                a, b = (groups[k] for k in pair)
+                merged = hull(np.vstack([a.corners, b.corners]))
+                known[pair] = merged.volume - a.volume - b.volume, merged
         i, j = min(combinations(groups, 2), key=lambda pair: known[pair][0])
         groups[new] = known[i, j][1]
         del groups[i], groups[j]
@@ -94,7 +93,7 @@ def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
     """(tries,) [-] for each of `tried`: mean number of the arm's units, not close by design, that a
-    body of these shapes touches in free postures, or in all postures if none is free.
+    body of these shapes touches in postures without touching units, or in all if there are none.
     """
     free = (meetings.random.distances > 0.0).all(axis=1)
     q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
@@ -121,41 +120,37 @@ class ArmFitter:
         """The bodies l_1 … l_EE for groups of units, from the base outwards.
 
         A body encloses the points of its links that units of bodies other than its neighbours can
-        reach. Without such points, or if the volume that they sweep as the body's joints move is
-        tiny, it encloses its links completely.
+        reach. If these points, while the body's joints move, sweep less than `_SPOT`, the body
+        encloses its links completely.
 
         Raises:
             RobotFileError: The links of a group have no shapes.
         """
-        names = [*(f"l{k}" for k in range(1, len(grouping))), "lEE"]
         groups, result = [self._mobile, *grouping], []
         for k, group in enumerate(grouping, 1):
             others = [u for j, far in enumerate(groups) if abs(j - k) > 1 for u in far]
-            result.append(self._body(names[k - 1], tuple(group), others))
+            units = [self._meetings.units[u] for u in group]
+            needed = [self._meetings.needed(u, others) for u in group]
+            whole = [np.ones(len(unit.surface), dtype=bool) for unit in units]
+            links = tuple(link for unit in units for link in unit.links)
+            fitted = self._smallest(units, needed) or self._smallest(units, whole)
+            if fitted is None:
+                raise RobotFileError(
+                    f"the links {', '.join(links)} have no shapes for a body; choose another "
+                    "number of --bodies"
+                )
+            fits, joint = fitted
+            frame = next(unit.frame for unit in units if unit.joint == joint)
+            name = f"l{k}" if k < len(grouping) else "lEE"
+            result.append(FittedBody(name, frame, links, tuple(group), fits))
         return result
-
-    def _body(self, name: str, group: tuple[int, ...], others: Sequence[int]) -> FittedBody:
-        units = [self._meetings.units[k] for k in group]
-        needed = [self._meetings.needed(k, others) for k in group]
-        whole = [np.ones(len(u.surface), dtype=bool) for u in units]
-        links = tuple(link for unit in units for link in unit.links)
-        # Without a collision, or with one only in a tiny region, the body encloses the whole links.
-        fitted = self._smallest(units, needed) or self._smallest(units, whole)
-        if fitted is None:
-            raise RobotFileError(
-                f"the links {', '.join(links)} have no shapes for a body; choose another number of "
-                "--bodies"
-            )
-        fits, joint = fitted
-        frame = next(u.frame for u in units if u.joint == joint)
-        return FittedBody(name, frame, links, group, fits)
 
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int] | None:
         """The smallest fit of one or more shapes in a joint's frame, and the joint's number.
 
-        It is None if `masks` select no points of the units, or their swept volume is below `_SPOT`.
+        None if the points of the units that `masks` select sweep less than `_SPOT`.
         """
         pieces = [
             (unit.joint, part)
@@ -177,26 +172,23 @@ class ArmFitter:
     ) -> tuple[tuple[Fit, ...], int] | None:
         none = dict.fromkeys(joints, np.zeros((0, 3)))
         needed = {k: np.vstack([none[k], *(p for j, p in pieces if j == k)]) for k in none}
-        tried = [(v, joint, c) for joint, (c, v) in swept(self._model, needed).items()]
-        tried.sort(key=lambda each: each[0])
-        if tried[0][0] < _SPOT:
+        tried = sorted(swept(self._model, needed).items(), key=lambda each: each[1].volume)
+        if tried[0][1].volume < _SPOT:
             return None
-        fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint) for v, joint, c in tried[:2]]
+        fits = [(fit_best(around, ARM_WEIGHTS), joint) for joint, around in tried[:2]]
         one, frame = min(fits, key=lambda each: each[0].volume)
-        seen = [swept(self._model, {**none, j: p})[frame][0] for j, p in pieces]
+        seen = [swept(self._model, {**none, j: p})[frame].corners for j, p in pieces]
         several = min(
-            _divided(seen), key=lambda each: sum(map(hull_volume, each)) / _LEFT ** (len(each) - 1)
+            _divided(seen), key=lambda each: sum(h.volume for h in each) / _LEFT ** (len(each) - 1)
         )
         if len(several) == 1:
             return (one,), frame
-        return tuple(fit_best(corners, ARM_WEIGHTS) for corners in several), frame
+        return tuple(fit_best(around, ARM_WEIGHTS) for around in several), frame
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
-    """The points of the link `owner` in `mask`, in groups (N, 3) [m] distant from one another.
-
-    The distance of two groups exceeds `_APART`, and twice the largest distance from a point of the
-    link's surface to its nearest neighbour.
+    """The points of the link `owner` in `mask`, in groups (N, 3) [m] more than `_APART` apart, and
+    more than twice the largest distance from a point of the link's surface to the nearest one.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
     if len(points) < 2:
@@ -211,12 +203,11 @@ _PASSED = 256  # [-] number of cached results of `_through`
 _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to its inscribed radius
 
 
-def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """For each joint of a chain: corners (N, 3) [m], in its frame, and volume [m³] of a hull.
+def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, PointHull]:
+    """For each joint of a chain: the hull, in the joint's frame, of all points of the chain at all
+    positions of the joints.
 
-    The hull encloses the points on all joints of the chain, at all positions of these joints.
     `points` (N, 3) [m] are in the frame of each joint, by its number; the numbers are consecutive.
-    Each joint is swept once with all points beyond it, and once with all points before it.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
@@ -237,35 +228,20 @@ def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Arra
     joint before it; otherwise the reverse. `data` has the bytes of the points, as a key of a cache.
     """
     points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
-    corners = hull_corners(points if outwards else moved(points, placement.inverse()))
-    axis, turns = _axis(model, joint)
-    if turns:
-        corners = _grown(corners, axis)
+    corners = hull(points if outwards else moved(points, placement.inverse())).corners
+    kind = model.pin.joints[joint]
+    of_joint = kind.createData()
+    kind.calc(of_joint, pin.neutral(model.pin))
+    S = np.asarray(of_joint.S).ravel()
+    turns = bool(np.abs(S[3:]).max() > 0.5)
+    if turns:  # the polygon of the sampled positions of a point then encloses its circular path
+        along = np.outer(corners @ S[3:], S[3:])
+        corners = along + (corners - along) * _SAGITTA
     clouds = []
     for position in _positions(model, joint, turns):
-        turn, shift = (axis * position, np.zeros(3)) if turns else (np.zeros(3), axis * position)
-        motion = pin.SE3(pin.exp3(turn), shift)
+        motion = pin.SE3(pin.exp3(S[3:] * position), S[:3] * position)
         clouds.append(moved(corners, placement * motion if outwards else motion.inverse()))
     return lean_corners(np.vstack(clouds))
-
-
-def _grown(points: Array, axis: Array) -> Array:
-    """Points (N, 3) [m], moved away from an axis (3,) through the origin by the factor `_SAGITTA`.
-
-    The polygon of the sampled positions of a point then encloses the point's circular path.
-    """
-    along = np.outer(points @ axis, axis)
-    return along + (points - along) * _SAGITTA
-
-
-def _axis(model: RobotModel, joint: int) -> tuple[Array, bool]:
-    """The axis (3,) of a joint in its own frame, and whether the joint is revolute."""
-    kind = model.pin.joints[joint]
-    data = kind.createData()
-    kind.calc(data, pin.neutral(model.pin))
-    S = np.asarray(data.S).ravel()
-    turns = bool(np.abs(S[3:]).max() > 0.5)
-    return (S[3:] if turns else S[:3]), turns
 
 
 def _positions(model: RobotModel, joint: int, turns: bool) -> Array:

@@ -1,7 +1,4 @@
-"""Collision sampling: the units of links that meet in random postures of the arm.
-
-A unit is a group of links that moves as one rigid body (`app.onboarding.fit.units`).
-"""
+"""Collision sampling: the units (groups of links) that meet in random postures of the arm."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -9,7 +6,6 @@ from itertools import combinations, compress, product
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from app.jobs.pool import ALONE, Workers
 from app.onboarding.fit.convex import directions
@@ -20,6 +16,7 @@ from app.onboarding.fit.units import (
     link_shapes,
     moved,
     neighbours,
+    placements,
     shape_distances,
     units_of_links,
 )
@@ -64,25 +61,25 @@ class Meetings:
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]  # units that are not neighbours, by their indices
     close: frozenset[tuple[int, int]]
-    """Pairs that no buffer can monitor: the units are within d_b in most free postures, or they are
-    units of the arm that touch, but overlap by at most 3 mm."""
+    """Pairs of units that no pair of bodies can monitor: within d_b in most free postures, or units
+    of the arm that touch, but overlap by at most 3 mm."""
     apart: frozenset[tuple[int, int]]
     """Pairs of a unit on the base and a unit of the arm, not nested, that are within d_b in most
     free postures and overlap by over 5 mm in some: joint limits have to prevent the overlap."""
     random: Postures
     rare: Postures  # of pairs that rarely collide; see `_rare_postures`
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
-    """For a pair (u, v): whether v has reached each point of the surface of u."""
+    """(N,) for units u and v, in both orders: whether v has reached each point on u's surface."""
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """Close pairs that touch in most random postures, by design as in a telescope."""
+        """Close pairs that touch in most random postures, such as the parts of a telescope."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
     @property
     def grazing(self) -> frozenset[tuple[int, int]]:
-        """Close pairs of the arm that touch but overlap by at most 3 mm; d_b does not matter."""
+        """Pairs of the arm's units that touch, but overlap by at most 3 mm, for any d_b."""
         distances = np.vstack([self.random.distances, self.rare.distances])
         return _grazing(self.units, self.pairs, distances)
 
@@ -106,15 +103,14 @@ def sample_meetings(
     seed: int,
     d_b: float,
     enough: int = 0,
-    points: bool = True,
     stopped: bool = False,
     workers: Workers = ALONE,
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
     First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
-    them are `possible` and have a collision. With `points`, the result has `met`. `stopped` means
-    that joint limits prevent the collisions of the pairs in `apart`: these are not in `close` then.
+    them are `possible` and have a collision. `stopped` means that the joint limits already prevent
+    collisions of the pairs in `apart`: then these pairs are not in `close`, and `met` is empty.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -140,21 +136,18 @@ def sample_meetings(
         for q_m, each in ((q_m, distances), (rare_q, gaps))
     )
     found = replace(found, close=close | graze, random=random, rare=rare)
-    if points:
-        met: dict[tuple[int, int], Array] = {}
-        for masks in workers.map(_met, [(found, model, k) for k in range(len(pairs))]):
-            met.update(masks)
-        return replace(found, met=met)
-    return found
+    jobs = [] if stopped else [(found, model, k) for k in range(len(pairs))]
+    met: dict[tuple[int, int], Array] = {}
+    for masks in workers.map(_met, jobs):
+        met.update(masks)
+    return replace(found, met=met)
 
 
 def _built_near(
     units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
-    """The fields `close` and `apart` of `Meetings`, and indices of columns of `distances`.
-
-    `distances` (N, pairs) [m] are those of random postures. The columns are those of close pairs
-    that are not nested: the real robot cannot make them touch.
+    """The fields `close` and `apart` of `Meetings` by distances (N, pairs) [m], and the indices of
+    the close pairs that are not nested: the real robot cannot make them touch.
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
@@ -166,16 +159,15 @@ def _built_near(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's units that touch in `_RARE` postures or more, at most `_GRAZE` deep."""
+    """Pairs of the arm's units with `_RARE` contacts or more, at most `_GRAZE` deep."""
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
     touching = compress(pairs, shallow)
     return frozenset((u, v) for u, v in touching if min(units[u].joint, units[v].joint) > 1)
 
 
-def _look(_: object, part: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> Array:
-    """The result of `hull_distances` with the arguments `part`, in a worker process."""
-    return hull_distances(*part)
+def _look(_: object, arguments: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> Array:
+    return hull_distances(*arguments)
 
 
 def _touch_mostly(distances: Array) -> Array:
@@ -184,11 +176,10 @@ def _touch_mostly(distances: Array) -> Array:
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
-    """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
+    """Pairs (link of u, link of v) that touch in at least half of the postures in which u and v do.
 
-    Units are nested if `found.nested` has them, or if they are neighbours that touch in at least
-    `BUILT_IN` of the postures. Two links of such units are nested if they touch in at least
-    `BUILT_IN` of the postures in which the units touch.
+    There is no such pair if u and v are neither `found.nested`, nor neighbours that touch in at
+    least half of the postures.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
@@ -212,7 +203,7 @@ def link_gaps(
 def nested_touches(model: RobotModel, geometry: Geometry) -> dict[tuple[str, str], float]:
     """[-] share of random postures in which two nested links of a description touch, by the pair.
 
-    It is 0 for a link without a shape; pairs of `nested_links` should have at least `NESTED`.
+    It is 0 if a link has no shape.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -233,10 +224,9 @@ def _rare_postures(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) further colliding postures of pairs that collide in fewer than `_RARE` sampled ones.
-
-    They are variations of the postures in which the pair was nearest. Pairs in `close`, and pairs
-    always more than `_FAR` apart, are left out. `sampled`: postures (N, n_m), distances (N, pairs).
+    """(N, n_m) further colliding postures of pairs that collide in fewer than `_RARE` sampled ones:
+    variations of the postures in which the pair is nearest. Pairs in `close`, and pairs always more
+    than `_FAR` apart, are left out. `sampled`: postures (N, n_m), distances (N, pairs).
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]
@@ -271,10 +261,9 @@ def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[
 
 
 def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:
-    """`met` of one pair of units; the job has the index of the pair."""
+    """The entries of `met` for one pair of units; the job has the index of the pair."""
     found, model, k = job
-    data, units, (a, b) = model.pin.createData(), found.units, found.pairs[k]
-    column = found.random.distances[:, k]
+    units, (a, b), column = found.units, found.pairs[k], found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
     # Not all of many postures: a selection that is evenly spread from shallow to deep collisions.
     met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
@@ -286,19 +275,11 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
         return {}
     masks = {(u, v): np.zeros(len(units[u].surface), dtype=bool) for u, v in ((a, b), (b, a))}
     for posture in postures:
-        q = model.configuration((0.0, 0.0, 0.0), posture)
-        pin.forwardKinematics(model.pin, data, q)
+        placed = placements(model, posture)
         for (u, v), mask in masks.items():
-            T = data.oMi[units[v].joint].actInv(data.oMi[units[u].joint])
+            T = placed[units[v].joint].actInv(placed[units[u].joint])
             left = np.flatnonzero(~mask)
-            mask[left] = _reached(moved(units[u].surface[left], T), units[v])
+            along = moved(units[u].surface[left], T) @ directions(2).T
+            for part in units[v].parts:  # all its hulls, grown by `MARGIN`
+                mask[left] |= (along <= part.reach + MARGIN).all(axis=1)
     return masks
-
-
-def _reached(points: Array, unit: Unit) -> Array:
-    """(N,) whether points (N, 3) [m] in a unit's frame are within `MARGIN` of one of its hulls."""
-    along = points @ directions(2).T
-    inside = np.zeros(len(points), dtype=bool)
-    for part in unit.parts:
-        inside |= (along <= part.reach + MARGIN).all(axis=1)
-    return inside

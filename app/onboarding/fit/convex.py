@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from trimesh.intersections import slice_faces_plane
 
-from app.robot.shapes import Box, Capsule, Hull, Shape
+from app.robot.shapes import Box, Capsule, Hull, Shape, shape_mesh
 from app.strict import Array
 
 _UNIT = 1e-4  # [m] resolution of sizes, which are rounded up
@@ -20,6 +20,27 @@ _SAVED = 0.03  # [-] smallest volume that a cut saves, relative to the hull of t
 _CUBE = 0.02**3  # [m³] smallest volume that a cut saves; that of a fork of 3 cm is larger
 _TRIANGLES = 2000  # [-] approximate number of triangles in the search of a plane
 _PLANES = 7  # [-] number of tried planes along each axis
+
+
+class PointHull(NamedTuple):
+    """The convex hull of points."""
+
+    corners: Array
+    """(M, 3) [m] corners; for flat points, the points, rounded to 1 µm and without duplicates, or
+    unchanged if there are fewer than five."""
+    volume: float  # [m³], 0 for flat points and for fewer than five points
+
+
+def hull(points: Array) -> PointHull:
+    """The convex hull of points (N, 3) [m]."""
+    points = np.asarray(points, dtype=float)
+    if len(points) < 5:
+        return PointHull(points, 0.0)
+    try:
+        found = ConvexHull(points)
+    except QhullError:
+        return PointHull(np.unique(np.round(points, 6), axis=0), 0.0)
+    return PointHull(points[found.vertices], float(found.volume))
 
 
 class Fit(NamedTuple):
@@ -32,39 +53,34 @@ class Fit(NamedTuple):
     protrusion: float  # [m] largest extent beyond the points' hull, along one of 162 directions
 
 
-def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
-    """The shape with the smallest weighted volume around points (N, 3) [m].
+def fit_best(around: PointHull, weights: dict[str, float]) -> Fit:
+    """The shape with the smallest weighted volume around a hull.
 
     `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull.
-    `volume` [m³] is that of the points' convex hull, if it is known and all points are its corners.
     """
-    corners, volume = hull(points) if volume is None else (points, volume)
+    corners, inner = around
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
-    fits = {kind: _judged(kinds[kind](corners), corners, volume) for kind in weights}
-    return min(fits.items(), key=lambda item: weights[item[0]] * item[1].volume)[1]
-
-
-def hull_corners(points: Array) -> Array:
-    """Corners (M, 3) [m] of the convex hull; `hull` describes the result for flat points."""
-    return hull(points)[0]
+    shapes = {kind: kinds[kind](corners) for kind in weights}
+    shape = shapes[min(shapes, key=lambda kind: weights[kind] * volume_of(shapes[kind]))]
+    volume, D = volume_of(shape), directions(2)
+    protrusion = float((support(shape, D) - (D @ corners.T).max(axis=1)).max())
+    return Fit(shape, volume, volume / inner if inner > 0 else np.inf, protrusion)
 
 
 def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
     The polytope has a face for each of 642 directions, evenly spread after scaling the points to
-    equal widths along their principal axes. It exceeds a round hull by about 0.2 % of the points'
-    extent, and by up to 2 % at edges.
+    equal widths along their principal axes. It exceeds a round hull by about 0.2 % of its extent.
     """
-    corners, D = hull_corners(points), directions(3)
+    corners, D = hull(points).corners, directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many
         return corners
     middle = corners.mean(axis=0)
     _, spread, axes = np.linalg.svd(corners - middle, full_matrices=False)
     D = D / np.maximum(spread / np.sqrt(len(corners)), _THINNEST) @ axes
     D /= np.linalg.norm(D, axis=1)[:, None]
-    reach = ((corners - middle) @ D.T).max(axis=0) + _UNIT
-    return _polytope(D, reach) + middle
+    return _polytope(D, ((corners - middle) @ D.T).max(axis=0) + _UNIT) + middle
 
 
 def _polytope(D: Array, reach: Array) -> Array:
@@ -74,7 +90,7 @@ def _polytope(D: Array, reach: Array) -> Array:
 
 def fit_capsule(points: Array) -> Capsule:
     """A small capsule around points (N, 3) [m], by a local search from the best principal axis."""
-    some = _outermost(points)
+    some = points[np.unique((points @ directions(1).T).argmax(axis=0))]  # sufficient for the pose
     centre = some.mean(axis=0)
     axes = np.linalg.svd(some - centre, full_matrices=False)[2]
 
@@ -92,26 +108,23 @@ def fit_capsule(points: Array) -> Capsule:
             low = high = (low + high) / 2
         starts.append(np.concatenate([centre + (low - 1e-3) * axis, centre + (high + 1e-3) * axis]))
     start = min(starts, key=volume)
-    simplex = np.vstack([start, start + 0.03 * np.eye(6)])
     options = {"maxiter": 400, "xatol": 2e-4, "fatol": 1e-7, "adaptive": True}
-    options["initial_simplex"] = simplex
+    options["initial_simplex"] = np.vstack([start, start + 0.03 * np.eye(6)])
     best = minimize(volume, start, method="Nelder-Mead", options=options)
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
-    # Coordinates that are small at both ends become zero if this adds little volume: distances have
-    # simple formulas if the axis of the capsule meets that of a joint.
+    # A coordinate that is small at both ends becomes zero if this adds little volume.
     ends = np.array([found.start_m, found.end_m])
     snapped = _capsule(points, np.where((np.abs(ends) < _SNAP).all(axis=0), 0.0, ends))
     return snapped if volume_of(snapped) < _SNAP_COST * volume_of(found) else found
 
 
 def fit_box(points: Array) -> Box:
-    """A small box around points, with an edge along an axis of the frame or a principal axis.
+    """A small box around points (N, 3); an edge is along an axis of the frame or a principal axis.
 
     A rotated box replaces the best box so far only if its volume is smaller by more than a tenth.
     """
-    straight = _box(points, np.zeros(3))
+    best = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-    best = straight
     for axis in np.vstack([np.eye(3), main]):
         turned = _box(points, np.round(pin.rpy.matrixToRpy(_tight_frame(points, axis)), 4))
         if np.prod(turned.size_m) < 0.9 * np.prod(best.size_m):
@@ -120,7 +133,7 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope around the points, with a face for each of 42 directions; a box if that fails.
+    """A polytope around points (N, 3), with a face for each of 42 directions; a box if qhull fails.
 
     Its frame is at the centre of the points' bounding box, with z along their first principal axis.
     """
@@ -142,56 +155,31 @@ def fit_hull(points: Array) -> Hull | Box:
 
 
 def support(shape: Shape, D: Array) -> Array:
-    """(K,) [m] largest coordinate of a capsule, box or hull along each unit vector of D (K, 3)."""
-    if isinstance(shape, Capsule):
-        ends = np.array([shape.start_m, shape.end_m])
-        return (D @ ends.T).max(axis=1) + shape.radius_m
-    if isinstance(shape, Box):
-        T = shape.placement()
-        return D @ T.translation + np.abs(D @ T.rotation) @ np.array(shape.size_m) / 2
-    assert isinstance(shape, Hull)
+    """(K,) [m] largest coordinate of a shape along each unit vector of D (K, 3)."""
+    if isinstance(shape, Capsule):  # its mesh is not exact
+        return (D @ np.array([shape.start_m, shape.end_m]).T).max(axis=1) + shape.radius_m
     T = shape.placement()
-    return D @ T.translation + (D @ T.rotation @ np.array(shape.vertices_m).T).max(axis=1)
+    return D @ T.translation + (D @ T.rotation @ shape_mesh(shape).vertices.T).max(axis=1)
 
 
 def volume_of(shape: Shape) -> float:
-    """[m³] volume of a shape, computed by the collision library."""
+    """[m³] volume of a shape."""
     return float(shape.coal_geometry().computeVolume())
-
-
-def hull_volume(points: Array) -> float:
-    """[m³] volume of the points' convex hull; 0 for flat points."""
-    return hull(points)[1]
-
-
-def hull(points: Array) -> tuple[Array, float]:
-    """Corners (M, 3) of the convex hull and its volume [m³]; for flat points, the points and 0.
-
-    Fewer than five points count as flat. More flat points are rounded to 1 µm, without duplicates.
-    """
-    points = np.asarray(points, dtype=float)
-    if len(points) < 5:
-        return points, 0.0
-    try:
-        found = ConvexHull(points)
-    except QhullError:
-        return np.unique(np.round(points, 6), axis=0), 0.0
-    return points[found.vertices], float(found.volume)
 
 
 def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """The pieces of a mesh, which planes cut until no cut saves enough volume.
 
-    A cut saves the volume between the hull of a piece and the hulls of its halves. It has to save
-    more than 8 cm³, and more than 3 % of the volume of the hull of `mesh`.
+    A cut saves the difference of the volumes of a piece's hull and of the hulls of its halves. It
+    has to save more than 8 cm³, and more than 3 % of the volume of the hull of `mesh`.
     """
-    whole = hull_volume(mesh.vertices)
+    whole = hull(mesh.vertices).volume
     least = max(_SAVED * whole, _CUBE)
     done, left = [], [(mesh, whole)]
     while left:
         piece, volume = left.pop()
         halves = _halves(piece) if volume > least else []
-        volumes = [hull_volume(half.vertices) for half in halves]
+        volumes = [hull(half.vertices).volume for half in halves]
         if halves and volume - sum(volumes) > least:
             left += zip(halves, volumes, strict=True)
         else:
@@ -205,23 +193,21 @@ def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     The tried planes are normal to the axes. The search uses only some triangles of a large mesh.
     """
     some = mesh.faces[:: 1 + len(mesh.faces) // _TRIANGLES]
-    best, plane = np.inf, None
+    best, found = np.inf, None
     for normal, low, high in zip(np.eye(3), *mesh.bounds, strict=True):
         for at in np.outer(np.linspace(low, high, _PLANES + 2)[1:-1], normal):
-            sides = [slice_faces_plane(mesh.vertices, some, s * normal, at)[0] for s in (1.0, -1.0)]
-            volume = sum(map(hull_volume, sides))
-            if all(len(vertices) for vertices in sides) and volume < best:
-                best, plane = volume, (normal, at)
-    if plane is None:
-        return []
-    normal, at = plane
-    sides = [slice_faces_plane(mesh.vertices, mesh.faces, s * normal, at) for s in (1.0, -1.0)]
+            planes = [(normal, at), (-normal, at)]
+            sides = [slice_faces_plane(mesh.vertices, some, *plane)[0] for plane in planes]
+            volume = sum(hull(vertices).volume for vertices in sides)
+            if all(map(len, sides)) and volume < best:
+                best, found = volume, planes
+    sides = [slice_faces_plane(mesh.vertices, mesh.faces, *plane) for plane in found or ()]
     return [trimesh.Trimesh(*side[:2], process=False) for side in sides]
 
 
 @cache
 def directions(subdivisions: int) -> Array:
-    """(K, 3) evenly spread unit vectors with the axes; K is 42, 162 or 642 for 1, 2 or 3."""
+    """(K, 3) evenly spread unit vectors; K is 42, 162 or 642 for 1, 2 or 3 subdivisions."""
     spread = np.asarray(trimesh.creation.icosphere(subdivisions=subdivisions).vertices)
     D = np.vstack([spread, np.eye(3), -np.eye(3)])
     D = np.unique(np.round(D / np.linalg.norm(D, axis=1)[:, None], 9), axis=0)
@@ -230,7 +216,7 @@ def directions(subdivisions: int) -> Array:
 
 
 def _tight_frame(points: Array, axis: Array) -> Array:
-    """Rotation (3, 3): z along an axis, x and y along the points' smallest rectangle across z."""
+    """Rotation (3, 3): z along `axis`, x and y along the points' smallest rectangle across z."""
     R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
     try:
         T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])
@@ -241,13 +227,6 @@ def _tight_frame(points: Array, axis: Array) -> Array:
     return R @ turn
 
 
-def _judged(shape: Shape, corners: Array, inner: float) -> Fit:
-    D = directions(2)
-    volume = volume_of(shape)
-    protrusion = float((support(shape, D) - (D @ corners.T).max(axis=1)).max())
-    return Fit(shape, volume, volume / inner if inner > 0 else np.inf, protrusion)
-
-
 def _capsule(points: Array, ends: Array) -> Capsule:
     """The smallest capsule with the ends (2, 3) that encloses the points."""
     radius = round(float(np.ceil(_radius(points, *ends) / _UNIT + 1e-6) * _UNIT), 4)
@@ -255,7 +234,7 @@ def _capsule(points: Array, ends: Array) -> Capsule:
 
 
 def _radius(points: Array, a: Array, b: Array) -> float:
-    """[m] largest distance of points to the segment from a to b."""
+    """[m] largest distance of points to the segment from a to b (3,)."""
     along = b - a
     share = np.clip((points - a) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
     off = points - a - share[:, None] * along
@@ -271,11 +250,6 @@ def _box(points: Array, rpy: Array) -> Box:
     centre = np.round(R @ ((low + high) / 2), 5)
     size_m = _three(np.round(size, 4))
     return Box(type="box", size_m=size_m, xyz_m=_three(centre), rpy_rad=_three(rpy))
-
-
-def _outermost(points: Array) -> Array:
-    """The farthest point in each of 42 directions: enough for the pose of a shape, not its size."""
-    return points[np.unique((points @ directions(1).T).argmax(axis=0))]
 
 
 def _three(v: Array) -> tuple[float, float, float]:

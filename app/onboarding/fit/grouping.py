@@ -1,11 +1,9 @@
 """Grouping of links into bodies whose pairs detect collisions and do not react in free postures.
 
-Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A division of the
-chain into groups is judged mainly by the share of colliding postures in which no pair of its bodies
-overlaps, by the share of free postures in which a pair overlaps, and by the pairs that are inside
-their buffer in most free postures. Such a pair is not monitored, like a pair of neighbours, if its
-links are that close by design or if other pairs detect its collisions. A pair detects a collision
-if its bodies overlap in the same posture.
+Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A pair of bodies
+detects a collision if the bodies overlap in the same posture. Two kinds of pairs are not monitored:
+bodies that are neighbours, and pairs that are inside their buffer in most free postures, if their
+links are that close by design or if other pairs detect their collisions.
 """
 
 from collections.abc import Collection, Sequence
@@ -39,7 +37,7 @@ from app.strict import Array
 _PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
 _MAX_BODIES = 6  # [-] largest number of bodies of the arm without --bodies
 _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted in one search
-MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their bodies may miss
+MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their own bodies may miss
 TEST_POSTURES = 4000  # [-] smallest number of random postures for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded postures in which meshes are compared
 _FEWEST_CONTACTS = 30  # [-] smallest number of postures for naming a range without a contact
@@ -56,20 +54,18 @@ _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 BY_LINKS = "chosen: some of its links are nearer than d_b by design"
 BY_BODIES = "chosen: its bodies are within d_b in most postures; other pairs detect the collisions"
-"""Reasons why a pair is not monitored."""
 
 
 class Verdict(NamedTuple):
     """The quality of a grouping."""
 
-    missed: float  # [-] share of colliding postures in which no pair of bodies overlaps
-    false: float  # [-] share of free postures in which a pair of bodies overlaps
-    overlap: dict[str, float]  # [-] share of free postures in which it overlaps, by pair
-    spurious: tuple[str, ...]  # pairs of bodies that overlap although their links never do
-    always: tuple[str, ...]  # monitored, overlap somewhere, inside the buffer in most free postures
-    unwatched: dict[str, str]
-    """Pairs that are not monitored because they are inside their buffer in most free postures; the
-    value is `BY_LINKS` or `BY_BODIES`."""
+    missed: float  # [-] share of colliding postures in which no monitored pair of bodies overlaps
+    false: float  # [-] share of free postures in which a monitored pair of bodies overlaps
+    overlap: dict[str, float]  # [-] share of free postures in which a pair overlaps, by its name
+    spurious: tuple[str, ...]  # monitored pairs whose bodies overlap although their links never do
+    always: tuple[str, ...]
+    """Monitored pairs that overlap in a posture, and are inside their buffer in most free ones."""
+    unwatched: dict[str, str]  # `BY_LINKS` or `BY_BODIES`, by the pair that is not monitored
     near: dict[str, float]  # [-] share of free postures inside the buffer, by monitored pair
     cost: float  # [-] total cost; the best grouping has the smallest
 
@@ -91,14 +87,13 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    A unit is a rigid group of links. The unit fixed to the base below the arm belongs to l_1, like
-    the paper's link 0, or to l_m if the pairs miss over 0.1 % of its collisions, as for a mast.
+    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0, or to
+    l_m if the pairs would miss over 0.1 % of its collisions, as for a mast.
 
-    `count` is the number of bodies of the arm. None means four, as in the paper. These four are not
-    sufficient if `Verdict.always` or `Verdict.spurious` has a pair, or if `Verdict.missed` is over
-    0.1 %. Then the result has the best number from two to six. `on_progress` is called with the
-    finished share of the groupings of each search. The bodies of two links in `separate` are a
-    pair, if possible.
+    `count` is the number of bodies of the arm. None means four, as in the paper, or the best number
+    from two to six if, with four, `Verdict.always` or `Verdict.spurious` has a pair, or
+    `Verdict.missed` is over 0.1 %. The bodies of two links in `separate` are a pair, if possible.
+    `on_progress` is called with the finished share of each search.
 
     Raises:
         RobotFileError: No grouping into `count` bodies is possible; the message has a valid range.
@@ -129,7 +124,7 @@ def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: in
     ]
     names, distances = _body_distances(model, grouping.bodies, np.vstack(q_m))
     watched = [name not in grouping.verdict.unwatched for name in names]
-    return bool((distances[:, watched] > 0.0).all(axis=1).sum() <= _MISSED * len(distances))
+    return _share(np.all(distances[:, watched] > 0.0, axis=1)) <= _MISSED
 
 
 def _arm_grouping(
@@ -189,7 +184,7 @@ def judge(
     parts = (possible & real, possible & ~real)
     chosen = np.concatenate([np.flatnonzero(part)[:ENOUGH] for part in parts])
     q_m, hits, real = meetings.random.q_m[chosen], collides[chosen], real[chosen]
-    free = real if real.all() else ~real
+    free = np.ones_like(real) if real.all() else ~real
     names, distances = _body_distances(model, bodies, q_m)
     owner = {unit: k for k, body in enumerate(bodies) for unit in body.units}
     ends = [sorted((owner[u], owner[v])) for u, v in meetings.pairs]
@@ -227,35 +222,31 @@ def _share(flags: Array) -> float:
 
 
 class Detection(NamedTuple):
-    """Collisions of links in random postures that the fit has not used, and the undetected ones.
-
-    A collision is detected if the bodies of any pair overlap in its posture, because avoidance
-    prevents this overlap.
-    """
+    """Collisions of links in random postures that the fit has not used, and the undetected ones."""
 
     looked_at: int  # number of random postures
     postures: int  # number of postures in which hulls of links collide
     undetected: int  # those in which meshes collide, but no pair of bodies overlaps
     watched: int  # collisions of links whose bodies are a pair, once for each pair and posture
-    missed: int  # number of these collisions in which the bodies of the pair do not overlap
-    deepest: float  # [m] largest distance of these bodies in a missed collision; 0 without one
+    missed: int  # number of the `watched` collisions in which the bodies do not overlap
+    deepest: float  # [m] largest distance of the bodies in a missed collision; 0 without one
     blind: tuple[str, ...]
-    """Pairs whose bodies miss more than half of the collisions of their links, in the random
-    postures and the postures of a search together."""
+    """Pairs whose bodies miss more than half of the collisions of their links, in the random and
+    the `rare` postures of `Meetings` together."""
     unseen: dict[tuple[str, str], float]
-    """[-] share of these contacts in all random postures, by the links that meet in the undetected
-    postures; of two units (groups of links), only the nearest links."""
+    """[-] share of all random postures, by the links that meet in the undetected postures; of two
+    units, only the links that come nearest."""
     left_out: int
-    """Number of postures that a rule excludes: no pair of bodies overlaps, but links meet that are
-    neighbours or close by design. It is extrapolated if more than 300 postures qualify."""
+    """Number of postures in which no pair of bodies overlaps, but links meet that are neighbours or
+    close by design. It is extrapolated if more than 300 postures qualify."""
     rule: str
-    """Up to four pairs of links of these postures, the most frequent ones first, with the share of
-    all random postures and, if there is one, a d_b with which a pair detects the contacts, or a
-    joint range without them."""
+    """Up to four pairs of links that meet in the `left_out` postures, the most frequent first, with
+    their share of all random postures. If possible, each has a d_b with which a pair of bodies
+    detects the contacts, and a joint range without contacts."""
 
     @property
     def share(self) -> float:
-        """[-] share of the colliding postures that no pair detects."""
+        """[-] share of the colliding postures that are `undetected`."""
         return self.undetected / max(1, self.postures)
 
     @property
@@ -266,7 +257,6 @@ class Detection(NamedTuple):
 
     @property
     def fails(self) -> bool:
-        """Whether a collision is undetected, or `blind` has a pair."""
         return bool(self.undetected or self.blind)
 
 
@@ -275,10 +265,8 @@ def detection_of(
 ) -> Detection:
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
-    Contacts that are allowed by design (`neighbours`), and contacts of two links of the arm that
-    are within d_b [m] by design or overlap by at most 3 mm, do not count. A contact of the base
-    with a link that is within d_b by design counts if the pair is in `Meetings.apart`. `workers`
-    share the postures.
+    Contacts of `neighbours`, and those of pairs in `Meetings.close` for a buffer distance d_b [m],
+    do not count, except those of pairs in `Meetings.apart`.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -289,7 +277,6 @@ def detection_of(
         seed=_TEST_SEED,
         d_b=d_b,
         enough=ENOUGH,
-        points=False,
         stopped=True,
         workers=workers,
     )
@@ -307,24 +294,28 @@ def detection_of(
         a, b = (units[u] for u in met.pairs[k])
         hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])
     undetected &= hits.any(axis=1)
-    watched = missed = 0
-    deepest, blind = 0.0, []
     owners = [{owner[u], owner[v]} if (u, v) not in met.close else set() for u, v in met.pairs]
-    for pair, gap in zip(pairs, gaps.T, strict=True):
-        own = [each == set(pair) for each in owners]
-        there = np.any(np.vstack([hits, rare])[:, own], axis=1)
-        late = there & (gap > 0.0)
-        watched, missed = watched + int(there[:count].sum()), missed + int(late[:count].sum())
-        deepest = max(deepest, float(gap[:count][late[:count]].max(initial=0.0)))
-        if late.sum() > 0.5 * there.sum():
-            blind.append(pair.name)
+    own = np.array([[each == set(pair) for each in owners] for pair in pairs], dtype=bool)
+    there = np.vstack([hits, rare]) @ own.reshape(len(pairs), len(owners)).T
+    late = there & (gaps > 0.0)
+    blind = compress(pairs, late.sum(axis=0) > 0.5 * there.sum(axis=0))
     unseen: dict[tuple[str, str], float] = {}
     for k in np.flatnonzero(hits[undetected].any(axis=0)):
-        late, (u, v) = undetected & hits[:, k], met.pairs[k]
-        links, near = link_gaps(model, units[u], units[v], q_m[:count][late])
-        unseen[links[int(near.min(axis=0).argmin())]] = float(late.sum() / len(random))
-    seen = len(random), count, int(undetected.sum()), watched, missed, deepest, tuple(blind)
-    return Detection(*seen, unseen, left_out, rule)
+        rows, (u, v) = undetected & hits[:, k], met.pairs[k]
+        links, near = link_gaps(model, units[u], units[v], q_m[:count][rows])
+        unseen[links[int(near.min(axis=0).argmin())]] = float(rows.sum() / len(random))
+    return Detection(
+        looked_at=len(random),
+        postures=count,
+        undetected=int(undetected.sum()),
+        watched=int(there[:count].sum()),
+        missed=int(late[:count].sum()),
+        deepest=float(gaps[:count][late[:count]].max(initial=0.0)),
+        blind=tuple(pair.name for pair in blind),
+        unseen=unseen,
+        left_out=left_out,
+        rule=rule,
+    )
 
 
 def _left_out(
@@ -359,10 +350,8 @@ def _left_out(
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
-    """The largest range of one of the `joints` that contains no posture of q_m (N, n_m), as text.
-
-    It is empty if this range is below `LEAST` of the joint's range, or of a turn if that is less.
-    It is also empty if N is below `_FEWEST_CONTACTS`: such a range is then a coincidence.
+    """The largest range of one of the `joints` without a posture of q_m (N, n_m), as text; empty if
+    it is below `LEAST` of the joint's range or of a turn, or if N is below `_FEWEST_CONTACTS`.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
@@ -381,11 +370,11 @@ def _body_distances(
 ) -> tuple[list[str], Array]:
     """Names of all pairs of bodies that are not neighbours, and their distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
-    joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
-    shapes = [
-        [(joint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
-        for joint, body in zip(joints, bodies, strict=True)
-    ]
+    shapes = []
+    for body in bodies:
+        joint = model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint
+        placed = [(joint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
+        shapes.append(placed)
     names = [f"{bodies[i].name}-{bodies[j].name}" for i, j in pairs]
     return names, shape_distances(model, shapes, pairs, q_m)
 
@@ -398,13 +387,12 @@ def _ranked(
     slides: frozenset[int],
     apart: Collection[tuple[int, int]] = (),
 ) -> list[tuple[float, list[list[int]]]]:
-    """All valid divisions of the chain into groups, each with a lower bound of its cost.
+    """All valid divisions of the chain into groups, each with the cost of its number of bodies.
 
-    Each group has at least one link with a shape. The bound is the cost of the number of bodies.
-    The order is that of the bound plus the cost of collisions that ideal bodies would miss: two of
-    these overlap exactly if links of both overlap. No group joins unit 1, if it has shapes, with a
-    unit of `slides`, the units on prismatic joints of the arm. If possible, the groups of the units
-    of each pair in `apart` are neither equal nor neighbours.
+    They are sorted by this cost plus that of the collisions missed by ideal bodies, which overlap
+    exactly if their links overlap. Each group has a shape. No group joins unit 1, if it has shapes,
+    with the units on prismatic joints, `slides`. If possible, the bodies of each pair of units in
+    `apart` are a pair.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

@@ -5,11 +5,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import islice, pairwise, product
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from typing_extensions import Self
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
@@ -36,11 +35,10 @@ _SAMPLES = 6000  # [-] number of random postures
 _KEPT = 0.1  # [-] margin to both limits, relative to a joint's range
 _ENOUGH = 0.15  # [m] distance beyond the buffer above which more has no advantage
 _FLOOR = 0.1  # [m] smallest distance between the arm and the floor
-_BAD = 1e3  # [-] offset that makes every quality positive, so that a posture is always chosen
 
 
 class Ready(NamedTuple):
-    """A posture, and the pair that is nearest in it."""
+    """A posture, and the pair that is nearest in this posture."""
 
     q_m: Array  # (n_m,) [rad or m]
     beyond_buffer: float  # [m] smallest distance of a pair beyond its buffer; inf without a pair
@@ -48,8 +46,8 @@ class Ready(NamedTuple):
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random postures according to `RULE`, rounded to 0.01 rad or m."""
-    search, mount = PostureSearch(model, pairs, model.description.config.border.d_b), model.p_base()
+    """The best of random postures by `RULE`, rounded to 0.01 rad or m."""
+    search = PostureSearch(model, pairs, model.description.config.border.d_b)
     span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready posture exceeds one turn
     random = np.random.default_rng(seed).random((_SAMPLES, model.n_m))
     postures = search.middle + (random - 0.5) * (1 - 2 * _KEPT) * span
@@ -62,32 +60,30 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
     def worth(q_m: Array) -> float:
         return (
-            _BAD
-            + 1.5 * min(_ready(search, q_m).beyond_buffer, _ENOUGH) / _ENOUGH
+            1.5 * min(_ready(search, q_m).beyond_buffer, _ENOUGH) / _ENOUGH
             + manipulability_of(q_m) / best
-            + _placed(search, mount)
+            + _placed(search, model.p_base())
             - 0.5 * float(np.mean(np.abs(q_m - search.middle) / span))
         )
 
-    found = search.best(postures, worth).q_m
-    assert found is not None
-    return _ready(search, np.round(found, 2))
+    return _ready(search, np.round(max(postures, key=worth), 2))
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The posture q_m (n_m,), with the smallest distance of a monitored pair beyond its buffer."""
+    """The posture q_m (n_m,), with the monitored pair that is nearest in this posture."""
     return _ready(PostureSearch(model, pairs, model.description.config.border.d_b), q_m)
 
 
 def _ready(search: PostureSearch, q_m: Array) -> Ready:
     search.place(q_m)
-    named = zip(search.distances(), search.names, strict=True)
-    d, name = min(named, key=itemgetter(0), default=(np.inf, ""))
+    d, name = min(zip(search.distances(), search.names, strict=True), default=(np.inf, ""))
     return Ready(q_m, float(d - search.d_b), name)
 
 
 def _placed(search: PostureSearch, mount: Array) -> float:
-    """[-] quality of the present end-effector pose: up to 1.2; -10 near the floor or mount."""
+    """[-] quality of the present end-effector pose: up to 1.2; -10 near the floor, or above or
+    below the mount.
+    """
     at = search.state.T_world_ee
     out = at.translation - mount
     away = float(np.hypot(*out[:2]))
@@ -101,8 +97,8 @@ def _placed(search: PostureSearch, mount: Array) -> float:
 
 Point = tuple[float, float, float]
 _Start = tuple[Array, Array]
-"""The start of a line: x, y and the distance from the box around l_m (3,) [m], and the unit vector
-(3,) towards the base."""
+"""(3,) [m] x and y of a start, and its distance from the box around l_m; (3,) unit vector towards
+the base."""
 
 INNER = 0.4  # [-] share of d_b below which the distance to a base at rest has to fall on a line
 GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, relative to d_b
@@ -160,22 +156,14 @@ def find_place(
 ) -> Place | str:
     """A line towards the side or the front of the base, or the reason why there is no line.
 
-    A line starts at most 0.425 m from l_m and ends at most 0.125 m from l_m, as for the paper's
-    robot. If the end-effector follows the line without avoidance, the arm touches the base or comes
-    nearer than `INNER` d_b. The order of preference is:
+    A line starts at most 0.425 m and ends at most 0.125 m from l_m. If the end-effector follows it
+    without avoidance, the arm touches the base or comes nearer than `INNER` d_b. The order of
+    preference is: lines with a contact, then those with the smallest distance; lines on which the
+    arm best holds its end-effector while the base moves; the order of `_front` or `_lateral`.
 
-    1. lines on which the arm would touch the base, then lines on which it would come nearest;
-    2. lines on which the arm best holds its end-effector while the base moves;
-    3. the order of `_front` or `_lateral`, far starts first; then heights near 0.8 of the height
-       of a part of l_m.
-
-    Args:
-        model: The robot.
-        pairs: The monitored pairs; at least one of them has l_m.
-        name: The scenario, `guiding-front` or `guiding-lateral`.
-        fault: Returns the fault of a line, or an empty string; `fault_of_run` is an example.
-        anyway: Whether to return the first tested line if all lines have a fault.
-        on_progress: Called with the finished share of starts and postures.
+    `name` is the scenario, `guiding-front` or `guiding-lateral`. At least one of the monitored
+    `pairs` has l_m. For `fault` and `anyway` see `chosen`. `on_progress` is called with the
+    finished share of the search.
     """
     d_b = model.description.config.border.d_b
     guide = _Guide(model, pairs, d_b)
@@ -197,10 +185,11 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line without a fault, of at most three lines that come nearer than `INNER` d_b.
+    """The first line without a fault, of at most three lines that come nearer than `INNER` d_b [m].
 
-    If each of these lines has a fault, the result is a text with the faults or, with `anyway`, the
-    first of the lines. If no line comes near enough, the text is empty.
+    `fault` returns the fault of a line, or an empty string, as `fault_of_run` does. If each of the
+    lines has a fault, the result is the first line if `anyway` is true, otherwise a text with the
+    faults. If no line comes near enough, the result is an empty text.
     """
     tried: dict[Place, str] = {}
     for line in islice((each for each in lines if each.nearest < INNER * d_b), _MAX_RUNS):
@@ -222,8 +211,7 @@ def fault_of_run(
     """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
     At the end, the base has to be `GIVES_WAY` d_b away from its start. The arm has to stay
-    `CLEARANCE` away from the base and `_LOWEST` from the floor. `on_progress` is called with the
-    finished share of the run.
+    `CLEARANCE` away from the base, and `_LOWEST` from the floor.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -257,10 +245,9 @@ def line_from(
     job: tuple[str, RobotModel, BorderData, bool],
     on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
-    """`find_place` with `fault_of_run`, in a worker process.
+    """`find_place` with `fault_of_run`; `job` has scenario, robot, border data and `anyway`.
 
-    `job` has the name of the scenario, the robot, its border data, and the argument `anyway`. The
-    search for lines and each possible run have equal shares of the progress.
+    The search for lines and each possible run have equal shares of the progress.
     """
     name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
@@ -284,24 +271,21 @@ class _Candidate(NamedTuple):
     left: float  # [m] distance of its end from the side of the base
     nearest: float  # [m] smallest distance between the arm and a base at rest
     carried: float
-    """[-] mean share of the base's motion that the arm does not compensate, on the part of the line
-    inside the buffers; 0 without such a part."""
+    """[-] mean share of the base's motion that the arm does not compensate, at the points of the
+    line at which a pair with l_m is inside its buffer; 0 without such a point."""
 
     @property
     def move(self) -> Point:
         """[m] vector from its start to its end."""
         return _point(np.round(self.length * self.inwards, 3))
 
-    def is_as(self, other: Self) -> bool:
-        """Whether this line and `other` have nearly the same end."""
-        ends = (np.add(each.start, each.move) for each in (self, other))
-        return float(np.linalg.norm(np.subtract(*ends))) < _OTHER
+    @property
+    def end(self) -> Array:
+        return np.add(self.start, self.move)
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Sort key: the smallest distance, 0 for contact, then `carried`; both are rounded, so that
-        small differences do not change the order.
-        """
+        """Sort key, rounded so that small differences do not change the order."""
         return round(max(self.nearest, 0.0), 3), round(self.carried, 1)
 
 
@@ -332,19 +316,19 @@ class _Guide:
         return f"{text}; the arm cannot use these starts: {starts}" if starts else text
 
     def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
-        """Lines of a scenario; the most promising lines are first.
+        """Lines of a scenario, the most promising ones first; no two have nearly the same end.
 
-        A quick first step moves the arm to each start from a known posture. Each time the caller
-        requests a line, a slow step searches for a posture with which a run starts: on lines near
-        the base with few tries, then with all tries, then on other lines. No two lines have nearly
-        the same end. If no line leads nearer than `INNER` d_b, only the best one is yielded.
+        First the arm moves to each start from a known posture. Each time the caller requests a
+        line, a slower search finds a posture with which a run starts: for lines that lead nearer
+        than `INNER` d_b with few tries, then with all tries. If there is no result, the first of
+        the other lines that a run can start is yielded.
         """
-        mount, body = self._model.p_base(), self.body
-        tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
+        mount = self._model.p_base()
+        tops = _tops(self.body, float(mount[2]) + _OVER_MOUNT)
         heights = [round(share * top + over, 3) for share, over in _HEIGHTS for top in tops]
         last = [round(top + _JUST_OVER, 3) for top in tops]
         outs = np.arange(_FARTHEST, self._d_b + _OUTSIDE, -_NEARER).round(3).tolist()
-        starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
+        starts = list((_front if name == "guiding-front" else _lateral)(self.body, mount, outs))
         tried = [*product(starts, heights), *product(starts, last)]
         found: list[_Candidate] = []
         for k, (start, z) in enumerate(tried):
@@ -359,11 +343,12 @@ class _Guide:
         for k, (line, quick) in enumerate(steps):
             if self._nearest and line.nearest >= INNER * self._d_b:
                 return
-            if any(map(line.is_as, done)) or (not quick and complete == _MAX_COMPLETE):
+            known = any(np.linalg.norm(line.end - other.end) < _OTHER for other in done)
+            if known or (not quick and complete == _MAX_COMPLETE):
                 continue
             on_progress((1 + k / len(steps)) / 2)
             complete += not quick
-            p, move = line.start, line.move
+            p = line.start
             try:
                 if quick:
                     self._solver.solve(p, tries=_FEW)
@@ -376,14 +361,14 @@ class _Guide:
             if low < _LOWEST:
                 self._obstacles[_FLOOR_ON_LINE] += 1
                 continue
-            place = Place(p, move, nearest, _LED.format(line.left, nearest))
+            place = Place(p, line.move, nearest, _LED.format(line.left, nearest))
             if self._nearest is None or nearest < self._nearest.nearest:
                 self._nearest = place
             yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from a start at height z [m] to the first end of `_LEFT_OVER` with contact, or
-        to the last end; None if the arm cannot start there, or comes too near to the floor.
+        """The line from a start at height z [m] to the first end in `_LEFT_OVER` with a contact, or
+        to the last end; None if the arm cannot start, or comes too near to the floor.
         """
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
@@ -405,14 +390,11 @@ class _Guide:
     def _led(
         self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
     ) -> tuple[Array, float, list[float], float]:
-        """Move the arm without avoidance between two lengths [m] of a line along `inwards`.
+        """Move the arm without avoidance from `begin` to `end` [m] on a line from p (3,) [m].
 
-        `q_m` (n_m,) is the posture at `begin`; the line starts at p (3,) [m].
-
-        Returns:
-            The posture (n_m,) at the end; the smallest distance [m] to the base; for each step
-                inside the buffers, the share [-] of the base's motion that the arm does not
-                compensate; and the smallest distance [m] to the floor.
+        Returns the posture (n_m,) at the end, the smallest distance [m] to the base, for each step
+        inside a buffer the uncompensated share [-] of the base's motion, and the smallest distance
+        [m] to the floor.
         """
         search, model, least, carried, low = self._search, self._model, np.inf, [], np.inf
         speed = model.description.config.ee_hold.min_speed
@@ -428,9 +410,8 @@ class _Guide:
         return q_m, float(least), carried, float(low)
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
-        """(n_m,) posture after a person has slowly pulled the end-effector to p (3,) [m].
-
-        Without avoidance only the damping D resists the person: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
+        """(n_m,) posture after a slow pull of the end-effector to p (3,) [m], which only the
+        damping D of the joints resists: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
         """
         search, D = self._search, np.array(self._search.model.description.arm.joint_damping)
         for _ in range(2):
@@ -461,17 +442,13 @@ class _Guide:
 
 
 def _sampled(search: PostureSearch) -> tuple[Array, Array, Array]:
-    """Random postures (N, n_m), positions (N, 3) [m] of their end-effectors, and flaws (N,).
-
-    A flaw is a text as in `PostureSearch.flaw`, empty for a valid posture.
-    """
-    postures = list(search.guesses(np.random.default_rng(0), _SAMPLES))
-    places, flaws = [], []
-    for q_m in postures:
+    """Random postures (N, n_m), their end-effector positions (N, 3) [m] and `flaw` texts (N,)."""
+    found = []
+    for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
         search.place(q_m)
-        flaws.append(search.flaw())
-        places.append(search.state.T_world_ee.translation.copy())
-    return np.array(postures), np.array(places), np.array(flaws)
+        found.append((q_m, search.state.T_world_ee.translation.copy(), search.flaw()))
+    postures, places, flaws = map(np.array, zip(*found, strict=True))
+    return postures, places, flaws
 
 
 _LED = (
@@ -482,7 +459,7 @@ _LED = (
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] tops of l_m's parts, clipped to `most`, from high to low, more than `_SAME_TOP` apart."""
+    """[m] tops of l_m's parts, at most `most`, from high to low, more than `_SAME_TOP` apart."""
     found: list[float] = []
     for top in sorted((min(float(part.upper[2]), most) for part in body.parts), reverse=True):
         if not found or top < found[-1] - _SAME_TOP:
@@ -492,31 +469,28 @@ def _tops(body: MobileBody, most: float) -> list[float]:
 
 def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
     """[m] distance from p (3,) [m] along `inwards` (3,) to l_m; 0 if the ray misses l_m."""
-    size = body.upper - body.lower
-    steps = np.arange(0.0, float(np.abs(inwards) @ size), _STEP)
+    steps = np.arange(0.0, float(np.abs(inwards) @ (body.upper - body.lower)), _STEP)
     met = body.distance(p + steps[:, None] * inwards) <= _STEP
     return float(steps[met.argmax()]) if met.any() else 0.0
 
 
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts beside the base, left and right: at the mount's x, and near both ends of the base.
-
-    The ends are tried because a base without sideways motion hardly avoids a line to its axle.
+    """Starts beside the base, left and right: at the mount's x, and near both ends of the base,
+    because a base without sideways motion hardly avoids a line to its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
-    for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
-        for out in outs:
-            for side, edge in ((1.0, body.upper[1]), (-1.0, body.lower[1])):
-                yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
+    sides = ((1.0, body.upper[1]), (-1.0, body.lower[1]))
+    places = dict.fromkeys((float(np.clip(mount[0], low, high)), high, low))
+    for x, out, (side, edge) in product(places, outs, sides):
+        yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
     """Starts ahead of the base: left of the mount, near both edges of the base, at the mount."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
-    for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):
-        for out in outs:
-            yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
+    for y, out in product((min(beside, high), low + 0.05, high - 0.05, float(mount[1])), outs):
+        yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
 
 
 def _point(values: Iterable[float]) -> Point:

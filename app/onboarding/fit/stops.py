@@ -1,7 +1,7 @@
 """Stops: joint limits that prevent collisions of the base with links close to it by design.
 
-No pair monitors these links, because they are within d_b of the base in most postures. For the
-upper arm of a UR, a limit of the shoulder lift joint prevents the collision.
+No pair monitors these links. An example is the upper arm of a UR, which a limit of the shoulder
+lift joint keeps away from the base.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,8 @@ from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
 
-STOPPED = " is limited before "
-"""Words between the name of a joint and the reason of its limits, in the source of the limits."""
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSTURES = 60  # [-] sampled postures of the other joints at each of these positions
-_ARM = 2  # pinocchio's first joint of the arm
 LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
 _ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
 
@@ -36,10 +33,10 @@ def with_stops(
 ) -> Limits:
     """Joint limits that, if possible, prevent contact of the base with links close to it by design.
 
-    For each of these links that reaches the base in a sampled posture, one joint before the link
-    gets narrower limits: the joint that retains the largest share of its range. If no joint retains
-    a quarter of its range, or of a turn if this is less, no limit changes; see `watching_buffer`.
-    `ready` (n_m,) is a posture that the limits have to include, or None.
+    For each of these links that touches the base in a sampled posture, one joint before the link
+    gets narrower limits: the joint that retains the largest share of its range, at least a quarter
+    of it (of a turn, if this is less). The limits have to include the posture `ready` (n_m,), if
+    any. If no joint can have such limits, `watching_buffer` is the remedy.
 
     Raises:
         RobotFileError: Limits can prevent the contact, but none of them includes `ready`.
@@ -52,20 +49,20 @@ def with_stops(
             continue
         postures = sample_joints(model, _POSTURES, np.random.default_rng(0)).clip(lower, upper)
         stopping, possible = [], False
-        for joint in range(b.joint - _ARM + 1):
+        for joint in range(b.joint - 1):  # pinocchio's joint 2 is the first one of the arm
             values = np.linspace(lower[joint], upper[joint], _VALUES)
             tried = np.repeat(postures[:, None], _VALUES, axis=1)
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
             nearest = found.reshape(_POSTURES, _VALUES).min(axis=0)
             clear = nearest > contact_margin(nearest)
+            span = upper[joint] - lower[joint]
             for first, after in np.flatnonzero(np.diff(np.pad(clear, 1))).reshape(-1, 2):
                 low, high = values[first], values[after - 1]
-                span = min((upper - lower)[joint], 2 * np.pi)
-                enough = high - low >= LEAST * span
+                enough = high - low >= LEAST * min(span, 2 * np.pi)
                 possible = possible or enough
                 if enough and (ready is None or low <= ready[joint] <= high):
-                    share = round((high - low) / (upper - lower)[joint] / _ALIKE)
+                    share = round((high - low) / span / _ALIKE)
                     stopping.append((share, -abs(low + high), joint, low, high))
         if stopping:
             *_, joint, low, high = max(stopping)
@@ -77,15 +74,12 @@ def with_stops(
             raise RobotFileError(
                 f"--ready: {b.name} can meet {a.name} near this posture; choose another posture"
             )
-    why = "".join(f"; {name}{STOPPED}{text}" for name, text in stops.items())
-    fields = ("position_lower", "position_upper")
-    source = limits.source | {field: limits.source[field] + why for field in fields}
-    return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), source=source)
+    return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), stops=stops)
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] distance up to which two links count as in contact: `MARGIN`, or half of the largest of
-    their distances (N,) [m] in sampled postures if that is less, as for adjacent links.
+    """[m] distance up to which two links count as in contact: `MARGIN`, or half of their largest
+    distance in postures if that is less, as for adjacent links; `distances` (N,) [m] are theirs.
     """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 
@@ -93,8 +87,8 @@ def contact_margin(distances: Array) -> float:
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
     """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
 
-    It is `d_b` with an empty text, or a smaller value, a multiple of 0.01 m, with its reason. A
-    collision that no valid value of `border.d_b` detects is ignored.
+    It is `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that
+    no valid value of `border.d_b` makes detectable are ignored.
     """
     least, why = d_b, ""
     for u, v in sorted(meetings.close & meetings.apart):
@@ -107,10 +101,10 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
 
 
 def _monitored_from(meetings: Meetings, pair: tuple[int, int]) -> float:
-    """A d_b [m] with which a pair can monitor two units; 0 if the range of d_b has none.
+    """A d_b [m] with which a pair can monitor two units, or 0 if none is valid.
 
-    The units are then outside of the buffer in the share `ALWAYS` of the free postures, although
-    1 − `ALWAYS` is sufficient: bodies are larger than the links.
+    The units are outside of the buffer in the share `ALWAYS` of the free postures, although
+    1 − `ALWAYS` would be sufficient for the links: their bodies are larger.
     """
     distances = meetings.random.distances
     gaps = distances[free_postures(distances), meetings.pairs.index(pair)]
@@ -119,7 +113,7 @@ def _monitored_from(meetings: Meetings, pair: tuple[int, int]) -> float:
 
 
 def detectable(meetings: Meetings, pair: tuple[int, int]) -> str:
-    """The text that names the d_b with which a pair can detect a contact, or an empty text."""
+    """A text with a d_b with which a pair can detect a contact; empty if no d_b is valid."""
     wanted = _monitored_from(meetings, pair)
     return f", which a pair can detect with --buffer-distance {wanted:g} or less" if wanted else ""
 

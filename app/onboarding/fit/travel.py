@@ -16,11 +16,10 @@ _MOST = 144  # [-] largest number of steps
 
 
 def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, LinkGeometry]:
-    """The links' geometry in nearly convex pieces, extended by the motion of some links.
+    """The links' geometry in nearly convex pieces, which for some links cover their motions.
 
     These links are those beyond the arm's last link (fingers), the other parts of telescopes, and
-    those on joints that mimic a joint of the arm. Their pieces cover the motions of `with_travel`.
-    `chain` has the joints of the arm.
+    those on joints that mimic a joint of the arm. `chain` has the joints of the arm.
     """
     pieces = {
         name: each._replace(shapes=tuple(p for shape in each.shapes for p in in_pieces(shape)))
@@ -39,13 +38,13 @@ def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, 
 
 
 def followers(tree: Tree, chain: Sequence[str]) -> list[Joint]:
-    """Joints outside of the arm's chain that follow a joint of it, as a torso can follow a lift."""
+    """Joints outside of the arm's chain that follow a joint of the chain (`<mimic>`)."""
     outside = [joint for joint in tree.joints.values() if joint.mimic and joint.name not in chain]
     return [joint for joint in outside if _leader(tree, joint)[0].name in chain]
 
 
 def _leader(tree: Tree, joint: Joint) -> tuple[Joint, float, float]:
-    """The independent joint that a joint finally follows, or itself; with multiplier and offset."""
+    """The independent joint that a joint follows, or the joint itself; multiplier and offset."""
     multiplier, offset = 1.0, 0.0
     for _ in tree.joints:  # a closed chain of mimic joints ends too
         if joint.mimic and joint.mimic[0] in tree.joints:
@@ -65,9 +64,9 @@ def with_travel(
     """Geometry in which each link below `carrier` has shapes that cover its sampled positions.
 
     `leaders`, by default all moving joints below `carrier`, move through their ranges: first one at
-    a time with the others at rest, then all at once, each at the same share of its range. Mimic
-    joints follow. The shapes are in the frames of the links at rest, with all joints at
-    `held_at`. Links beyond the joints in `without` do not change.
+    a time with the others at rest (`held_at`), then all at the same share of their ranges. Mimic
+    joints follow. The shapes are in the frames of the links at rest. Links beyond the joints in
+    `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
@@ -90,7 +89,6 @@ def held_at(joint: Joint) -> float:
 
 
 def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Positions]:
-    """Positions of joints: each leader moves alone, then all at the same share of their ranges."""
     ranges = {joint.name: _range(joint) for joint in leaders}
     rest = {joint.name: held_at(joint) for joint in [*joints, *leaders] if joint.moves}
     for name, values in ranges.items():
@@ -103,9 +101,9 @@ def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Po
 
 
 def _range(joint: Joint) -> list[float]:
-    """Positions over a joint's range: both ends of a prismatic joint, or angles in equal steps.
+    """Both ends of the range of a prismatic joint, or angles in equal steps over another range.
 
-    Without a range, a prismatic joint stays at zero, and other joints make a whole turn.
+    Without a range, a prismatic joint stays at zero, and another joint makes a whole turn.
     """
     low, high, slides = joint.lower, joint.upper, joint.kind == "prismatic"
     if low is None or high is None or low >= high or (high - low > _MOST_TURN and not slides):

@@ -10,7 +10,7 @@ import pinocchio as pin
 import trimesh
 
 from app.onboarding import ROOT
-from app.onboarding.fit.convex import directions, hull_corners
+from app.onboarding.fit.convex import directions, hull
 from app.onboarding.read.links import Geometry
 from app.onboarding.read.tree import PARALLEL, Arm
 from app.robot.model import RobotModel
@@ -25,7 +25,7 @@ _MANY = 150  # [-] number of pairs of shapes from which bounding spheres save ti
 
 
 class Part(NamedTuple):
-    """One hull of a unit; a `Unit` is a group of links that moves as one rigid body."""
+    """One hull of a unit."""
 
     link: str
     corners: Array  # (N, 3) [m] corners of the hull, in the joint's frame
@@ -39,14 +39,14 @@ class Unit(NamedTuple):
     """In `make_units`, 0 is the base, and 1 the links that are fixed to the base below the arm.
     Then each joint of the arm has one or two units: one beside the arm, if any, and the arm's."""
     frame: str
-    """Link whose frame is that of the joint; the floor point for the first two units. In
-    `units_of_links`, the `frame` of the body."""
+    """The link that the joint moves; the floor point for the first two units. In `units_of_links`,
+    the `frame` of the body."""
     links: tuple[str, ...]
     joint: int  # number in pinocchio
     parts: tuple[Part, ...]
     surface: Array  # (N, 3) [m] points on the hulls, in the joint's frame
     owners: Array  # (N,) index of each point's link in `links`
-    beside: bool = False  # whether another joint separates it from the arm's chain, as a head
+    beside: bool = False  # whether another joint separates the unit from the arm's chain
 
     @property
     def name(self) -> str:
@@ -64,10 +64,7 @@ def make_units(model: RobotModel, arm: Arm, geometry: Geometry) -> tuple[Unit, .
             wanted.append((joint.child, beside, k, True))
             links = tuple(link for link in links if link not in beside)
         wanted.append((joint.child, links, k, False))
-    return tuple(
-        _unit(model, k, frame, links, joint, geometry)._replace(beside=beside)
-        for k, (frame, links, joint, beside) in enumerate(wanted)
-    )
+    return tuple(_unit(model, geometry, k, *each) for k, each in enumerate(wanted))
 
 
 def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit]]:
@@ -76,38 +73,33 @@ def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit
     Each body has one unit for each joint that moves some of its links. The units are numbered
     consecutively.
     """
-    found: dict[str, list[Unit]] = {}
-    for body in model.description.bodies:
-        by_joint: dict[int, list[str]] = {}
-        for link in body.covers:
-            joint = model.pin.frames[model.pin.getFrameId(link)].parentJoint
-            by_joint.setdefault(joint, []).append(link)
-        first = sum(map(len, found.values()))
-        found[body.name] = [
-            _unit(model, first + k, body.frame, tuple(links), joint, geometry)
-            for k, (joint, links) in enumerate(by_joint.items())
-        ]
-    last = {unit.joint: name for name, each in found.items() for unit in each}
-    return {  # the last body with links on a joint belongs to the chain, earlier ones are beside it
-        name: [u._replace(beside=u.joint > 1 and last[u.joint] != name) for u in each]
-        for name, each in found.items()
-    }
+    covered = [(body, link) for body in model.description.bodies for link in body.covers]
+    joint = {k: model.pin.frames[model.pin.getFrameId(k)].parentJoint for _, k in covered}
+    last = {joint[link]: body.name for body, link in covered}  # earlier bodies are beside the chain
+    found: dict[str, list[Unit]] = {body.name: [] for body in model.description.bodies}
+    groups = dict.fromkeys((body.name, body.frame, joint[link]) for body, link in covered)
+    for index, (name, frame, k) in enumerate(groups):
+        links = tuple(link for body, link in covered if body.name == name and joint[link] == k)
+        beside = k > 1 and last[k] != name
+        found[name].append(_unit(model, geometry, index, frame, links, k, beside))
+    return found
 
 
 def _unit(
     model: RobotModel,
+    geometry: Geometry,
     index: int,
     frame: str,
     links: tuple[str, ...],
     joint: int,
-    geometry: Geometry,
+    beside: bool,
 ) -> Unit:
     parts, surface, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     D = directions(2)
     for k, link in enumerate(links):
         T = model.pin.frames[model.pin.getFrameId(link)].placement
         for shape in geometry[link].shapes:
-            corners = hull_corners(moved(np.asarray(shape.hull.vertices), T))
+            corners = hull(moved(np.asarray(shape.hull.vertices), T)).corners
             parts.append(Part(link, corners, (corners @ D.T).max(axis=0)))
         surface.append(moved(geometry[link].surface, T))
         owners.append(np.full(len(surface[-1]), k))
@@ -116,7 +108,7 @@ def _unit(
         some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
         kept = np.union1d(some, (points @ D.T).argmax(axis=0))
         points, owner = points[kept], owner[kept]
-    return Unit(index, frame, links, joint, tuple(parts), points, owner)
+    return Unit(index, frame, links, joint, tuple(parts), points, owner, beside)
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
@@ -124,11 +116,18 @@ def moved(points: Array, T: pin.SE3) -> Array:
     return points @ T.rotation.T + T.translation
 
 
-def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
-    """Whether contacts of the units a and b are allowed by design.
+def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
+    """The poses of the joint frames in a posture q_m (n_m,), with the base at the origin."""
+    data = model.pin.createData()
+    pin.forwardKinematics(model.pin, data, model.configuration((0.0, 0.0, 0.0), q_m))
+    return [T.copy() for T in data.oMi]
 
-    There are three such cases: the units are on the same joint; only parallel prismatic joints
-    separate them, as in a telescope; or one joint separates them, and neither of them is `beside`.
+
+def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
+    """Whether contacts of two units are allowed by design.
+
+    This is so if the units are on the same joint, if only parallel prismatic joints separate them,
+    or if one joint separates them and neither of them is `beside`.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -148,11 +147,10 @@ Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
 def shape_distances(
     model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
 ) -> Array:
-    """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
+    """(N, pairs) [m] smallest signed distances between the shapes of two groups, in postures.
 
-    `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions,
-    with the base at the origin. With 150 or more pairs of shapes, results of at least 0.5 m are
-    lower bounds.
+    `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions.
+    With 150 or more pairs of shapes, results of at least 0.5 m are lower bounds.
     """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
@@ -196,7 +194,7 @@ def shape_distances(
 
 
 def meshes_meet(model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array) -> Array:
-    """(N,) whether the meshes of the units a and b touch in the postures q_m (N, n_m)."""
+    """(N,) whether the meshes of two units touch in the postures q_m (N, n_m)."""
     data, request = model.pin.createData(), coal.CollisionRequest()
     first, second = (
         [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
@@ -217,7 +215,6 @@ def meshes_meet(model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Ar
 
 
 def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
-    """A mesh in the format of coal."""
     made = coal.BVHModelOBBRSS()
     made.beginModel(len(mesh.faces), len(mesh.vertices))
     made.addVertices(np.asarray(mesh.vertices, dtype=float))
