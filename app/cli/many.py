@@ -152,10 +152,8 @@ def study(
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MAX_CASES)
-    chosen = asdict(options.Setup(**setup))
-    parameters = StudyParameters(
-        **chosen, inside=inside, time_stamps=time_stamps, ranges=StudyRange(**ranges)
-    )
+    drawn = {"inside": inside, "time_stamps": time_stamps, "ranges": StudyRange(**ranges)}
+    parameters = StudyParameters(**asdict(options.Setup(**setup)), **drawn)
     workers = options.check_processes(processes)
     from app.robot.description import load_robot
 
@@ -163,10 +161,9 @@ def study(
     options.make_folder(out)
     from app.studies.pulls.study import study as run_study
 
+    where = {"scheduler": scheduler, "processes": workers}
     with _resumable(cases, out) as on_progress:
-        result = run_study(
-            parameters, cases, out, scheduler=scheduler, processes=workers, on_progress=on_progress
-        )
+        result = run_study(parameters, cases, out, **where, on_progress=on_progress)
     if json:
         print_json(result)
         return
@@ -183,20 +180,17 @@ def study(
 @contextmanager
 def _resumable(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
     """Show a progress bar; after Ctrl-C, print the number of stored cases, and how to continue."""
-    kept = 0.0
+    stored = 0.0
 
     def count(done: float) -> None:
-        nonlocal kept
-        kept = done
+        nonlocal stored
+        stored = done
         update(done)
 
     try:
         with progress_bar(f"{cases} cases", cases) as update:
             yield count
     except KeyboardInterrupt:
-        print(
-            f"{kept:.0f} of {cases} cases are stored in {out}; "
-            "the same command continues the study",
-            file=sys.stderr,
-        )
+        text = f"{stored:.0f} of {cases} cases are stored in {out}"
+        print(f"{text}; the same command continues the study", file=sys.stderr)
         raise

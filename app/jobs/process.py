@@ -50,8 +50,7 @@ class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
     `work` must be a function of a module, and its arguments must be picklable. The child never
-    imports the parent's main module. It imports modules from the working directory only if the
-    parent's `sys.path` names this directory. It ignores SIGINT (Ctrl-C), which the parent handles.
+    imports the parent's main module, and ignores SIGINT (Ctrl-C), which the parent handles.
     """
 
     def __init__(
@@ -83,17 +82,14 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status if the process ends within `patience` [s], otherwise None.
-
-        If a signal has ended the process, the status is the negative number of the signal.
-        """
+        """The exit status, or −N after signal N, if the process ends within `patience` [s]."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process or the group that it leads; if not `at_once`, it can clean up first."""
+        """End the process and, with `leads_group`, its children; `at_once` prevents a clean-up."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -145,8 +141,8 @@ def run_in_process(
 ) -> Any:
     """Run `work(report, *args)` in a `Child`, and return the result.
 
-    `report` is called in this process with each report of `work`. The event `cancelled` ends the
-    child and all its children. `niceness`, 0 to 19, is added to the child's niceness.
+    The event `cancelled` ends the child and all its children. `niceness`, 0 to 19, is added to the
+    child's niceness.
 
     Raises:
         Cancelled: `cancelled` was set.

@@ -1,7 +1,7 @@
 """The report of a run, as a self-contained page."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from itertools import cycle
 from typing import Any
@@ -20,7 +20,7 @@ from app.simulation.trace.words import spoken
 from app.strict import Array
 from app.studies import style
 from app.studies.page import Grid, Part, measured_grids, page_html
-from app.studies.runs import flattened
+from app.studies.runs import flattened, plain
 
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
 """Colours of the pairs without a colour in `PAIR_COLOURS`, repeated if there are more pairs."""
@@ -32,10 +32,7 @@ _LISTED = 5  # [-] largest number of listed columns
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
-
-    `on_progress` gets the share [-] of the pictures that are drawn.
-    """
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters."""
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
@@ -84,7 +81,7 @@ def key_numbers(run: Trace) -> dict[str, Any]:
     None replaces values that are not finite, which a log that was edited can have.
     """
     run = _without_infinite(run)
-    return _finite({**extremes(run), **metrics(run)})
+    return plain({**extremes(run), **metrics(run)})
 
 
 def _without_infinite(run: Trace) -> Trace:
@@ -92,12 +89,6 @@ def _without_infinite(run: Trace) -> Trace:
     finite = copy(run)
     finite.table = np.where(np.isinf(run.table), np.nan, run.table)
     return finite
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(each) for key, each in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _changes(run: Trace) -> Part:
@@ -112,11 +103,10 @@ def _changes(run: Trace) -> Part:
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """Find the parameters that differ from the program's defaults in at least one configuration.
+    """The parameters that differ from the program's defaults in at least one configuration.
 
-    Returns:
-        For each: the path, such as `border.d_b`; the default; and the value or, if the
-        configurations differ, the list of their different values.
+    Each has its path, such as `border.d_b`, its default, and its value or, if the configurations
+    differ, the list of its values.
     """
     changes = []
     for path, about in tunables().items():

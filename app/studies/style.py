@@ -134,8 +134,7 @@ def panel_title(axes: Axes, letter: str, text: str) -> None:
 
 def time_axis(axes: Axes, duration: float) -> None:
     """Limit the x axis to 0 to a duration [s], and label it as the time."""
-    axes.set_xlim(0.0, duration)
-    axes.set_xlabel("time [s]")
+    axes.set(xlim=(0.0, duration), xlabel="time [s]")
 
 
 def level(axes: Axes, value: float, text: str) -> None:
