@@ -45,20 +45,16 @@ def study(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run the missing cases of a study, and write its results into an existing folder.
+    """Run the missing cases of a study, write its results, and return the content of `study.json`.
 
     The cases have the numbers from 0 to `cases` - 1; further stored cases are ignored. They run on
     the workers of the dask scheduler with the address `scheduler`; without one, in processes of
-    this machine. `on_progress` gets the number of cases with a stored result.
-
-    Returns:
-        The content of `study.json`.
+    this machine. `on_progress` gets the number of stored cases.
 
     Raises:
-        StudyError: The folder has another study or damaged data, is in use or cannot be written,
-            the scheduler does not answer or has no suitable workers, or a range has no part inside
-            the stated envelope.
-        DbbError: The robot cannot be loaded, or the arm reaches no start.
+        StudyError: The existing folder `out` has another study or damaged data, is in use or not
+            writable; the scheduler does not answer or has no suitable workers; a range has no part
+            inside the stated envelope; or the arm reaches no start.
     """
     if parameters.inside:
         inside = Envelope.stated().narrowed(parameters.ranges)
@@ -75,7 +71,7 @@ def study(
 
 
 def identity_of(parameters: StudyParameters) -> dict[str, Any]:
-    """The data that identify the study in a folder: the parameters and the code."""
+    """The data that identify the study in a folder: parameters and `code_digest`."""
     return {**parameters.model_dump(mode="json"), "code": code_digest()}
 
 
@@ -147,17 +143,15 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
 
 
 class Journal(AbstractContextManager["Journal"]):
-    """The stored rows of a study.
+    """The stored rows of a study, one line of JSON each, on the disk before `add` returns.
 
-    Each row is one line of JSON, which is on the disk before `add` returns. If the last line is
-    incomplete, because the writing process was killed, the line is removed: the case runs again.
+    An incomplete last line, after the writing process was killed, is removed: its case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
         """Open or start the journal of the study with this identity in an existing folder.
 
-        Raises:
-            StudyError: The folder has another study or damaged data, or is in use.
+        If the folder has another study or damaged data, or is in use, this raises a StudyError.
         """
         self.rows: dict[int, Row] = {}  # by the number of the case
         self._folder = folder
@@ -245,10 +239,8 @@ class Cluster(AbstractContextManager["Cluster"]):
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
         """Connect to a scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-        Each job calls `make_context`, which must cache the data that the jobs share.
-
-        Raises:
-            StudyError: No scheduler answers, or it has no workers with the same code.
+        Each job calls `make_context`, which must cache the data that the jobs share. If no
+        scheduler answers, or it has no workers with the same code, this raises a StudyError.
         """
         # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
         from distributed import Client
@@ -276,10 +268,7 @@ class Cluster(AbstractContextManager["Cluster"]):
     def map(
         self, function: Callable[..., Row], jobs: Sequence[int], *, lost: Callable[[int], Row]
     ) -> Iterator[Row]:
-        """Execute the jobs, and yield the results in the order in which the jobs end.
-
-        If the worker's process ends in each attempt at a job, `lost` makes the result.
-        """
+        """As `Workers.map`, but the results are in the order in which the jobs end."""
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 

@@ -53,7 +53,7 @@ class Quantity(NamedTuple):
     def radius(self, value: float) -> float:
         """[m] radius in plan at which the bar of a value ends.
 
-        If larger values are better, all values below the limit have the limit's radius.
+        If larger values are better, values below the limit have the limit's radius.
         """
         if self.more_is_better and self.limit is not None:
             value = max(value, self.limit)
@@ -78,10 +78,10 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance and time; the last two have scales that start at 0.
+    """Final error, smallest distance and time; an overlap counts as a distance of 0.
 
     The scale of the distance ends at the largest distance at a start, and that of the time at the
-    longest time, both rounded up. An overlap counts as a distance of 0.
+    longest time, both rounded up.
     """
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
@@ -116,18 +116,17 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
     """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
 
-    There is a column of panels for each controller, with a row for each of `quantities`; the three
-    panels of a single controller are side by side.
+    There is a column of panels for each controller, with a row for each of `quantities`; for a
+    single controller there is one row.
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
         for key in ("paths", "wheel_axis")
     )
     no_start = [row for row in result["unreachable"] if row.get("height_m") == height]
-    title = (
-        f"sweep, {result['mode']}: end-effector at {height:g} m, {1000 * speed:.3g} mm/s, "
-        f"{result['length_m']:g} m towards the base"
-    )
+    speed_text, length = f"{1000 * speed:.3g} mm/s", f"{result['length_m']:g} m"
+    at = f"end-effector at {height:g} m, {speed_text}"
+    title = f"sweep, {result['mode']}: {at}, {length} towards the base"
     names, shown = result["controllers"], [*paths, *axis]
     figure, panels = _panels(title, names, shown, _PANEL, projection="polar")
     for ax, name, quantity in panels:
@@ -160,19 +159,14 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths that lead down onto the base at one speed [m/s], in a top view of the base.
-
-    Each path is a square. The panels are as in `polar_map`.
-    """
+    """Draw the paths that lead down onto the base at one speed [m/s], each as a square in plan."""
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
     sides = [_smallest_step([*rows, *no_start], key) for key in ("place_x_m", "place_y_m")]
     body = MobileBody(model)
     lower, upper = body.lower, body.upper
-    title = (
-        f"sweep from above, {result['mode']}: {1000 * speed:.3g} mm/s, "
-        f"{result['length_m']:g} m down"
-    )
+    speed_text, length = f"{1000 * speed:.3g} mm/s", f"{result['length_m']:g} m"
+    title = f"sweep from above, {result['mode']}: {speed_text}, {length} down"
 
     def square(ax: Axes, row: Row, **style: Any) -> None:
         corner = row["place_x_m"] - sides[0] / 2, row["place_y_m"] - sides[1] / 2
@@ -271,10 +265,7 @@ def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """Draw a path along the wheel axis as a dot outside of the scale.
-
-    The x coordinates of the arm's nearest points determine the order of these dots.
-    """
+    """Draw a path along the wheel axis as a dot outside of the scale, ordered by `offset_m`."""
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
