@@ -51,8 +51,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
         A range without such a part raises a StudyError.
         """
         found = {}
-        limits = {**self._intervals(), "hand_f_max": (0.0, self.force)}
-        for name, (lower, upper) in limits.items():
+        for name, (lower, upper) in (self._intervals() | {"hand_f_max": (0.0, self.force)}).items():
             low, high = getattr(ranges, name)
             found[name] = max(low, lower), min(high, upper)
             if low > upper or high < lower:

@@ -83,12 +83,12 @@ def _rows(
         return
     load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
-    workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
-    lost = partial(_lost_row, parameters)
-    with workers:
+    run, lost = (partial(function, parameters) for function in (_row, _lost_row))
+    with (
+        Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo))) as pool
+    ):
         for begin in range(0, len(todo), _AT_ONCE):
-            numbers = todo[begin : begin + _AT_ONCE]
-            yield from workers.map(partial(_row, parameters), numbers, lost=lost)
+            yield from workers.map(run, todo[begin : begin + _AT_ONCE], lost=lost)
 
 
 def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -> Row:
@@ -114,15 +114,13 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
         write_whole(out / f"{name}.png", png)
-    page = report_html(rows, parameters, summary, envelope, pictures)
-    write_whole(out / "report.html", page)
-    identity = identity_of(parameters)
-    source = {name: identity[name] for name in ("seed", "controller", "physics", "code")}
-    source |= {name: summary[name] for name in ("cases", "failed")}
+    write_whole(out / "report.html", report_html(rows, parameters, summary, envelope, pictures))
+    result = {"parameters": identity_of(parameters), **summary}
+    whole, inside = result["parameters"] | summary, summary["envelope"]
+    source = {n: whole[n] for n in ("seed", "controller", "physics", "code", "cases", "failed")}
     for name in ("inside", "inside_by_halves"):
-        source |= {f"{name}_{key}": value for key, value in summary["envelope"][name].items()}
+        source |= {f"{name}_{key}": value for key, value in inside[name].items()}
     write_whole(out / "envelope.toml", as_toml(envelope, source))
-    result = {"parameters": identity, **summary}
     write_json(out / "study.json", result)
     return result
 
@@ -198,8 +196,8 @@ class Journal(AbstractContextManager["Journal"]):
 
     def _read(self) -> None:
         self._file.seek(0)
-        whole, lines = 0, iter(partial(self._file.readline, SMALL), b"")
-        for number, line in enumerate(lines, start=1):
+        whole = 0
+        for number, line in enumerate(iter(partial(self._file.readline, SMALL), b""), start=1):
             if not line.endswith(b"\n") and len(line) < SMALL:
                 break  # cut off
             whole += len(line)
@@ -273,13 +271,12 @@ class Cluster(AbstractContextManager["Cluster"]):
         from distributed.scheduler import KilledWorker
 
         run = partial(_run, function, self._make_context)
-        futures = self._client.map(run, jobs, pure=False)
-        names = {future.key: job for future, job in zip(futures, jobs, strict=True)}
-        for future in as_completed(futures):
+        jobs_of = dict(zip(self._client.map(run, jobs, pure=False), jobs, strict=True))
+        for future in as_completed(jobs_of):
             try:
                 result = future.result()
             except KilledWorker:
-                result = lost(names[future.key])
+                result = lost(jobs_of[future])
             yield result
 
 
@@ -288,7 +285,7 @@ def _run(function: Callable[..., Row], make_context: Callable[[], Any], job: int
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Check that a cluster has workers, and that all have the code of this process."""
+    """Check that a cluster has workers, and that all of them have the code of this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:

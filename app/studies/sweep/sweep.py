@@ -1,5 +1,6 @@
 """A sweep: paths of the end-effector towards the base from all directions, with each controller."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -73,11 +74,8 @@ _Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joi
 
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 """[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
-_SEARCHES = tuple(
-    (float(np.radians(turn)), k)
-    for turn, k in ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
-)
-"""[rad] horizontal angle of the end-effector from the outward direction, and a number that is added
+_SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
+"""[deg] horizontal angle of the end-effector from the outward direction, and a number that is added
 to the seed; preferred first."""
 _TRIES = 4  # [-] starting points of a search for each pitch of the end-effector
 _MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
@@ -141,7 +139,8 @@ class StartFinder:
             flaws[OUT_OF_REACH] = len(places) - len(reached)
         for (turn, k), p_ee in product(_SEARCHES, reached):
             try:
-                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, turn=turn, tries=_TRIES)
+                how = {"turn": math.radians(turn), "tries": _TRIES}
+                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, **how)
             except UnreachableError as error:
                 flaws.update(error.flaws)
                 continue
@@ -161,10 +160,8 @@ class StartFinder:
     ) -> tuple[Array, Array]:
         """Move the end-effector (3,) [m] and the joints (n_m,) towards the desired distance [m]."""
         excess = self._closest(q_m).d - distance
-        step, moved = np.sign(excess) * _SLIDE, 0.0
-        while abs(excess) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
-            if moved > _FARTHEST_SLIDE:
-                break
+        step, moved, small = np.sign(excess) * _SLIDE, 0.0, _DISTANCE_TOLERANCE
+        while abs(excess) > small and abs(step) > small / 8 and moved <= _FARTHEST_SLIDE:
             p_new = p_ee + step * approach.inwards
             with suppress(UnreachableError):
                 q_new = self._solver.slide(point_of(p_new), q_m)
@@ -227,22 +224,18 @@ def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lamb
     same = attrgetter("kind", "height", "direction_deg", "place")
     approaches = plan.approaches(make_context().model)
     groups = [tuple(group) for _, group in groupby(approaches, same)]
-    starts: list[Start] = []
     rows: dict[Kind, list[Row]] = {kind: [] for kind in LISTS}
     with Workers(make_context, processes) as workers:
         on_share = part_of(on_progress, 0.0, _START_SHARE)
-        for found in workers.map(partial(_find_starts, plan), groups, on_share):
-            starts += found
+        found = workers.map(partial(_find_starts, plan), groups, on_share)
+        starts = [start for each in found for start in each]
         trials, on_share = list(plan.trials(starts)), part_of(on_progress, _START_SHARE, 1.0)
         results = workers.map(partial(_row, plan), trials, on_share)
         for (start, *_), row in zip(trials, results, strict=True):
             rows[start.approach.kind].append(row)
     on_progress(1.0)
     return {
-        "robot": plan.robot,
-        "seed": plan.seed,
-        "mode": plan.mode,
-        "physics": plan.physics,
+        **{name: getattr(plan, name) for name in ("robot", "seed", "mode", "physics")},
         "controllers": list(plan.controllers),
         "heights_m": list(plan.heights),
         "speeds_mps": list(plan.speeds),
@@ -349,12 +342,13 @@ def write_sweep(result: Row, out: Path) -> list[str]:
 
     model = RobotModel(load_robot(result["robot"]))
     names = ["sweep.json", "sweep.csv"]
+    above = result["above"] or any(row["kind"] == "above" for row in result["unreachable"])
     with styled():
         for speed in result["speeds_mps"]:
             for height in result["heights_m"]:
                 names.append(f"sweep_h{height:g}_v{speed:g}.png")
                 write_whole(out / names[-1], png_of(polar_map(result, height, speed, model)))
-            if result["above"] or any(row["kind"] == "above" for row in result["unreachable"]):
+            if above:
                 names.append(f"sweep_above_v{speed:g}.png")
                 write_whole(out / names[-1], png_of(above_map(result, speed, model)))
     rows = [{"kind": kind, **row} for kind, key in LISTS.items() for row in result[key]]
