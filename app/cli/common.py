@@ -93,7 +93,7 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
 def spec_of_scenario(
     name: str, setup: Given, config: Path | None, parameters: Given | None = None, **own: object
 ) -> RunSpec:
-    """The run of a scenario with its `own` options, values for `Setup`, and those for `configured`.
+    """The run of a scenario with the values `setup` for `Setup`, and the scenario's options `own`.
 
     `config` and `parameters` are the arguments `file` and `given` of `configured`.
     """
@@ -108,8 +108,8 @@ def spec_of_scenario(
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
     """The run of a case; prints changes of version and parameters since the case was written.
 
-    `setup` can replace controller and plant. For its robot and seed, and for the `others` options
-    of the user, see `check_no_others`, whose argument `case` is `word`.
+    `setup` can replace controller and plant. `check_no_others` refuses a robot and a seed in
+    `setup`, and the user's `others` options; `word` names the case in its message.
     """
     check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
     case = read_case(file)

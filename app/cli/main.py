@@ -135,7 +135,7 @@ def _run_command(name: str, *words: str) -> None:
 
 
 def _help_texts(doc: str) -> tuple[str, str]:
-    """`doc` with the text of each argument on one line; and its description, filled to the width.
+    """`doc` with the text of each argument on one line; its description, filled to the terminal.
 
     tyro joins lines that begin with a letter; therefore all lines after the first are indented.
     """

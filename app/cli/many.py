@@ -19,11 +19,6 @@ from app.studies.sweep.plan import OPTIONS, SweepPlan
 
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
 _MAX_CASES = 10_000_000
-_INSIDE = (
-    "Narrow the ranges of the random quantities to the envelope that docs/safety_study.md states; "
-    "a range completely outside the envelope is an error."
-)
-_TIME_STAMPS = "The controller gets the time of a clock and the time stamps of the readings."
 
 
 def reproduce(
@@ -131,8 +126,8 @@ def study(
     *,
     ranges: Annotated[Given, from_record(StudyRange)],
     setup: options.SetupOptions,
-    inside: Annotated[options.Flag, tyro.conf.arg(help=_INSIDE)] = False,
-    time_stamps: Annotated[options.Flag, tyro.conf.arg(help=_TIME_STAMPS)] = False,
+    inside: options.Flag = False,
+    time_stamps: options.Flag = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,
     out: Path = Path("out/study"),
@@ -147,13 +142,16 @@ def study(
 
     Args:
         cases: Number of cases.
+        inside: Narrow the ranges of the random quantities to the envelope that
+            docs/safety_study.md states; a range completely outside the envelope is an error.
+        time_stamps: The controller gets the time of a clock and the time stamps of the readings.
         scheduler: Address of a running dask scheduler; the scheduler's workers need this project.
             Default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MAX_CASES)
-    drawn = {"inside": inside, "time_stamps": time_stamps, "ranges": StudyRange(**ranges)}
-    parameters = StudyParameters(**asdict(options.Setup(**setup)), **drawn)
+    own: Given = {"inside": inside, "time_stamps": time_stamps, "ranges": StudyRange(**ranges)}
+    parameters = StudyParameters(**asdict(options.Setup(**setup)), **own)
     workers = options.check_processes(processes)
     from app.robot.description import load_robot
 
@@ -161,9 +159,9 @@ def study(
     options.make_folder(out)
     from app.studies.pulls.study import study as run_study
 
-    where = {"scheduler": scheduler, "processes": workers}
     with _resumable(cases, out) as on_progress:
-        result = run_study(parameters, cases, out, **where, on_progress=on_progress)
+        how: Given = {"scheduler": scheduler, "processes": workers, "on_progress": on_progress}
+        result = run_study(parameters, cases, out, **how)
     if json:
         print_json(result)
         return

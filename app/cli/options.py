@@ -117,19 +117,22 @@ def from_record(
     are the names of the included (None: all) and of the excluded fields, `names` has the option's
     name for a field if they differ, and `positional` is the field that is a positional argument.
     """
-    found = dict(fields_of(record))
-    chosen = [name for name in found if (only is None or name in only) and name not in leave]
-    return _from_fields({name: found[name] for name in chosen}, names or {}, positional)
+    found = {name: about for name, about in fields_of(record) if name not in leave}
+    chosen = found if only is None else {name: found[name] for name in found if name in only}
+    return _from_fields(chosen, names or {}, positional)
 
 
 def _from_fields(found: Mapping[str, Field], names: Mapping[str, str], positional: str = "") -> Any:
     kinds: dict[str, Any] = {}
     for name, about in found.items():
-        needed = about.default is MISSING
+        needed, metavar = about.default is MISSING, name.upper() if positional == name else None
         hint = "(required)" if needed else f"(default: {_text(about.default)})"
+        if get_origin(about.kind) is tuple:
+            usual = {2: "LOW HIGH", 3: "X Y Z"}.get(len(get_args(about.kind)))
+            metavar = _METAVARS.get(name, usual)
         marks = tyro.conf.arg(
             name=names.get(name, name),
-            metavar=_metavar(name, about.kind, positional == name),
+            metavar=metavar,
             help=about.help,
             help_behavior_hint="" if about.default in (None, (), "") else hint,
         )
@@ -148,12 +151,6 @@ def _text(default: Any) -> str:
     if isinstance(default, bool):
         return "yes" if default else "no"
     return f"{default:g}" if isinstance(default, float) else str(default)
-
-
-def _metavar(name: str, kind: Any, positional: bool) -> str | None:
-    if get_origin(kind) is not tuple:
-        return name.upper() if positional else None
-    return _METAVARS.get(name) or {2: "LOW HIGH", 3: "X Y Z"}[len(get_args(kind))]
 
 
 def fields_of(record: object) -> Iterator[tuple[str, Field]]:

@@ -226,13 +226,8 @@ def replay(
     with progress_bar(out.name, duration) as on_progress:
         page = replay_html(read, model, data.clouds, look, on_progress=on_progress)
     write_whole(out, page)
-    result = {
-        "page": str(out),
-        "scenario": read.meta.scenario,
-        "robot": read.meta.robot,
-        "duration_s": duration,
-        "size_bytes": out.stat().st_size,
-    }
+    about = {"page": str(out), "scenario": read.meta.scenario, "robot": read.meta.robot}
+    result = {**about, "duration_s": duration, "size_bytes": out.stat().st_size}
     common.print_json(result) if json else print(out)
 
 

@@ -118,7 +118,7 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
-    """Serve the dashboard until it ends; no variable here keeps the first robot in memory."""
+    """Serve the dashboard until Ctrl-C; no variable here keeps the first robot in memory."""
     asked, server = first.asked, _opened(first)
     try:
         with suppress(KeyboardInterrupt):  # the regular end, as soon as the address is printed

@@ -30,7 +30,7 @@ def wake_without_parent() -> None:
 def guarded(
     heard: int, patience: float, numbers: Sequence[int] = (), *, group: bool = False
 ) -> Iterator[int]:
-    """Run a guard for this process, or its `group`, in the `with`; its arguments: see the module.
+    """Run a guard for this process, or its `group`, in the `with`; the module has its arguments.
 
     This yields the descriptor of a file to which the guard copies the bytes of `heard`; or `heard`
     itself, if the guard cannot start.

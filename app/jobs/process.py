@@ -82,7 +82,7 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status, or −N after signal N, if the process ends within `patience` [s]."""
+        """The exit status, −N after signal N; None if the process still runs after `patience` [s]."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:

@@ -45,9 +45,9 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """A function that takes the finished share of a part of some work, and reports that of all.
+    """A function that takes the finished share of a part of some work, and reports the whole share.
 
-    The part is the interval `begin` to `end` of the whole work, 0 to 1.
+    The part is from `begin` to `end`, which are shares of the whole work.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 

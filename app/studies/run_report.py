@@ -125,8 +125,7 @@ def _value(value: Any) -> str:
 @style.picture("distances", "Distances and activations")
 def distances_figure(run: Trace) -> Figure:
     """Above: distances of all pairs. Below: activations. Dashed curves: pairs within the arm."""
-    figure = style.new_figure(6.0)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    figure, (above, below) = style.new_panels(6.0, 2, 1, sharex=True, height_ratios=[3, 2])
     chain = _chain(run.meta)
     others = cycle(_OTHERS)
     for k, pair in enumerate(run.meta.pairs):
@@ -179,8 +178,7 @@ def end_effector_figure(run: Trace) -> Figure:
     """Above: distance of the end-effector from the person's target, or from the reference if no
     person pulls. Below: force of people on the end-effector, or of the end-effector on a door.
     """
-    figure = style.new_figure(4.6)
-    error, force = figure.subplots(2, 1, sharex=True)
+    figure, (error, force) = style.new_panels(4.6, 2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.EE)
     error.set_ylabel("end-effector error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
@@ -194,8 +192,7 @@ def end_effector_figure(run: Trace) -> Figure:
 @style.picture("torques", "Torques of the arm")
 def torques_figure(run: Trace) -> Figure:
     """Commanded torque of each revolute joint of the arm, or force of a prismatic joint."""
-    figure = style.new_figure(3.6)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(3.6)
     for k, joint in enumerate(run.meta.joints):
         ax.plot(run.t, run.of("u_a")[:, k], color=_JOINTS[k % len(_JOINTS)], label=joint)
     ax.set_ylabel("torque [N m]" if "m" not in run.meta.joint_units else "torque [N m], force [N]")
@@ -209,8 +206,7 @@ def plan_figure(run: Trace) -> Figure:
     """Paths of base and end-effector from above. A square marks the start, and a circle the
     end. Arrows show the base's heading, grey at the start.
     """
-    figure = style.new_figure(5.0)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(5.0)
     for points, colour, text in (
         (run.of("base_pose"), style.PATH, "base"),
         (run.of("p_ee"), style.EE, "end-effector"),

@@ -61,7 +61,7 @@ def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> No
 
 
 def plain(content: object) -> Any:
-    """Content for JSON: lists for arrays, numbers for those of numpy, None for not finite ones."""
+    """Content for JSON: lists replace arrays, and None replaces numbers that are not finite."""
     return to_jsonable_python(content, inf_nan_mode="null", fallback=lambda x: x.tolist())
 
 

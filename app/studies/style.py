@@ -82,6 +82,12 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="compressed")
 
 
+def new_panels(height: float, *shape: int, width: float = WIDTH, **how: Any) -> tuple[Figure, Any]:
+    """Make a figure and its axes, in the rows and columns `shape`; `how` as for `subplots`."""
+    figure = new_figure(height, width)
+    return figure, figure.subplots(*shape, **how)
+
+
 def png_of(figure: Figure) -> bytes:
     """The figure as a PNG; equal figures give equal bytes."""
     buffer = io.BytesIO()

@@ -72,8 +72,7 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     distances = [f"d_{pair}_m" for pair in _PAIRS]
     parts = sources.columns(_TRACKED, "t_s", *distances, "ee_error_m")
     table = drawing.stacked(parts, "controller")
-    figure = style.new_figure(6.4)
-    grid = figure.subplots(2, 2, sharex=True)
+    figure, grid = style.new_panels(6.4, 2, 2, sharex=True)
     grid[0][0].sharey(grid[0][1])
     for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True), start=1):
         drawing.method_lines(ax, parts, column)
@@ -125,8 +124,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     """
     columns = ("t_s", *(f"d_{p}_m" for p in _PAIRS), *(f"beta_{p}" for p in _PAIRS))
     parts = sources.columns(DIRECTIONS, *columns)
-    figure = style.new_figure(6.2)
-    grid = figure.subplots(2, 2, sharex="col", sharey="row")
+    figure, grid = style.new_panels(6.2, 2, 2, sharex="col", sharey="row")
     for k, (name, part) in enumerate(parts.items()):
         distance, activation = grid[:, k]
         for pair in _PAIRS:
@@ -159,8 +157,7 @@ def figure_15(sources: Sources) -> drawing.Drawing:
         for name, experiment in by_direction.items()
     }
     tables = {name: _avoidance_columns(*run) for name, run in runs.items()}
-    figure = style.new_figure(6.2)
-    grid = figure.subplots(2, 2, sharex="col", sharey="row")
+    figure, grid = style.new_panels(6.2, 2, 2, sharex="col", sharey="row")
     for k, name in enumerate(DIRECTIONS):
         parts = {method: tables[f"{name}, {method}"] for method in reversed(paper.GUIDING)}
         for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
@@ -226,8 +223,7 @@ def figure_16(sources: Sources) -> drawing.Drawing:
     start = Camera(np.zeros(3), 6.0, *_door_view(door), 780, 640)
     bodies = sources.model.placed_meshes(pose, q_m)
     camera = drawing.framed(start, [mesh for _, mesh in bodies] + [solid.mesh for solid in solids])
-    figure = style.new_figure(4.9)
-    grid = figure.subplots(1, 2)
+    figure, grid = style.new_panels(4.9, 1, 2)
     texts = ("opening a refrigerator", "collision models, magenta for the door")
     with closing(Photographer(sources.model)) as photographer:
         for ax, letter, text, shown in zip(grid, "ab", texts, (solids, shapes), strict=True):
@@ -269,8 +265,7 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     """
     columns = ("t_s", f"d_lm-{BODY}_m", f"beta_lm-{BODY}")
     parts = sources.columns(_DOORS, *columns)
-    figure = style.new_figure(3.6)
-    distance, activation = figure.subplots(1, 2)
+    figure, (distance, activation) = style.new_panels(3.6, 1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         drawing.method_lines(ax, dict(reversed(parts.items())), column)
         style.time_axis(ax, paper.DOOR.scenario.duration)

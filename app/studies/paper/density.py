@@ -37,8 +37,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
     """
     table = trade_off(sources)
     counts = table["points"][:-1]
-    figure = style.new_figure(3.6)
-    jump, cost = figure.subplots(1, 2)
+    figure, (jump, cost) = style.new_panels(3.6, 1, 2)
     look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (paper)"}
     name = "continuous surface (default)"
     for ax, column, label in (
@@ -139,8 +138,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         {kind: acting_path(sources, finder, *path) for kind, finder in finders.items()}
         for path in (coarse, fine)
     )
-    figure = style.new_figure(4.6)
-    plan, steps = figure.subplots(1, 2, width_ratios=(1, 1.35))
+    figure, (plan, steps) = style.new_panels(4.6, 1, 2, width_ratios=(1, 1.35))
     style.panel_title(plan, "", "the acting point from above")
     style.panel_title(steps, "", "motion of the acting point in each control step")
     for kind, along in found.items():
@@ -199,7 +197,7 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table of a path: times t (N,) [s], p_b, acting point with its last step, acceleration."""
+    """A table along a path: times t (N,) [s], p_b, p_act and its last step, base acceleration."""
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]

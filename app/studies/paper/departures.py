@@ -45,15 +45,13 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
     for place, key, *pair in _OF_RUNS:
         rows.append((place, key, *(sources.runs[run].figures[key] for run in pair)))
     table = drawing.table_of(("departure", "number", "printed", "here"), rows)
-    figure = style.new_figure(4.2)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(4.2)
     places = np.arange(len(rows))[::-1]
     for column, name, above in (("printed", "hqp", 0.2), ("here", "dbb", -0.2)):
         values = np.maximum(table[column].astype(float), _SMALLEST)
         colour, label = style.METHOD_COLOURS[name], style.METHOD_NAMES[name]
         ax.barh(places + above, values, 0.36, color=colour, label=label)
-    ax.set_xscale("log")
-    ax.set_yticks(places, [f"{place}\n{key}" for place, key, *_ in rows])
+    ax.set(xscale="log", yticks=places, yticklabels=[f"{place}\n{key}" for place, key, *_ in rows])
     ax.legend(loc="lower right")
     measured = {key: {"printed": printed, "here": here} for _, key, printed, here in rows}
     remark = "Smaller numbers are better. `docs/departures.md` has the reason for each departure."
@@ -150,8 +148,8 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
     The base's rows and the row of one pair within the arm are fully active, although this pair is
-    outside its buffer: with T_2 there are as many rows as degrees of freedom. Of the step with the
-    largest change of q̈, the half with the larger change remains, again and again: a jump remains.
+    outside its buffer: with T_2 there are as many rows as degrees of freedom. The interval with the
+    largest change of q̈ is replaced repeatedly by its half with the larger change: a jump remains.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)

@@ -234,7 +234,7 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in row k of an experiment, with the border as a surface; `config`: parameters."""
+    """The force in row k of an experiment, on the border as a surface, with parameters `config`."""
     run = sources.runs[experiment].trace
     q_m = run.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
@@ -247,8 +247,8 @@ def deepest(sources: Sources) -> int:
 
 
 def turning(sources: Sources) -> Force:
-    """Of the forces in each 20th row of WHEEL_AXIS in the buffer, the one whose smaller component
-    is largest.
+    """Of the forces in each 20th row of WHEEL_AXIS inside the buffer, the force whose smaller
+    component is largest.
     """
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::20]
@@ -268,8 +268,7 @@ def figure_7(sources: Sources) -> drawing.Drawing:
     along, across = force.components
     p_b, p_act = force.closest.p_b, force.acting.p_act
     table = _slice(sources, force)
-    figure = style.new_figure(5.4)
-    whole, near = figure.subplots(1, 2)
+    figure, (whole, near) = style.new_panels(5.4, 1, 2)
     for ax in (whole, near):
         shown = _plan(ax, sources, force, table)
     style.panel_title(whole, "", "the border at the height of $p_b$")
@@ -303,8 +302,7 @@ def figure_8(sources: Sources) -> drawing.Drawing:
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
     table = _slice(sources, found["chosen"])
-    figure = style.new_figure(5.4)
-    grid = figure.subplots(1, 2, sharex=True, sharey=True)
+    figure, grid = style.new_panels(5.4, 1, 2, sharex=True, sharey=True)
     for ax, letter, force in zip(grid, "ab", found.values(), strict=True):
         shown = _plan(ax, sources, force, table)
         drawing.arrow(ax, force.acting.p_n, force.acting.p_t, style.INK)
@@ -326,8 +324,7 @@ def figure_10(sources: Sources) -> drawing.Drawing:
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
     table = {"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])}
-    figure = style.new_figure(3.6, 6.4)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(3.6, width=6.4)
     ax.plot(table["d_m"], table["beta"], color=style.METHOD_COLOURS["dbb"], linewidth=2.4)
     for at, text in ((d_full, "task fully active"), (d_b, "buffer distance $d_b$")):
         ax.axvline(at, color=style.SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)

@@ -248,7 +248,7 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
     """Displacement (3,) [m] of a pull, duration [s] of the run, and the pull's share of it.
 
     `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
-    rest of 1 s, or of a quarter of `longest` if that is shorter; a longer pull is shortened.
+    rest of 1 s, or of a quarter of `longest` if that is shorter; if necessary, the pull is shorter.
     """
     rest = min(_REST, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed
@@ -300,8 +300,8 @@ def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
 def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: BorderData) -> Row:
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
-    If the run stops with an error, `error` is the reason, and the row has no results; but an
-    AssetError is raised. `nan` is true if a torque, a pose of the base or a result is not finite.
+    `nan` is true if a torque, a pose of the base or a result is not finite. If the run stops with
+    an error, `error` is the reason, and the row has no results; only an AssetError is raised.
     """
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)

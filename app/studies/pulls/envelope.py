@@ -101,7 +101,7 @@ def tally(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of the even cases inside the odd cases' envelope, and vice versa.
+    """The tally of the even cases inside an envelope fitted to the odd cases, and vice versa.
 
     In an envelope that is fitted to the same cases no case would have failed.
     """

@@ -54,7 +54,7 @@ _BOUNDS = {
 
 
 class StudyRange(Strict):
-    """The distributions of the random quantities: uniform, for `LOGARITHMIC` in their logarithm.
+    """The distributions of the random quantities: uniform, or for `LOGARITHMIC` log-uniform.
 
     `height` only bounds the random starts.
     """

@@ -21,7 +21,7 @@ from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, me
 from app.studies.pulls.envelope import FORCE, Envelope, exerted, tally
 from app.studies.pulls.parameters import FAULTS, PARAMETERS, StudyParameters
 from app.studies.runs import Row
-from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
+from app.studies.style import INK, SOFT, TARGET, new_panels, picture, pictures_in
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] limits of intervals
 _DISTRIBUTED = (
@@ -183,8 +183,7 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
     envelope that is fitted to these cases. Its force is at most 0.9 times the smallest force of the
     cases that failed or in which the arm came nearer to the base than 10 mm.
     """
-    figure = new_figure(4.6)
-    axes = figure.subplots()
+    figure, axes = new_panels(4.6)
     known = [row for row in rows if row.get(FORCE) is not None]
     low, high = envelope.speed
     axes.fill_between((low, high), envelope.force, color="#DCEBF5", zorder=0)
@@ -206,7 +205,7 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set(xlabel="speed of the person's hand [m/s]", xlim=(low - 0.02, high + 0.02))
     axes.set_ylabel("largest force before a distance of 10 mm [N]")
-    axes.set_ylim(0.0, 1.15 * max([row[FORCE] for row in known] + [envelope.force, 1.0]))
+    axes.set_ylim(0.0, 1.15 * max(*_known(rows, FORCE), envelope.force, 1.0))
     return figure
 
 
@@ -216,8 +215,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     line is contact, the grey line is d_b. Left: number of cases inside and outside the envelope
     that is fitted to them. Right: each case, by the direction of its start; failed cases are red.
     """
-    figure = new_figure(4.2)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    figure, (left, right) = new_panels(4.2, 1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("min_clearance_m") is not None]
     low = min(0.0, *_known(rows, "min_clearance_m"))
     bins = np.arange(np.floor(low / 0.01) * 0.01, _LARGEST + 0.01, 0.01)
@@ -249,8 +247,7 @@ def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
     move away in the direction of a pull, such as down onto the base, the arm resists the pull: the
     end-effector then intentionally ends far from the target.
     """
-    figure = new_figure(3.8)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    figure, (left, right) = new_panels(3.8, 1, 2, width_ratios=(3, 2))
     values = np.clip(_known(rows, "ee_error_final_m"), *_ERRORS)
     left.hist(values, bins=list(np.geomspace(*_ERRORS, 41)), color=_INSIDE)
     left.set_xlabel("final distance [m]; the outer bars have the values beyond the axis")

@@ -55,6 +55,7 @@ def study(
         StudyError: The existing folder `out` has another study or damaged data, is in use or not
             writable; the scheduler does not answer or has no suitable workers; a range has no part
             inside the stated envelope; or the arm reaches no start.
+        DbbError: The robot cannot be loaded, or no monitored part of its arm can meet the base.
     """
     if parameters.inside:
         inside = Envelope.stated().narrowed(parameters.ranges)
@@ -84,9 +85,8 @@ def _rows(
     load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
     run, lost = (partial(function, parameters) for function in (_row, _lost_row))
-    with (
-        Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo))) as pool
-    ):
+    workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
+    with workers:
         for begin in range(0, len(todo), _AT_ONCE):
             yield from workers.map(run, todo[begin : begin + _AT_ONCE], lost=lost)
 
