@@ -150,8 +150,8 @@ def study(
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MAX_CASES)
-    own: Given = {"inside": inside, "time_stamps": time_stamps, "ranges": StudyRange(**ranges)}
-    parameters = StudyParameters(**asdict(options.Setup(**setup)), **own)
+    chosen, drawn = asdict(options.Setup(**setup)), StudyRange(**ranges)
+    parameters = StudyParameters(**chosen, inside=inside, time_stamps=time_stamps, ranges=drawn)
     workers = options.check_processes(processes)
     from app.robot.description import load_robot
 
@@ -160,8 +160,9 @@ def study(
     from app.studies.pulls.study import study as run_study
 
     with _resumable(cases, out) as on_progress:
-        how: Given = {"scheduler": scheduler, "processes": workers, "on_progress": on_progress}
-        result = run_study(parameters, cases, out, **how)
+        result = run_study(
+            parameters, cases, out, scheduler=scheduler, processes=workers, on_progress=on_progress
+        )
     if json:
         print_json(result)
         return

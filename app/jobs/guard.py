@@ -39,10 +39,14 @@ def guarded(
     lives, alive = os.pipe()
     pid = -os.getpgid(0) if group else os.getpid()
     words = map(str, (__file__, passed, lives, pid, patience, *map(int, numbers)))
-    streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "pass_fds": (passed, lives)}
     try:
-        command = [sys.executable, "-I", "-S", *words]
-        guard = subprocess.Popen(command, start_new_session=True, **streams)
+        guard = subprocess.Popen(
+            [sys.executable, "-I", "-S", *words],
+            pass_fds=(passed, lives),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        )
     except OSError:
         guard = None
     os.close(passed)

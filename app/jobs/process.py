@@ -18,7 +18,7 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, suppress
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, Pipe
 from multiprocessing.pool import RemoteTraceback
 from typing import Any, NamedTuple
 
@@ -62,9 +62,9 @@ class Child(AbstractContextManager["Child"]):
             OSError: The process cannot start.
         """
         task = pickle.dumps((work, args))
-        theirs_in, self.sender = _pipe()
-        self.receiver, theirs_out = _pipe()
-        alive, self._alive = _pipe()
+        theirs_in, self.sender = Pipe(duplex=False)
+        self.receiver, theirs_out = Pipe(duplex=False)
+        alive, self._alive = Pipe(duplex=False)
         self._leads_group = leads_group
         given = theirs_in.fileno(), theirs_out.fileno()
         path = [folder for folder in sys.path if folder]  # an empty one is the working directory
@@ -82,7 +82,7 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status, −N after signal N; None if the process still runs after `patience` [s]."""
+        """The exit status, −N after signal N, or None if the process runs `patience` [s] longer."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
@@ -188,11 +188,6 @@ def begin(receiver: int, sender: int, leads_group: bool) -> None:
         taken = stack.enter_context(Connection(sender, readable=False))
         work, args = pickle.loads(given.recv_bytes())
         work(given, taken, *args)
-
-
-def _pipe() -> tuple[Connection, Connection]:
-    receiver, sender = os.pipe()
-    return Connection(receiver, writable=False), Connection(sender, readable=False)
 
 
 def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -> Outcome | None:

@@ -101,17 +101,13 @@ class Picture(NamedTuple):
     name: str  # in commands, files and links
     title: str
     needs: tuple[Any, ...]  # the runs whose results the picture shows
-    draw: Callable[..., Any]  # the function's docstring is the caption
-
-    @property
-    def caption(self) -> str:
-        """The text below the title."""
-        return docstring_of(self.draw)
+    draw: Callable[..., Any]
+    caption: str  # text below the title
 
 
 def picture(name: str, title: str, *needs: Any) -> Callable[[Callable[..., Any]], Picture]:
-    """Decorator that replaces a drawing function by a `Picture` with this name, title and runs."""
-    return lambda draw: Picture(name, title, needs, draw)
+    """Decorator that makes a `Picture` of a drawing function, whose docstring is the caption."""
+    return lambda draw: Picture(name, title, needs, draw, docstring_of(draw))
 
 
 def pictures_in(module: Mapping[str, Any]) -> dict[str, Picture]:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -84,9 +83,7 @@ def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) ->
 def base_corners(model: RobotModel) -> Array:
     """(8, 3) [m] corners of a box around l_m in the base's frame, first the four on the floor."""
     body = MobileBody(model)
-    low, high = body.lower, body.upper
-    plan = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
-    return np.array([(x, y, z) for z, (x, y) in product((0.0, high[2]), plan)])
+    return trimesh.bounds.corners([[*body.lower[:2], 0.0], body.upper])
 
 
 def plan_axes(ax: Axes) -> None:

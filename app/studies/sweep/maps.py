@@ -73,8 +73,8 @@ class Quantity(NamedTuple):
         at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
         good = self.good(value)
         width = limit if good is not self.more_is_better else 1.0 - limit
-        depth = abs(at - limit) / width if width > 0.0 else 0.0
-        return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * min(depth, 1.0))
+        depth = min(abs(at - limit) / width, 1.0)
+        return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * depth)
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
