@@ -35,7 +35,7 @@ _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 def console() -> NoReturn:
     """Run the command line, and end the process without freeing all objects.
 
-    Freeing them takes up to a second, in which the process ignores signals.
+    Freeing them takes up to a second; during this time the process would ignore signals.
     """
     status = 0
     try:

@@ -173,7 +173,7 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Find joint positions (n_m,), starting at `q_m`, for which p_b has the coordinate x [m].
+        """Find joint positions (n_m,) with p_b at the coordinate x [m]; the search starts at `q_m`.
 
         p_b is the arm's closest point to the base; `p_ee` (3,) [m] is the end-effector's position
         at `q_m`. If the search finds no such joint positions, it raises an UnreachableError.
