@@ -88,10 +88,8 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 does not touch the axis
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
-    for ax in grid.flat:
+    for ax in grid[1]:
         style.time_axis(ax, paper.TRACKING.scenario.duration)
-    for ax in grid[0]:
-        ax.set_xlabel("")
     grid[0][0].legend(loc="lower left")
     remark = (
         "The task of the repulsive method prescribes all three components of the closest point's "

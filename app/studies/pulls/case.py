@@ -175,7 +175,7 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
     """The fields `shoulder`, `near` and `far` of `StudySources`.
 
     The distances come from random postures in which the end-effector points outwards and not far
-    upwards, as in the start solver's postures. Without such a posture they are 0 and infinite.
+    upwards, as in the start solver's postures. If there is none, `near` is 0 and `far` infinite.
     """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
@@ -301,7 +301,7 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
     `nan` is true if a torque, a pose of the base or a result is not finite. If the run stops with
-    an error, `error` is the reason, and the row has no results; only an AssetError is raised.
+    an error, `error` is the reason, and the row has no results; an AssetError is raised instead.
     """
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)
