@@ -56,11 +56,7 @@ class Child(AbstractContextManager["Child"]):
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Start the process; with `leads_group`, all processes that the child starts end with it.
-
-        Raises:
-            OSError: The process cannot start.
-        """
+        """Start the process, or raise an OSError; with `leads_group`, its children end with it."""
         task = pickle.dumps((work, args))
         theirs_in, self.sender = Pipe(duplex=False)
         self.receiver, theirs_out = Pipe(duplex=False)

@@ -103,10 +103,7 @@ def nearest_pair(w: ControlStep) -> int:
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0, with q̈_2* on the left side of (29), as printed.
-
-    T_sca has only the base's rows.
-    """
+    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0 for the base's rows, with (29) as printed."""
     below = hqp.tasks_below(w, gains)
     qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
     literal = hqp.cascade([hqp.Task(w.J_sca[rows], -w.J_sca[rows] @ qdd_2), *below])
