@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from app.studies import style
 from app.studies.page import Part, label
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.report import figure_part, paper_page
-from app.studies.style import Picture
 
 PNG = bytes(range(256))
 LIMIT = {"value": 0.05, "unit": "m", "source": "Figure 10"}
@@ -30,7 +30,7 @@ def section(tmp_path: Path):
 
     def make(name: str = "fig1", **changes) -> Part:
         drawing = Drawing(Figure(), {}, {"d_min_m": 0.125}, ["so"])
-        figure = Picture(name, "Figure 1: a & b", (), draw)
+        figure = style.picture(name, "Figure 1: a & b")(draw)
         picture = tmp_path / f"{name}.png"
         picture.write_bytes(PNG)
         return figure_part(figure, replace(drawing, **changes), [picture])

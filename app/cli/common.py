@@ -93,7 +93,7 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
 def spec_of_scenario(
     name: str, setup: Given, config: Path | None, parameters: Given | None = None, **own: object
 ) -> RunSpec:
-    """The run of a scenario; `own` has the scenario's options, `setup` has values for `Setup`.
+    """The run of a scenario with the values `setup` for `Setup`, and the scenario's options `own`.
 
     `config` and `parameters` are the arguments `file` and `given` of `configured`.
     """
@@ -108,12 +108,8 @@ def spec_of_scenario(
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
     """The run of a case; prints changes of version and parameters since the case was written.
 
-    `setup` can replace controller and plant. `others` are further options of the user, and `word`
-    is the argument `case` of `check_no_others`.
-
-    Raises:
-        CaseError: The file cannot be read or is not a valid case.
-        ConfigError: As for `check_no_others`, with `robot` and `seed` of `setup`, and `others`.
+    `setup` can replace controller and plant. `check_no_others` refuses a robot and a seed in
+    `setup`, and the user's `others` options; `word` names the case in its message.
     """
     check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
     case = read_case(file)
@@ -151,13 +147,10 @@ def is_case(word: str) -> bool:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Check that the user has set none of `options`, because a case already sets them.
+    """Raise a ConfigError for the first option that is not None, because a case already sets it.
 
-    None means that an option is not set. `border` and `buffer_distance` are allowed: they override
-    the case. `case` names the case in the message: the option `--case`, or the file.
-
-    Raises:
-        ConfigError: Another option is set; the message names the first such option.
+    `border` and `buffer_distance` are allowed: they override the case. `case` names the case in the
+    message: the option `--case`, or the file.
     """
     for name, value in options.items():
         if value is not None and name not in ("border", "buffer_distance"):

@@ -13,7 +13,7 @@ import textwrap
 from contextlib import suppress
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from app.errors import DbbError, check_name, extras_named, printable
 from app.jobs.progress import ending_signals_raised
@@ -33,10 +33,9 @@ _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
 def console() -> NoReturn:
-    """Run the command line, and end the process immediately after the work.
+    """Run the command line, and end the process without freeing all objects.
 
-    A normal exit of the interpreter would free all objects first, which takes up to a second in
-    which the process ignores signals.
+    Freeing them takes up to a second; during this time the process would ignore signals.
     """
     status = 0
     try:
@@ -71,13 +70,12 @@ def main(args: list[str] | None = None) -> None:
     except DbbError as error:
         print(printable(f"dbb: error: {error}"), file=sys.stderr)
         sys.exit(2)
-    except MemoryError as error:
-        print(f"dbb: error: too little memory: {error}", file=sys.stderr)
-        sys.exit(2)
-    except ImportError as error:
-        if not str(error.path).endswith(".so"):  # a defect of this program
-            raise
-        print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
+    except (MemoryError, ImportError) as error:
+        if isinstance(error, ImportError) and not str(error.path).endswith(".so"):
+            raise  # a defect of this program
+        full = isinstance(error, MemoryError)
+        fault = "too little memory" if full else "a library cannot be loaded"
+        print(f"dbb: error: {fault}: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "
@@ -116,10 +114,7 @@ def _run(words: list[str]) -> None:
 
 
 def _run_command(name: str, *words: str) -> None:
-    """Check the name of a command, import its module, and run the command.
-
-    The modules of other commands are not imported.
-    """
+    """Run a command; the modules of other commands are not imported."""
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
@@ -135,21 +130,13 @@ def _run_command(name: str, *words: str) -> None:
     else:
         function = getattr(module, known)
     function.__doc__, description = _help_texts(function.__doc__ or "")
-    marks = (tyro.conf.DisallowNone,)
-    tyro.cli(
-        function,
-        prog=f"dbb {name}",
-        description=description,
-        args=rest,
-        config=marks,
-        registry=REGISTRY,
-    )
+    how: dict[str, Any] = {"config": (tyro.conf.DisallowNone,), "registry": REGISTRY}
+    tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, **how)
 
 
 def _help_texts(doc: str) -> tuple[str, str]:
-    """`doc` with the text of each argument on one line; and its description, without arguments.
+    """`doc` with the text of each argument on one line; its description, filled to the terminal.
 
-    tyro fills the text of an argument to the terminal's width; this function fills the description.
     tyro joins lines that begin with a letter; therefore all lines after the first are indented.
     """
     doc = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(doc))

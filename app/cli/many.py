@@ -19,11 +19,6 @@ from app.studies.sweep.plan import OPTIONS, SweepPlan
 
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
 _MAX_CASES = 10_000_000
-_INSIDE = (
-    "Narrow the ranges of the random quantities to the envelope that docs/safety_study.md states; "
-    "a range completely outside the envelope is an error."
-)
-_TIME_STAMPS = "The controller gets the time of a clock and the time stamps of the readings."
 
 
 def reproduce(
@@ -131,8 +126,8 @@ def study(
     *,
     ranges: Annotated[Given, from_record(StudyRange)],
     setup: options.SetupOptions,
-    inside: Annotated[options.Flag, tyro.conf.arg(help=_INSIDE)] = False,
-    time_stamps: Annotated[options.Flag, tyro.conf.arg(help=_TIME_STAMPS)] = False,
+    inside: options.Flag = False,
+    time_stamps: options.Flag = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,
     out: Path = Path("out/study"),
@@ -147,15 +142,16 @@ def study(
 
     Args:
         cases: Number of cases.
+        inside: Narrow the ranges of the random quantities to the envelope that
+            docs/safety_study.md states; a range completely outside the envelope is an error.
+        time_stamps: The controller gets the time of a clock and the time stamps of the readings.
         scheduler: Address of a running dask scheduler; the scheduler's workers need this project.
             Default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MAX_CASES)
-    chosen = asdict(options.Setup(**setup))
-    parameters = StudyParameters(
-        **chosen, inside=inside, time_stamps=time_stamps, ranges=StudyRange(**ranges)
-    )
+    chosen, drawn = asdict(options.Setup(**setup)), StudyRange(**ranges)
+    parameters = StudyParameters(**chosen, inside=inside, time_stamps=time_stamps, ranges=drawn)
     workers = options.check_processes(processes)
     from app.robot.description import load_robot
 
@@ -183,20 +179,17 @@ def study(
 @contextmanager
 def _resumable(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
     """Show a progress bar; after Ctrl-C, print the number of stored cases, and how to continue."""
-    kept = 0.0
+    stored = 0.0
 
     def count(done: float) -> None:
-        nonlocal kept
-        kept = done
+        nonlocal stored
+        stored = done
         update(done)
 
     try:
         with progress_bar(f"{cases} cases", cases) as update:
             yield count
     except KeyboardInterrupt:
-        print(
-            f"{kept:.0f} of {cases} cases are stored in {out}; "
-            "the same command continues the study",
-            file=sys.stderr,
-        )
+        text = f"{stored:.0f} of {cases} cases are stored in {out}"
+        print(f"{text}; the same command continues the study", file=sys.stderr)
         raise

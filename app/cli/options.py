@@ -82,7 +82,7 @@ REGISTRY = tyro.constructors.ConstructorRegistry()  # further rules for options 
 def _path_rule(
     about: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[Path] | None:
-    """The rule for an option of type Path: the home replaces `~`; None for other types."""
+    """The rule for an option of type Path: the home folder replaces `~`; None for other types."""
     if about.type is not Path:
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
@@ -112,28 +112,27 @@ def from_record(
 ) -> Any:
     """The second argument of `Annotated[Given, …]`: a command's options, one for each field.
 
-    The command gets a dictionary with the values of only the options that the user set.
-
-    Args:
-        record: A dataclass or pydantic record; or a dataclass instance with the defaults.
-        only: Names of the included fields; None means all fields.
-        leave: Names of the excluded fields.
-        names: Name of the option, for each field whose option has a different name.
-        positional: The field that is a positional argument.
+    The command gets a dictionary with the values of only the options that the user set. `record`
+    is a dataclass or pydantic record, or a dataclass instance with the defaults. `only` and `leave`
+    are the names of the included (None: all) and of the excluded fields, `names` has the option's
+    name for a field if they differ, and `positional` is the field that is a positional argument.
     """
-    found = dict(fields_of(record))
-    chosen = [name for name in found if (only is None or name in only) and name not in leave]
-    return _from_fields({name: found[name] for name in chosen}, names or {}, positional)
+    found = {name: about for name, about in fields_of(record) if name not in leave}
+    chosen = found if only is None else {name: found[name] for name in found if name in only}
+    return _from_fields(chosen, names or {}, positional)
 
 
 def _from_fields(found: Mapping[str, Field], names: Mapping[str, str], positional: str = "") -> Any:
     kinds: dict[str, Any] = {}
     for name, about in found.items():
-        needed = about.default is MISSING
+        needed, metavar = about.default is MISSING, name.upper() if positional == name else None
         hint = "(required)" if needed else f"(default: {_text(about.default)})"
+        if get_origin(about.kind) is tuple:
+            usual = {2: "LOW HIGH", 3: "X Y Z"}.get(len(get_args(about.kind)))
+            metavar = _METAVARS.get(name, usual)
         marks = tyro.conf.arg(
             name=names.get(name, name),
-            metavar=_metavar(name, about.kind, positional == name),
+            metavar=metavar,
             help=about.help,
             help_behavior_hint="" if about.default in (None, (), "") else hint,
         )
@@ -152,12 +151,6 @@ def _text(default: Any) -> str:
     if isinstance(default, bool):
         return "yes" if default else "no"
     return f"{default:g}" if isinstance(default, float) else str(default)
-
-
-def _metavar(name: str, kind: Any, positional: bool) -> str | None:
-    if get_origin(kind) is not tuple:
-        return name.upper() if positional else None
-    return _METAVARS.get(name) or {2: "LOW HIGH", 3: "X Y Z"}[len(get_args(kind))]
 
 
 def fields_of(record: object) -> Iterator[tuple[str, Field]]:
@@ -225,10 +218,10 @@ ParameterOptions = Annotated[Given, parameter_options(PARAMETERS)]
 def configured(
     robot: str, file: Path | None, given: Given | None = None, paths: Mapping[str, str] = PARAMETERS
 ) -> Config:
-    """The robot's defaults, overridden by the file of `--config`, and then by the options.
+    """The robot's defaults, overridden by the file of `--config`, and then by the options `given`.
 
-    `given` are the values of the options that the user set; `paths` has the path of the parameter
-    that each option sets, such as `border.d_b`. A `hidden_robot` causes a warning in the log.
+    `paths` has the path of the parameter that each option sets, such as `border.d_b`. A
+    `hidden_robot` causes a warning in the log.
     """
 
     def override(usual: Config) -> Config:
@@ -255,9 +248,7 @@ def read(file: Path | None, usual: Config | None = None) -> NamedConfig:
 def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS) -> Config:
     """A configuration with some parameters changed by options; arguments as in `configured`.
 
-    Raises:
-        ConfigError: A value is out of range; the message names the option and the range.
-        UnknownNameError: A value is not one of the choices.
+    A value out of its range raises a ConfigError, and a wrong choice an UnknownNameError.
     """
     for name, value in given.items():
         about = tunable(paths[name])
@@ -284,9 +275,7 @@ def check_processes(processes: int | None) -> int:
 def in_order(words: Iterable[str]) -> list[str]:
     """The words of a command line with the present names of options, and one merged `--allow-host`.
 
-    Raises:
-        ConfigError: Another option appears several times, although only the last one would count;
-            the message shows the correct form.
+    If another option appears several times, this raises a ConfigError: only the last would count.
     """
     before: list[str] = []
     groups: dict[str, list[list[str]]] = {}  # each option with its values
@@ -312,10 +301,9 @@ def in_order(words: Iterable[str]) -> list[str]:
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Check the file `path` of an option before the work, and make its folder; None is valid.
+    """Check the file of an option before the work, and make its folder; None is valid.
 
-    Raises:
-        OutputError: The file does not end in one of `suffixes`, or cannot be written.
+    If `path` does not end in one of `suffixes` or is not writable, this raises an OutputError.
     """
     if path is None:
         return

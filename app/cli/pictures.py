@@ -58,7 +58,16 @@ def screenshot(
     check_range("--at", len(at), 1, _MAX_PICTURES, "times")
     options.check_file("--out", out, (".png",))
     asked = common.spec_named(scenario, setup, config)
-    whole = _draw(asked, at, look)
+    for t in at:
+        check_range("--at", t, 0.0, asked.scenario.duration, "s")
+    from app.dashboard.export.browser import chromium
+    from app.dashboard.export.screenshot import strip, take_pictures
+
+    with chromium() as browser:  # first, because a missing browser must be reported at once
+        model, data = common.load_robot_and_border(asked.robot)
+        snapshots = common.filmed(asked, model, data, at)
+        pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
+    whole = pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=look.dark)
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
     write_whole(out, drawn.getvalue())
@@ -72,19 +81,6 @@ def screenshot(
         **{name: getattr(look, name) for name in ("layer", "view", "page")},
     }
     common.print_json(result) if json else print(out)
-
-
-def _draw(asked: RunSpec, at: tuple[float, ...], look: Look) -> Image.Image:
-    from app.dashboard.export.browser import chromium
-    from app.dashboard.export.screenshot import strip, take_pictures
-
-    for t in at:
-        check_range("--at", t, 0.0, asked.scenario.duration, "s")
-    with chromium() as browser:  # first, because a missing browser must be reported at once
-        model, data = common.load_robot_and_border(asked.robot)
-        snapshots = common.filmed(asked, model, data, at)
-        pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
-    return pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=look.dark)
 
 
 @dataclass(frozen=True)
@@ -226,13 +222,8 @@ def replay(
     with progress_bar(out.name, duration) as on_progress:
         page = replay_html(read, model, data.clouds, look, on_progress=on_progress)
     write_whole(out, page)
-    result = {
-        "page": str(out),
-        "scenario": read.meta.scenario,
-        "robot": read.meta.robot,
-        "duration_s": duration,
-        "size_bytes": out.stat().st_size,
-    }
+    about = {"page": str(out), "scenario": read.meta.scenario, "robot": read.meta.robot}
+    result = {**about, "duration_s": duration, "size_bytes": out.stat().st_size}
     common.print_json(result) if json else print(out)
 
 

@@ -37,29 +37,24 @@ def robots(json: Json = False) -> None:
 
     if wrong := wrong_folders():
         say(wrong)
-    found, broken = [], {}
+    rows, broken = [], {}
     for name in robot_names():
         if hidden := hidden_robot(name):
             say(hidden)
         try:
-            found.append(load_robot(name))
+            d = load_robot(name)
         except DbbError as error:
             broken[name] = str(error)
+            continue
+        row = {"name": d.name, "title": d.title, "base": d.base.kind}
+        row |= {"arm_joints": len(d.arm.joints), "bodies": [body.name for body in d.bodies]}
+        rows.append(row)
     if json:
-        rows = [
-            {
-                "name": d.name,
-                "title": d.title,
-                "base": d.base.kind,
-                "arm_joints": len(d.arm.joints),
-                "bodies": [b.name for b in d.bodies],
-            }
-            for d in found
-        ]
         print_json({"robots": rows, "broken": broken})
         return
-    for d in found:
-        show(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")
+    for row in rows:
+        base, joints = f"{row['base']} base", f"arm of {row['arm_joints']} joints"
+        show(f"{row['name']:20} {row['title']}: {base}, {joints}")
     for name, problem in broken.items():
         show(f"{name:20} cannot be used: {problem}")
 

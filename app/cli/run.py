@@ -52,11 +52,7 @@ ContactOption = Annotated[
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """Select the command for the words after `dbb run`.
-
-    Returns:
-        Name of the scenario or empty, the command, and the remaining words.
-    """
+    """Name of the scenario or empty, command, and remaining words, of the words after `dbb run`."""
     if any(word.partition("=")[0] == "--case" for word in words):
         own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
         given = {"scenario" if word in SCENARIOS else _field(word) for word in words}

@@ -118,7 +118,7 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
-    """Serve the dashboard until it ends; no variable here keeps the first robot in memory."""
+    """Serve the dashboard until Ctrl-C; no variable here keeps the first robot in memory."""
     asked, server = first.asked, _opened(first)
     try:
         with suppress(KeyboardInterrupt):  # the regular end, as soon as the address is printed
@@ -169,8 +169,8 @@ def _opened(first: _First) -> DashboardServer:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The stored border; else a stored coarse one, which a background process refines for the next
-    start; else a newly sampled one.
+    """The stored border; else a stored coarse border, which a background process refines for the
+    next start; else a newly sampled border.
     """
     from app.border.cache import kept_border_data, load_border_data
     from app.border.sampling import QUICK

@@ -1,8 +1,8 @@
 """Reading of untrusted data within a budget of time and memory.
 
-This process reads small data. A child process reads larger data. The system ends the child when its
-processor time exceeds the budget. On systems other than macOS, it also refuses memory beyond the
-budget. Thus no file can exhaust the memory of a server or block its threads.
+A child process reads data that are larger than `SMALL`. The system ends this process when its
+processor time exceeds the budget and, except on macOS, refuses memory beyond the budget. Thus no
+file can exhaust the memory of a server or block its threads.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class BudgetError(ValueError):
 
 
 class Budget(NamedTuple):
-    """Time and memory for reading data, in addition to those that a process needs by itself."""
+    """Time and memory for reading data, in addition to the needs of an idle process."""
 
     seconds: float  # [s] processor time
     memory: int  # [bytes]
@@ -45,12 +45,9 @@ class Budget(NamedTuple):
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
-    `read` must be a function of a module; its arguments and its result must be picklable. Data up
-    to `SMALL` have no budget of their own, nor data that a reading child process reads.
-
-    Raises:
-        BudgetError: Reading exceeds the budget, or crashes its process.
-        Exception: Any exception of `read`.
+    `read` must be a function of a module; its arguments and its result must be picklable. A nested
+    call, in the reading child process, has no budget of its own. If reading exceeds the budget or
+    crashes its process, a BudgetError is raised; exceptions of `read` are raised here, too.
     """
     if size <= SMALL or _limited.is_set():
         return read(*args)

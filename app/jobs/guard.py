@@ -1,11 +1,11 @@
 """A guard: a process that kills another process if the other process does not end in time.
 
-The guard is a separate process, so a library that hangs and holds Python's lock cannot stop the
-guard. Its command is `python guard.py HEARD LIVES PID PATIENCE [NUMBER ...]`. HEARD is a file
-descriptor. The end of this file, or a byte with one of the NUMBERs of signals, announces the end of
-the process; the guard copies the bytes up to this announcement to standard output. LIVES is the
-file descriptor of a pipe that is open while the process lives. A negative PID means the process
-group −PID. PATIENCE is the time in seconds between the announcement and the kill.
+A library that hangs and holds Python's lock cannot stop the guard. Its command is `python guard.py
+HEARD LIVES PID PATIENCE [NUMBER ...]`. The end of the file with the descriptor HEARD, or a byte in
+it with one of the NUMBERs of signals, announces the end of the process; the guard copies the bytes
+up to this announcement to standard output. LIVES is the descriptor of a pipe that is open while the
+process lives. A negative PID means the process group −PID. PATIENCE [s] is the time between the
+announcement and the kill.
 """
 
 import ctypes
@@ -30,11 +30,10 @@ def wake_without_parent() -> None:
 def guarded(
     heard: int, patience: float, numbers: Sequence[int] = (), *, group: bool = False
 ) -> Iterator[int]:
-    """Run a guard for this process, or its `group`, in the `with`; its arguments: see the module.
+    """Run a guard for this process, or its `group`, in the `with`; the module has its arguments.
 
-    Yields:
-        The descriptor of a file to which the guard copies the bytes of `heard`. If the guard cannot
-        start, this is `heard` itself.
+    This yields the descriptor of a file to which the guard copies the bytes of `heard`; or `heard`
+    itself, if the guard cannot start.
     """
     passed = os.dup(heard)  # not the descriptor 0, which is the guard's standard input
     lives, alive = os.pipe()

@@ -30,15 +30,14 @@ class Workers(AbstractContextManager["Workers"]):
     """Runs `function(context, job)` for many jobs; each process makes its context once.
 
     The processes start when the `with` begins, and make their contexts while this process continues
-    its own work. Results are in the order of the jobs, so they do not depend on the number of
-    processes.
+    its own work.
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
         """Prepare a number of processes; default: one for each usable core.
 
-        With one, or if a process cannot start, this process executes the jobs. `make_context` makes
-        the data that all jobs share, and must be picklable.
+        With one, or if a process cannot start, this process executes the jobs. `make_context` must
+        be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
@@ -79,39 +78,47 @@ class Workers(AbstractContextManager["Workers"]):
         The processes begin at once. Without processes, a job runs when its result is read.
 
         Args:
-            function: Executes a job.
-            jobs: The jobs.
-            on_progress: Called in the thread that reads the results, with the share of all work
-                that is done, 0 to 1, which never decreases.
-            tells: Whether `function` has a third argument: a function that it calls with the
-                finished share of the job. Otherwise the share grows only at the end of a job.
+            function: Executes a job; must be picklable.
+            jobs: The jobs; must be picklable.
+            on_progress: Called in the thread that reads the results.
+            tells: Whether `function` has a third argument, of the type `OnProgress`, that it calls
+                with the finished share of the job.
             lost: Makes the result of a job whose process has ended in each of three attempts.
 
         Raises:
-            LoopError: Each attempt at a job has ended its process, and there is no `lost`.
+            LoopError: The process of a job has ended in each attempt, and there is no `lost`.
             Exception: An exception of `function` or `make_context`, when the result is read.
         """
-        shares = _Shares(len(jobs), on_progress)
         work = function if tells else partial(_without_reports, function)
+        sent: SimpleQueue[tuple[int, float]] = SimpleQueue()  # number and finished share of a job
         futures: list[Future[Result]] = []
         if self._processes > 1:
             for number, job in enumerate(jobs):
-                tell = partial(shares.send, number)
+                tell: OnProgress = lambda share, number=number: sent.put((number, share))  # noqa: E731
                 futures.append(self._threads.submit(self._ask, work, job, tell, lost))
                 futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
-        return self._results(work, jobs, futures, shares)
+        return self._results(work, jobs, futures, sent, on_progress)
 
     def _results(
         self,
         work: Callable[..., Result],
         jobs: Sequence[Any],
         futures: Sequence[Future[Result]],
-        shares: _Shares,
+        sent: SimpleQueue[tuple[int, float]],
+        on_progress: OnProgress,
     ) -> Iterator[Result]:
         """Yield the results of the futures; without futures, run the jobs here."""
+        shares = [0.0] * len(jobs)
+
+        def take(number: int, share: float) -> None:
+            shares[number] = max(shares[number], min(share, 1.0))
+            on_progress(sum(shares) / len(shares))
+
         try:
             for number, future in enumerate(futures):
-                shares.wait_for(number)
+                while shares[number] < 1.0:
+                    with suppress(Empty):
+                        take(*sent.get(timeout=_LOOK_EVERY))
                 yield future.result()
         finally:
             for future in futures:
@@ -119,8 +126,8 @@ class Workers(AbstractContextManager["Workers"]):
         for number, job in enumerate(jobs[len(futures) :]):
             if self._own is None:
                 self._own = self._make_context()
-            result = work(self._own, job, partial(shares.take, number))
-            shares.take(number, 1.0)
+            result = work(self._own, job, partial(take, number))
+            take(number, 1.0)
             yield result
 
     def _ask(
@@ -149,7 +156,7 @@ class Workers(AbstractContextManager["Workers"]):
             self._idle.put(child)
 
     def _replaced(self, gone: Child) -> Child:
-        """A new process in place of an ended one; the ended one if the pool is ending."""
+        """A new process in place of the ended process `gone`; `gone` if the pool is ending."""
         with self._lock:
             if gone not in self._children:
                 return gone
@@ -168,28 +175,6 @@ class Workers(AbstractContextManager["Workers"]):
 ALONE = Workers(tuple, 1)  # runs jobs in this process; their context is an empty tuple
 
 
-class _Shares:
-    """The finished share of each job, as the workers report it."""
-
-    def __init__(self, jobs: int, on_progress: OnProgress) -> None:
-        self._of, self._on_progress = [0.0] * jobs, on_progress
-        self._sent: SimpleQueue[tuple[int, float]] = SimpleQueue()
-
-    def send(self, number: int, share: float) -> None:
-        self._sent.put((number, share))
-
-    def wait_for(self, number: int) -> None:
-        """Process the messages until the job with this number is done."""
-        while self._of[number] < 1.0:
-            with suppress(Empty):
-                self.take(*self._sent.get(timeout=_LOOK_EVERY))
-
-    def take(self, number: int, share: float) -> None:
-        """Store the share of a job, which never decreases, and report the mean of all jobs."""
-        self._of[number] = max(self._of[number], min(share, 1.0))
-        self._on_progress(sum(self._of) / len(self._of))
-
-
 def _without_reports(function: Callable[..., Result], context: Any, job: Any, _: object) -> Result:
     return function(context, job)
 
@@ -199,10 +184,9 @@ def _work(receiver: Connection, sender: Connection, make_context: Callable[[], A
     made = Outcome.of(make_context)
     with suppress(EOFError):
         while True:
-            message = receiver.recv_bytes()  # an error in its content is an error of the job
-            Outcome.of(lambda: _do(message, made.value(), sender.send)).send(sender)  # noqa: B023
+            Outcome.of(_do, receiver.recv_bytes(), made, sender.send).send(sender)
 
 
-def _do(message: bytes, context: Any, tell: OnProgress) -> Any:
-    work, job = pickle.loads(message)
+def _do(message: bytes, made: Outcome, tell: OnProgress) -> Any:
+    context, (work, job) = made.value(), pickle.loads(message)
     return work(context, job, tell)

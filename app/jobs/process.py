@@ -18,7 +18,7 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, suppress
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, Pipe
 from multiprocessing.pool import RemoteTraceback
 from typing import Any, NamedTuple
 
@@ -50,22 +50,17 @@ class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
     `work` must be a function of a module, and its arguments must be picklable. The child never
-    imports the parent's main module. It imports modules from the working directory only if the
-    parent's `sys.path` names this directory. It ignores SIGINT (Ctrl-C), which the parent handles.
+    imports the parent's main module, and ignores SIGINT (Ctrl-C), which the parent handles.
     """
 
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Start the process; with `leads_group`, all processes that the child starts end with it.
-
-        Raises:
-            OSError: The process cannot start.
-        """
+        """Start the process, or raise an OSError; with `leads_group`, its children end with it."""
         task = pickle.dumps((work, args))
-        theirs_in, self.sender = _pipe()
-        self.receiver, theirs_out = _pipe()
-        alive, self._alive = _pipe()
+        theirs_in, self.sender = Pipe(duplex=False)
+        self.receiver, theirs_out = Pipe(duplex=False)
+        alive, self._alive = Pipe(duplex=False)
         self._leads_group = leads_group
         given = theirs_in.fileno(), theirs_out.fileno()
         path = [folder for folder in sys.path if folder]  # an empty one is the working directory
@@ -83,17 +78,14 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status if the process ends within `patience` [s], otherwise None.
-
-        If a signal has ended the process, the status is the negative number of the signal.
-        """
+        """The exit status, −N after signal N, or None if the process runs `patience` [s] longer."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process or the group that it leads; if not `at_once`, it can clean up first."""
+        """End the process and, with `leads_group`, its children; `at_once` prevents a clean-up."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -145,8 +137,8 @@ def run_in_process(
 ) -> Any:
     """Run `work(report, *args)` in a `Child`, and return the result.
 
-    `report` is called in this process with each report of `work`. The event `cancelled` ends the
-    child and all its children. `niceness`, 0 to 19, is added to the child's niceness.
+    The event `cancelled` ends the child and all its children. `niceness`, 0 to 19, is added to the
+    child's niceness.
 
     Raises:
         Cancelled: `cancelled` was set.
@@ -192,11 +184,6 @@ def begin(receiver: int, sender: int, leads_group: bool) -> None:
         taken = stack.enter_context(Connection(sender, readable=False))
         work, args = pickle.loads(given.recv_bytes())
         work(given, taken, *args)
-
-
-def _pipe() -> tuple[Connection, Connection]:
-    receiver, sender = os.pipe()
-    return Connection(receiver, writable=False), Connection(sender, readable=False)
 
 
 def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -> Outcome | None:

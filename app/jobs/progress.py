@@ -29,10 +29,9 @@ def progress_bar(
 ) -> Iterator[Callable[[float], None]]:
     """Display the progress of the work `text`, whose amount is `total`; nothing if not `shown`.
 
-    Yields:
-        A function that takes the amount of work that is done. A library can discard the exception
-        of an ending signal such as Ctrl-C. The start of the `with` and each call of the yielded
-        function then raise the exception again, in the main thread only.
+    This yields a function that takes the amount of finished work. If a library has discarded the
+    exception of an ending signal such as Ctrl-C, the start of the `with` and each call of this
+    function raise the exception again, in the main thread only.
     """
     _raise_lost_signal()
     show = _bar if sys.stderr.isatty() else _lines
@@ -46,9 +45,9 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """A function that takes the share of a part of some work, and reports that of the whole.
+    """A function that takes the finished share of a part of some work, and reports the whole share.
 
-    The part is from `begin` to `end`; all shares are from 0 to 1.
+    The part is from `begin` to `end`, which are shares of the whole work.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 
@@ -90,13 +89,10 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 def ending_signals_raised() -> Iterator[None]:
     """Raise exceptions for ending signals during the `with`, in the main thread only.
 
-    If other code converts the exception into a `BrowserError`, or an error that is not a
-    `DbbError`, the exception is raised again at the end. If the work does not end, `_deadline` ends
-    the process.
-
-    Raises:
-        KeyboardInterrupt: SIGINT (Ctrl-C) has ended the work.
-        SystemExit: SIGTERM or SIGHUP has ended the work; the status is 128 + the signal's number.
+    SIGINT (Ctrl-C) raises a KeyboardInterrupt; SIGTERM and SIGHUP raise a SystemExit with the
+    status 128 + the signal's number. If other code converts this exception into a `BrowserError`,
+    or an error that is not a `DbbError`, it is raised again at the end. If the work does not end,
+    `_deadline` ends the process.
     """
     _received.clear()
     before = {}
@@ -130,15 +126,12 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 @contextmanager
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
-    """End the process 2 to 3 s after one of the signals `numbers`, without the main thread.
-
-    Python's own handlers wait until compiled code of the main thread has returned, and their
-    exceptions can be lost there. Therefore the number of each signal is also written to a pipe,
-    immediately. The guard reads the pipe and passes the numbers on to a thread of this process,
-    which ends the process; if the guard is killed, the thread reads the pipe itself. If compiled
-    code holds Python's lock, no thread of this process can run; the guard then kills this process
-    after 8 s.
-    """
+    """End the process 2 to 3 s after one of the signals `numbers`, without the main thread."""
+    # Python's own handlers wait until compiled code of the main thread has returned, and their
+    # exceptions can be lost there. Therefore the system writes the number of each signal to a pipe.
+    # The guard passes these numbers on to a thread, which ends this process; if the guard is
+    # killed, the thread reads the pipe itself. If compiled code holds Python's lock, the thread
+    # cannot run; the guard then kills this process after 8 s.
     if not numbers:
         yield
         return

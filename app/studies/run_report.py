@@ -1,7 +1,7 @@
 """The report of a run, as a self-contained page."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from itertools import cycle
 from typing import Any
@@ -20,7 +20,7 @@ from app.simulation.trace.words import spoken
 from app.strict import Array
 from app.studies import style
 from app.studies.page import Grid, Part, measured_grids, page_html
-from app.studies.runs import flattened
+from app.studies.runs import flattened, plain
 
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
 """Colours of the pairs without a colour in `PAIR_COLOURS`, repeated if there are more pairs."""
@@ -32,10 +32,7 @@ _LISTED = 5  # [-] largest number of listed columns
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
-
-    `on_progress` gets the share [-] of the pictures that are drawn.
-    """
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters."""
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
@@ -84,7 +81,7 @@ def key_numbers(run: Trace) -> dict[str, Any]:
     None replaces values that are not finite, which a log that was edited can have.
     """
     run = _without_infinite(run)
-    return _finite({**extremes(run), **metrics(run)})
+    return plain({**extremes(run), **metrics(run)})
 
 
 def _without_infinite(run: Trace) -> Trace:
@@ -92,12 +89,6 @@ def _without_infinite(run: Trace) -> Trace:
     finite = copy(run)
     finite.table = np.where(np.isinf(run.table), np.nan, run.table)
     return finite
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(each) for key, each in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _changes(run: Trace) -> Part:
@@ -112,11 +103,10 @@ def _changes(run: Trace) -> Part:
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """Find the parameters that differ from the program's defaults in at least one configuration.
+    """The parameters that differ from the program's defaults in at least one configuration.
 
-    Returns:
-        For each: the path, such as `border.d_b`; the default; and the value or, if the
-        configurations differ, the list of their different values.
+    Each has its path, such as `border.d_b`, its default, and its value or, if the configurations
+    differ, the list of its values.
     """
     changes = []
     for path, about in tunables().items():
@@ -135,8 +125,7 @@ def _value(value: Any) -> str:
 @style.picture("distances", "Distances and activations")
 def distances_figure(run: Trace) -> Figure:
     """Above: distances of all pairs. Below: activations. Dashed curves: pairs within the arm."""
-    figure = style.new_figure(6.0)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    figure, (above, below) = style.new_panels(6.0, 2, 1, sharex=True, height_ratios=[3, 2])
     chain = _chain(run.meta)
     others = cycle(_OTHERS)
     for k, pair in enumerate(run.meta.pairs):
@@ -189,8 +178,7 @@ def end_effector_figure(run: Trace) -> Figure:
     """Above: distance of the end-effector from the person's target, or from the reference if no
     person pulls. Below: force of people on the end-effector, or of the end-effector on a door.
     """
-    figure = style.new_figure(4.6)
-    error, force = figure.subplots(2, 1, sharex=True)
+    figure, (error, force) = style.new_panels(4.6, 2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.EE)
     error.set_ylabel("end-effector error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
@@ -204,8 +192,7 @@ def end_effector_figure(run: Trace) -> Figure:
 @style.picture("torques", "Torques of the arm")
 def torques_figure(run: Trace) -> Figure:
     """Commanded torque of each revolute joint of the arm, or force of a prismatic joint."""
-    figure = style.new_figure(3.6)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(3.6)
     for k, joint in enumerate(run.meta.joints):
         ax.plot(run.t, run.of("u_a")[:, k], color=_JOINTS[k % len(_JOINTS)], label=joint)
     ax.set_ylabel("torque [N m]" if "m" not in run.meta.joint_units else "torque [N m], force [N]")
@@ -219,8 +206,7 @@ def plan_figure(run: Trace) -> Figure:
     """Paths of base and end-effector from above. A square marks the start, and a circle the
     end. Arrows show the base's heading, grey at the start.
     """
-    figure = style.new_figure(5.0)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(5.0)
     for points, colour, text in (
         (run.of("base_pose"), style.PATH, "base"),
         (run.of("p_ee"), style.EE, "end-effector"),

@@ -44,10 +44,7 @@ def rounded(value: object) -> object:
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of equal length as CSV or Parquet, completely or not at all.
-
-    None and NaN are empty cells.
-    """
+    """Write columns of equal length as CSV or Parquet file, with empty cells for None and NaN."""
     import pyarrow as pa
 
     from app.simulation.trace.arrow import write_arrow
@@ -63,15 +60,16 @@ def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> No
     write_table(path, {name: [row.get(name) for row in rows] for name in names})
 
 
-def json_text(content: object) -> str:
-    """Indented JSON of content that can have numbers and arrays of numpy.
+def plain(content: object) -> Any:
+    """Content for JSON: lists replace arrays, and None replaces numbers that are not finite."""
+    return to_jsonable_python(content, inf_nan_mode="null", fallback=lambda x: x.tolist())
 
-    A number that is not finite is null.
-    """
-    plain = to_jsonable_python(content, inf_nan_mode="null", fallback=lambda x: x.tolist())
-    return json.dumps(plain, indent=2, allow_nan=False)
+
+def json_text(content: object) -> str:
+    """Indented JSON of `plain` content."""
+    return json.dumps(plain(content), indent=2, allow_nan=False)
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write the `json_text` of content, completely or not at all."""
+    """Write the `json_text` of content."""
     write_whole(path, json_text(content) + "\n")

@@ -46,8 +46,11 @@ SCORE_MAP = "viridis"  # low scores are dark, high scores are yellow
 WIDTH = 11.0  # [in] default width of a figure
 DPI = 150
 _RULES: dict[Any, Any] = {
-    "figure.dpi": DPI,
-    "savefig.dpi": DPI,
+    **dict.fromkeys(("figure.dpi", "savefig.dpi"), DPI),
+    **dict.fromkeys(("axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
+    **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
+    **dict.fromkeys(("axes.linewidth", "grid.linewidth"), 0.8),
     "figure.facecolor": "white",
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -55,18 +58,8 @@ _RULES: dict[Any, Any] = {
     "axes.titlesize": 12,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.labelcolor": INK,
     "axes.edgecolor": SOFT,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
     "grid.color": "#E4E7EB",
-    "grid.linewidth": 0.8,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
     "lines.linewidth": 2.0,
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
@@ -89,6 +82,12 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="compressed")
 
 
+def new_panels(height: float, *shape: int, width: float = WIDTH, **how: Any) -> tuple[Figure, Any]:
+    """Make a figure and its axes, in the rows and columns `shape`; `how` as for `subplots`."""
+    figure = new_figure(height, width)
+    return figure, figure.subplots(*shape, **how)
+
+
 def png_of(figure: Figure) -> bytes:
     """The figure as a PNG; equal figures give equal bytes."""
     buffer = io.BytesIO()
@@ -102,17 +101,13 @@ class Picture(NamedTuple):
     name: str  # in commands, files and links
     title: str
     needs: tuple[Any, ...]  # the runs whose results the picture shows
-    draw: Callable[..., Any]  # the function's docstring is the caption
-
-    @property
-    def caption(self) -> str:
-        """The text below the title."""
-        return docstring_of(self.draw)
+    draw: Callable[..., Any]
+    caption: str  # text below the title
 
 
 def picture(name: str, title: str, *needs: Any) -> Callable[[Callable[..., Any]], Picture]:
-    """Decorator that replaces a drawing function by a `Picture` with this name, title and runs."""
-    return lambda draw: Picture(name, title, needs, draw)
+    """Decorator that makes a `Picture` of a drawing function, whose docstring is the caption."""
+    return lambda draw: Picture(name, title, needs, draw, docstring_of(draw))
 
 
 def pictures_in(module: Mapping[str, Any]) -> dict[str, Picture]:
@@ -134,8 +129,7 @@ def panel_title(axes: Axes, letter: str, text: str) -> None:
 
 def time_axis(axes: Axes, duration: float) -> None:
     """Limit the x axis to 0 to a duration [s], and label it as the time."""
-    axes.set_xlim(0.0, duration)
-    axes.set_xlabel("time [s]")
+    axes.set(xlim=(0.0, duration), xlabel="time [s]")
 
 
 def level(axes: Axes, value: float, text: str) -> None:

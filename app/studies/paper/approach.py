@@ -29,15 +29,13 @@ _PAIRS = ("lm-lEE", "lm-l3")
 _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m")
 _DOORS = {"dbb": paper.DOOR, "none": paper.DOOR_NONE}
 _DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] times of the snapshots, which the paper mentions
-_DOOR_YAW = 2.35  # [rad] angle from the closed door to the camera, on the side of the free edge
-_DOOR_PITCH = 0.55  # [rad] elevation of the camera
 _COLOURS: dict[str, Rgba] = {
     "case": (0.82, 0.85, 0.88, 1.0),
     "board": (0.93, 0.95, 0.97, 1.0),
     "handle": (0.35, 0.38, 0.42, 1.0),
+    BODY: (0.83, 0.20, 0.62, 1.0),  # magenta
+    "other bodies": (0.36, 0.62, 0.80, 1.0),
 }
-_MAGENTA: Rgba = (0.83, 0.20, 0.62, 1.0)
-_SHAPE_COLOUR: Rgba = (0.36, 0.62, 0.80, 1.0)
 _OF_DOOR = (
     "door_min_distance_m",
     "door_contacts",
@@ -61,9 +59,8 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     for name, e in _TRACKED.items():
         look = _TIMES, _VIEWS["lateral"], e.aim()
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], sources.runs[e], *look))
-    return drawing.snapshot_drawing(
-        sources.model, strips, "controller", _MOTION, aim="target and desired motion"
-    )
+    shown, aim = (strips, "controller", _MOTION), "target and desired motion"
+    return drawing.snapshot_drawing(sources.model, *shown, aim=aim)
 
 
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
@@ -75,8 +72,7 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     distances = [f"d_{pair}_m" for pair in _PAIRS]
     parts = sources.columns(_TRACKED, "t_s", *distances, "ee_error_m")
     table = drawing.stacked(parts, "controller")
-    figure = style.new_figure(6.4)
-    grid = figure.subplots(2, 2, sharex=True)
+    figure, grid = style.new_panels(6.4, 2, 2, sharex=True)
     grid[0][0].sharey(grid[0][1])
     for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True), start=1):
         drawing.method_lines(ax, parts, column)
@@ -92,10 +88,8 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 does not touch the axis
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
-    for ax in grid.flat:
+    for ax in grid[1]:
         style.time_axis(ax, paper.TRACKING.scenario.duration)
-    for ax in grid[0]:
-        ax.set_xlabel("")
     grid[0][0].legend(loc="lower left")
     remark = (
         "The task of the repulsive method prescribes all three components of the closest point's "
@@ -117,9 +111,8 @@ def figure_13(sources: Sources) -> drawing.Drawing:
         times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[name], e.aim()))
-    return drawing.snapshot_drawing(
-        sources.model, strips, "direction", _MOTION, aim="guiding direction and its end"
-    )
+    shown, aim = (strips, "direction", _MOTION), "guiding direction and its end"
+    return drawing.snapshot_drawing(sources.model, *shown, aim=aim)
 
 
 @style.picture("fig14", "Figure 14: distances and activation while guiding", *DIRECTIONS.values())
@@ -129,8 +122,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     """
     columns = ("t_s", *(f"d_{p}_m" for p in _PAIRS), *(f"beta_{p}" for p in _PAIRS))
     parts = sources.columns(DIRECTIONS, *columns)
-    figure = style.new_figure(6.2)
-    grid = figure.subplots(2, 2, sharex="col", sharey="row")
+    figure, grid = style.new_panels(6.2, 2, 2, sharex="col", sharey="row")
     for k, (name, part) in enumerate(parts.items()):
         distance, activation = grid[:, k]
         for pair in _PAIRS:
@@ -163,8 +155,7 @@ def figure_15(sources: Sources) -> drawing.Drawing:
         for name, experiment in by_direction.items()
     }
     tables = {name: _avoidance_columns(*run) for name, run in runs.items()}
-    figure = style.new_figure(6.2)
-    grid = figure.subplots(2, 2, sharex="col", sharey="row")
+    figure, grid = style.new_panels(6.2, 2, 2, sharex="col", sharey="row")
     for k, name in enumerate(DIRECTIONS):
         parts = {method: tables[f"{name}, {method}"] for method in reversed(paper.GUIDING)}
         for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
@@ -194,8 +185,8 @@ def _smoothness(run: RunResult, method: str) -> dict[str, object]:
     kinds = ("base",) if method == "repulsive" else ("avoidance", "base")
     changes = ("acceleration_jump_max", "acceleration_sign_changes")
     keys = [f"{kind}_{change}" for kind in kinds for change in changes]
-    torques = ("torque_jump_max_nm", "torque_rate_sign_changes")
-    return {key: run.figures[key] for key in (*keys, *torques)}
+    keys += ["torque_jump_max_nm", "torque_rate_sign_changes"]
+    return {key: run.figures[key] for key in keys}
 
 
 def _avoidance_columns(run: RunResult, method: str) -> drawing.Table:
@@ -230,17 +221,13 @@ def figure_16(sources: Sources) -> drawing.Drawing:
     start = Camera(np.zeros(3), 6.0, *_door_view(door), 780, 640)
     bodies = sources.model.placed_meshes(pose, q_m)
     camera = drawing.framed(start, [mesh for _, mesh in bodies] + [solid.mesh for solid in solids])
-    figure = style.new_figure(4.9)
-    grid = figure.subplots(1, 2)
-    with closing(Photographer(sources.model)) as photographer:
-        pictures = (
-            photographer.take(pose, q_m, camera, solids),
-            photographer.take(pose, q_m, camera, shapes, robot=False),
-        )
+    figure, grid = style.new_panels(4.9, 1, 2)
     texts = ("opening a refrigerator", "collision models, magenta for the door")
-    for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
-        drawing.show_picture(ax, shot, camera)
-        style.panel_title(ax, letter, text)
+    with closing(Photographer(sources.model)) as photographer:
+        for ax, letter, text, shown in zip(grid, "ab", texts, (solids, shapes), strict=True):
+            shot = photographer.take(pose, q_m, camera, shown, robot=shown is solids)
+            drawing.show_picture(ax, shot, camera)
+            style.panel_title(ax, letter, text)
     body = door.superquadric(pin.SE3.Identity())
     sides = zip(("thickness", "width", "height"), door.size, body.semi_axes_m, strict=True)
     measured = {
@@ -276,8 +263,7 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     """
     columns = ("t_s", f"d_lm-{BODY}_m", f"beta_lm-{BODY}")
     parts = sources.columns(_DOORS, *columns)
-    figure = style.new_figure(3.6)
-    distance, activation = figure.subplots(1, 2)
+    figure, (distance, activation) = style.new_panels(3.6, 1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         drawing.method_lines(ax, dict(reversed(parts.items())), column)
         style.time_axis(ax, paper.DOOR.scenario.duration)
@@ -310,7 +296,7 @@ def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
     T_door = T_ee.inverse() * door.pose(float(run.trace["door_angle_rad"][0]))
     holding, _ = with_door(model, sources.data, door, T_door)
     return [
-        Solid(mesh, _MAGENTA if name == BODY else _SHAPE_COLOUR)
+        Solid(mesh, _COLOURS[name if name == BODY else "other bodies"])
         for name, mesh in holding.placed_meshes(pose, q_m)
     ]
 
@@ -330,5 +316,5 @@ def _door() -> Door:
 
 
 def _door_view(door: Door) -> tuple[float, float]:
-    """[rad] yaw and pitch of the camera that shows the door."""
-    return door.yaw - door.side * _DOOR_YAW, _DOOR_PITCH
+    """[rad] yaw and pitch of a camera that looks at the closed door from the free edge's side."""
+    return door.yaw - door.side * 2.35, 0.55

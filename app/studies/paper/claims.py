@@ -1,6 +1,7 @@
 """The paper's claims of §4.2 and §4.3, and the measurements that confirm or refute them."""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -112,28 +113,11 @@ class Claim(NamedTuple):
         }
 
 
-CLAIMS: list[Claim] = []  # in the order of the report
-
-
-def claims_of(figures: Iterable[str]) -> list[Claim]:
-    """The claims that belong to some figures."""
-    names = set(figures)
-    return [claim for claim in CLAIMS if claim.figure in names]
-
-
 def claim(
     section: str, figure: str, *needs: Experiment
 ) -> Callable[[Callable[..., Findings]], Claim]:
-    """Decorator that adds a claim to `CLAIMS`, and replaces the function by the `Claim`.
-
-    The function makes the measurements; the function's docstring is the text of the claim.
-    """
-
-    def add(measure: Callable[..., Findings]) -> Claim:
-        CLAIMS.append(Claim(section, figure, docstring_of(measure), needs, measure))
-        return CLAIMS[-1]
-
-    return add
+    """Decorator that makes a `Claim` of a function, which measures it, and of its docstring."""
+    return lambda measure: Claim(section, figure, docstring_of(measure), needs, measure)
 
 
 def forward_motion(run: RunResult) -> float:
@@ -148,16 +132,12 @@ def beta_step(run: RunResult) -> float:
     return max(float(np.abs(np.diff(beta)).max()) for beta in betas)
 
 
-def _figure(run: RunResult, text: str, key: str, of: str = "", **bounds: Threshold) -> Finding:
+def _figure(text: str, key: str, run: RunResult, of: str = "", **bounds: Threshold) -> Finding:
     return compare(text, of + key, run.figures[key], **bounds)
 
 
-def _clear(run: RunResult, low: Threshold = CLEAR, of: str = "") -> Finding:
-    return _figure(run, "smallest distance", "min_clearance_m", of, low=low)
-
-
-def _error(run: RunResult, of: str = "", **bound: Threshold) -> Finding:
-    return _figure(run, "final error", "ee_error_final_m", of, **bound)
+_clear = partial(_figure, "smallest distance", "min_clearance_m", low=CLEAR)
+_error = partial(_figure, "final error", "ee_error_final_m")
 
 
 def _back(run: RunResult, text: str = "base moves back") -> Finding:
@@ -204,7 +184,7 @@ def moved_back(_: Sources, run: RunResult) -> Findings:
 @claim("4.2.1", "fig12", paper.TRACKING_REPULSIVE)
 def not_reached(_: Sources, run: RunResult) -> Findings:
     """The repulsive method avoids the collision, but the end-effector cannot reach its target."""
-    return _clear(run, AVOIDED), _error(run, low=MISSED)
+    return _clear(run, low=AVOIDED), _error(run, low=MISSED)
 
 
 @claim("4.2.2", "fig13", paper.LATERAL)
@@ -241,7 +221,7 @@ def from_any_direction(_: Sources, *runs: RunResult) -> Findings:
     for (name, experiment), run in zip(DIRECTIONS.items(), runs, strict=True):
         of = name.replace(", ", "_").replace(" ", "_") + "_"
         yield _moved(run, f"{name}: base moves", of)
-        yield _clear(run, of=of)
+        yield _clear(run, of)
         if experiment.scenario.name == "tracking":  # no person guides
             yield _error(run, of, high=REACHED)
 
@@ -251,7 +231,7 @@ def reached_as_printed(_: Sources, run: RunResult) -> Findings:
     """The controller with the printed (26) to (29) moves the base back, and the end-effector
     reaches its target.
     """
-    return _error(run, high=REACHED), _clear(run, AVOIDED), _back(run)
+    return _error(run, high=REACHED), _clear(run, low=AVOIDED), _back(run)
 
 
 @claim("4.2.2", "departures", *paper.AS_PRINTED[2:])
@@ -260,14 +240,14 @@ def guided_as_printed(_: Sources, *runs: RunResult) -> Findings:
     the base.
     """
     for name, run in zip(paper.GUIDING["dbb"], runs, strict=True):
-        yield _clear(run, AVOIDED, f"{name}_")
+        yield _clear(run, f"{name}_", low=AVOIDED)
         yield _moved(run, f"{name}: base moves", f"{name}_")
 
 
 @claim("4.2.3", "fig18", paper.DOOR_NONE)
 def door_met(_: Sources, run: RunResult) -> Findings:
     """Without avoidance the door collides with the base at 30 s."""
-    yield _figure(run, "door meets the base at", "door_met_base_s", low=MET_FROM, high=MET_TO)
+    yield _figure("door meets the base at", "door_met_base_s", run, low=MET_FROM, high=MET_TO)
 
 
 @claim("4.2.3", "fig18", paper.DOOR)
@@ -276,21 +256,20 @@ def door_avoided(_: Sources, run: RunResult) -> Findings:
     met = run.figures["door_met_base_s"]
     met_at = "never" if met is None else f"at {met:.3g} s"
     yield Finding(f"door meets the base: {met_at}", met is None, {})
-    yield _figure(run, "smallest distance", "door_min_distance_m", low=AVOIDED)
+    yield _figure("smallest distance", "door_min_distance_m", run, low=AVOIDED)
 
 
 @claim("4.2.3", "fig17", paper.DOOR)
 def door_opened(_: Sources, run: RunResult) -> Findings:
     """In the experiment (Figure 19a), the door is opened completely at 40 s."""
-    opened = run.figures["door_opened_80deg_at_s"]
-    yield compare("80° open at", "door_opened_80deg_at_s", opened, high=OPENED_BY)
+    yield _figure("80° open at", "door_opened_80deg_at_s", run, high=OPENED_BY)
 
 
 @claim("4.2.3", "fig17", paper.DOOR)
 def base_backs_off(_: Sources, run: RunResult) -> Findings:
     """The base moves back and turns clockwise; in the experiment (Figure 19a) from 20 s on."""
     yaw = run.trace.of("base_pose")[:, 2]
-    yield _figure(run, "base begins to move at", "base_back_off_s", low=BACKS_FROM, high=BACKS_TO)
+    yield _figure("base begins to move at", "base_back_off_s", run, low=BACKS_FROM, high=BACKS_TO)
     yield _back(run, "moves back")
     yield compare("turns clockwise by", "clockwise_rad", yaw[0] - yaw.min(), low=TURNED)
 
@@ -303,7 +282,7 @@ def incomplete_knowledge(_: Sources, run: RunResult) -> Findings:
     error = run.figures["radial_error_at_5s_rad"]
     text, size = "error of the radial direction after 5 s", None if error is None else abs(error)
     yield compare(text, "radial_error_rad", size, high=RADIAL_ERROR)
-    yield _figure(run, "largest force of the end-effector", "hand_force_max_n", high=DOOR_FORCE)
+    yield _figure("largest force of the end-effector", "hand_force_max_n", run, high=DOOR_FORCE)
 
 
 @claim("4.3", "fig15", *paper.GUIDING["points"].values())
@@ -328,7 +307,7 @@ def smoother_than_repulsive(_: Sources, *runs: RunResult) -> Findings:
     key, text = "torque_jump_max_nm", "largest change of a torque in a control step"
     for run, of, bound in zip(runs, ("", "repulsive_"), ("high", "low"), strict=True):
         method, signs = of.replace("_", " method: "), run.figures["torque_rate_sign_changes"]
-        yield _figure(run, method + text, key, of, **{bound: TORQUE_STEP})
+        yield _figure(method + text, key, run, of, **{bound: TORQUE_STEP})
         values = {of + "torque_rate_sign_changes": signs}
         yield Finding(f"{method}sign changes of a torque's rate {signs}", True, values)
 
@@ -364,3 +343,13 @@ def fast_enough(s: Sources) -> Findings:
     median, text = figures["step_p50_us"], "99th percentile of a control step on this machine"
     yield compare(text, "step_p99_us", figures["step_p99_us"], high=CONTROL_STEP)
     yield Finding(f"median {median:.0f} µs", True, {"step_p50_us": median})
+
+
+CLAIMS = [each for each in globals().values() if isinstance(each, Claim)]
+"""All claims, in the order of the report."""
+
+
+def claims_of(figures: Iterable[str]) -> list[Claim]:
+    """The claims that belong to some figures."""
+    names = set(figures)
+    return [claim for claim in CLAIMS if claim.figure in names]

@@ -1,7 +1,4 @@
-"""§4.3: jumps of the acting point, and time of its search, on borders of points and on a surface.
-
-A denser border has smaller jumps and a longer search; on the surface p_act moves continuously.
-"""
+"""§4.3: jumps of the acting point, and time of its search, on borders of points and a surface."""
 
 from dataclasses import replace
 from functools import cache
@@ -40,8 +37,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
     """
     table = trade_off(sources)
     counts = table["points"][:-1]
-    figure = style.new_figure(3.6)
-    jump, cost = figure.subplots(1, 2)
+    figure, (jump, cost) = style.new_panels(3.6, 1, 2)
     look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (paper)"}
     name = "continuous surface (default)"
     for ax, column, label in (
@@ -80,10 +76,7 @@ def trade_off(sources: Sources) -> drawing.Table:
 
 @cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
-    """Results of the lateral guiding; each border has about 50,000 points, or all if it has fewer.
-
-    The run is not in parallel with other runs, because the durations of its steps are measured.
-    """
+    """Results of the lateral guiding with about 50,000 points, or all if fewer, in each border."""
     experiment = GUIDING["points"]["lateral"]
     clouds = {}
     for pair in sources.data.pairs.mobile:
@@ -94,7 +87,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
-    """A fixed random choice of a cloud's points; `share` [-] is their share of all points."""
+    """A fixed random choice of a `share` [-] of a cloud's points."""
     chosen = _chosen(len(cloud), round(share * len(cloud)))
     return replace(cloud, points=cloud.points[chosen], distances=cloud.distances[chosen])
 
@@ -145,8 +138,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         {kind: acting_path(sources, finder, *path) for kind, finder in finders.items()}
         for path in (coarse, fine)
     )
-    figure = style.new_figure(4.6)
-    plan, steps = figure.subplots(1, 2, width_ratios=(1, 1.35))
+    figure, (plan, steps) = style.new_panels(4.6, 1, 2, width_ratios=(1, 1.35))
     style.panel_title(plan, "", "the acting point from above")
     style.panel_title(steps, "", "motion of the acting point in each control step")
     for kind, along in found.items():
@@ -183,10 +175,10 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
     """Times (N,) [s] with a step `dt` [s], and closest points of base and end-effector at them.
 
-    The times cover the longest interval of the lateral guiding in the buffer of the base, cut to
-    `LONGEST` [s]. The points are on a spline through those of the recorded rows, because the
-    errors of the collision library, about 0.3 mm, are larger than the motion in a step.
+    The times cover the longest stay of the lateral guiding in the base's buffer, cut to `LONGEST`.
     """
+    # The errors of the collision library, about 0.3 mm, are larger than the motion in a step.
+    # Therefore the points are on a spline through those of the recorded rows.
     run = sources.runs[LATERAL].trace
     outside = sources.distances(LATERAL) >= sources.config.border.d_b
     stays = np.ma.clump_unmasked(np.ma.masked_array(run.t, outside))
@@ -198,17 +190,14 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
         for name in ("d", "p_a", "p_b", "n")
     )
     n /= np.linalg.norm(n, axis=1)[:, None]
-    path = zip(d, p_a, p_b, n, p_b, strict=True)
-    return t, [ClosestPoints(sources.pair, *values) for values in path]
+    rows = zip(d, p_a, p_b, n, p_b, strict=True)
+    return t, [ClosestPoints(sources.pair, *row) for row in rows]
 
 
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table of a path: time (N,) [s], closest point p_b, acting point, and base acceleration.
-
-    `p_act_step_m` is the distance from the acting point of the previous row, NaN in the first row.
-    """
+    """A table along a path: times t (N,) [s], p_b, p_act and its last step, base acceleration."""
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]
@@ -232,19 +221,14 @@ def step_sizes(values: Array) -> Array:
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
     """For each border, the largest changes between successive rows; then ratios of the borders."""
     result: dict[str, Any] = {}
-    units = {"mps2": "base_a_mps2", "radps2": "base_aw_radps2"}
+    linear, angular = "acceleration_step_max_mps2", "acceleration_step_max_radps2"
     for kind, along in found.items():
         largest, shrunk = (float(np.nanmax(p["p_act_step_m"])) for p in (along, finer[kind]))
         sizes = {"step_max_m": largest, "step_max_finer_m": shrunk, "finer_ratio": largest / shrunk}
-        for unit, column in units.items():
-            change = np.abs(np.diff(along[column])).max()
-            sizes[f"acceleration_step_max_{unit}"] = float(change)
+        for key, column in ((linear, "base_a_mps2"), (angular, "base_aw_radps2")):
+            sizes[key] = float(np.abs(np.diff(along[column])).max())
         result[kind] = sizes
-    result["points_over_surface"] = {
-        f"{name}_ratio": result["points"][key] / result["surface"][key]
-        for name, key in (
-            ("linear", "acceleration_step_max_mps2"),
-            ("angular", "acceleration_step_max_radps2"),
-        )
-    }
-    return result
+    points, surface = result["points"], result["surface"]
+    ratios = {"linear_ratio": points[linear] / surface[linear]}
+    ratios["angular_ratio"] = points[angular] / surface[angular]
+    return {**result, "points_over_surface": ratios}

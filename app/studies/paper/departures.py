@@ -1,7 +1,4 @@
-"""The project's departures from equations (26) to (29), and the effect of each departure.
-
-Each departure has a number, such as a jump of the torques, for the printed form and for ours.
-"""
+"""The project's departures from equations (26) to (29), and the effect of each departure."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -28,8 +25,11 @@ _LINE, _HALVINGS = 100, 20  # [-] number of postures on a line, and of halvings 
 
 Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 """A function that computes q̈ (n,) from a control step, the diagonal of B (k,) [-] and the gains."""
-Departure = tuple[Any, ...]
-"""Equation and departure, key of the number, and the number in the paper's form and here."""
+_OF_RUNS = (
+    ("(29) base as commanded", "ee_error_max_m", AS_PRINTED[0], TRACKING),
+    ("(29) the base's rows fix its motion", "ee_error_final_m", AS_PRINTED[1], PAST_BASE),
+)
+"""Departure, key of the compared result, and the runs of the printed form and of the form here."""
 
 
 @style.picture(
@@ -41,17 +41,17 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
     The printed form is a hierarchy of strict levels (26); it inserts all rows by (29) with the same
     reference q̈_2*. According to the paper, its control input is continuous.
     """
-    rows = [*_of_states(sources), *_of_runs(sources)]
+    rows = list(_of_states(sources))
+    for place, key, *pair in _OF_RUNS:
+        rows.append((place, key, *(sources.runs[run].figures[key] for run in pair)))
     table = drawing.table_of(("departure", "number", "printed", "here"), rows)
-    figure = style.new_figure(4.2)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(4.2)
     places = np.arange(len(rows))[::-1]
     for column, name, above in (("printed", "hqp", 0.2), ("here", "dbb", -0.2)):
         values = np.maximum(table[column].astype(float), _SMALLEST)
         colour, label = style.METHOD_COLOURS[name], style.METHOD_NAMES[name]
         ax.barh(places + above, values, 0.36, color=colour, label=label)
-    ax.set_xscale("log")
-    ax.set_yticks(places, [f"{place}\n{key}" for place, key, *_ in rows])
+    ax.set(xscale="log", yticks=places, yticklabels=[f"{place}\n{key}" for place, key, *_ in rows])
     ax.legend(loc="lower right")
     measured = {key: {"printed": printed, "here": here} for _, key, printed, here in rows}
     remark = "Smaller numbers are better. `docs/departures.md` has the reason for each departure."
@@ -73,19 +73,15 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the controller `hqp`; NaN if a Jacobian is not finite. B (k,) is stored in `w`."""
+    """q̈ (n,) of the controller `hqp`, which gets B (k,) in `w`; NaN if a Jacobian is not finite."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the project's form in the step `w`; B (k,) are the activations of the rows.
-
-    The base's rows determine the base. Then the arm's QP without limits determines the arm.
-    """
+    """q̈ (n,) of the project's form: base by its own rows, then arm by its QP without limits."""
     n_b = w.n_b
-    rows = slice(n_b, len(B))
-    H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], B[rows], gains.slack_weight, n_b)
+    H, c = insert_rows(w.H, w.c, w.J_sca[n_b:], w.b_sca[n_b:], B[n_b:], gains.slack_weight, n_b)
     qdd_b = np.linalg.solve(w.J_sca[:n_b, :n_b], B[:n_b] * w.b_sca[:n_b])
     qdd_a = np.linalg.solve(H[n_b:, n_b:], -(c[n_b:] + H[n_b:, :n_b] @ qdd_b))
     return np.concatenate([qdd_b, qdd_a])
@@ -95,39 +91,27 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B (k,): `base` for the base's rows, `link` for one pair within the arm.
-
-    `pair` is the index of the pair among those within the arm. All other entries are zero.
-    """
+    """The diagonal of B (k,): `base` for the base's rows, `link` for a pair of L_m^c, else 0."""
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
     return B
 
 
 def nearest_pair(w: ControlStep) -> int:
-    """Index of the nearest pair within the arm, among the pairs within the arm (L_m^c)."""
+    """Index of the nearest pair within the arm, in L_m^c."""
     return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0, with q̈_2* on the left side of (29), as printed.
-
-    T_sca has only the base's rows.
-    """
+    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0 for the base's rows, with (29) as printed."""
     below = hqp.tasks_below(w, gains)
     qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
     literal = hqp.cascade([hqp.Task(w.J_sca[rows], -w.J_sca[rows] @ qdd_2), *below])
     return float(np.linalg.norm(literal - qdd_2))
 
 
-def inserted_at_zero(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] ‖arm's q̈ with rows at B = 0 − arm's q̈ without rows‖ in the project's form."""
-    with_rows, n_b = here(w, np.zeros(len(w.B)), gains), w.n_b
-    without = np.linalg.solve(w.H[n_b:, n_b:], -w.c[n_b:])
-    return float(np.linalg.norm(with_rows[n_b:] - without))
-
-
-def _of_states(sources: Sources) -> Iterator[Departure]:
+def _of_states(sources: Sources) -> Iterator[tuple[Any, ...]]:
+    """Departure, key, and the number in the printed form and here, from single control steps."""
     gains = sources.config.task
     controller = Controller(sources.model, sources.data, sources.config, name="hqp")
     enters, left = [], []
@@ -137,8 +121,10 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
         absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, _ENTERS))
         changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
         enters.append([float(np.abs(w.M[w.n_b :] @ change).max()) for change in changes])  # [N m]
-        w = step_at_rest(controller, q_m, 0.001)
-        left.append([left_as_printed(w, gains), inserted_at_zero(w, gains)])
+        w, n_b = step_at_rest(controller, q_m, 0.001), w.n_b
+        inserted = here(w, np.zeros(len(w.B)), gains)[n_b:]
+        change = inserted - np.linalg.solve(w.H[n_b:, n_b:], -w.c[n_b:])
+        left.append([left_as_printed(w, gains), float(np.linalg.norm(change))])
     w = step_at_rest(controller, postures(sources)[0], _FAR)
     demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
     jumps = [jump(sources, controller, solve) for solve in SOLVERS]
@@ -158,9 +144,9 @@ def postures(sources: Sources) -> list[Array]:
 def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
-    The base's rows and the row of one pair within the arm are set fully active, although this pair
-    is outside its buffer: with T_2 there are as many rows as degrees of freedom. The step with the
-    largest change of q̈ is halved repeatedly, so that only a jump remains.
+    The base's rows and the row of one pair within the arm are fully active, although this pair is
+    outside its buffer: with T_2 there are as many rows as degrees of freedom. The interval with the
+    largest change of q̈ is replaced repeatedly by its half with the larger change: a jump remains.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
@@ -182,11 +168,3 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
         else:
             a, qdd_a = middle, qdd
     return float(np.linalg.norm(qdd_b - qdd_a))
-
-
-def _of_runs(sources: Sources) -> Iterator[Departure]:
-    for place, key, pair in (
-        ("(29) base as commanded", "ee_error_max_m", (AS_PRINTED[0], TRACKING)),
-        ("(29) the base's rows fix its motion", "ee_error_final_m", (AS_PRINTED[1], PAST_BASE)),
-    ):
-        yield place, key, *(sources.runs[run].figures[key] for run in pair)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -84,15 +83,12 @@ def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) ->
 def base_corners(model: RobotModel) -> Array:
     """(8, 3) [m] corners of a box around l_m in the base's frame, first the four on the floor."""
     body = MobileBody(model)
-    low, high = body.lower, body.upper
-    plan = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
-    return np.array([(x, y, z) for z, (x, y) in product((0.0, high[2]), plan)])
+    return trimesh.bounds.corners([[*body.lower[:2], 0.0], body.upper])
 
 
 def plan_axes(ax: Axes) -> None:
     """Label axes that show the base's frame from above, with equal scales."""
-    ax.set_aspect("equal")
-    ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
+    ax.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
 
 
 def base_in_plan(ax: Axes, model: RobotModel) -> None:
@@ -103,9 +99,9 @@ def base_in_plan(ax: Axes, model: RobotModel) -> None:
 
 
 def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:
-    """Limit axes in plan to a square around points (N, 2) or (N, 3) [m], and a margin [m].
+    """Limit axes in plan to a square around points (N, 2) or (N, 3) [m], with a margin [m].
 
-    The side of the square, without the margin, is at least `smallest` [m].
+    Without the margin, the side of the square is at least `smallest` [m].
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     half = max(smallest, float((high - low).max())) / 2 + margin
@@ -157,8 +153,8 @@ def snapshot_drawing(
 ) -> Drawing:
     """A drawing with four snapshots of each strip, a table of `Strip.paths`, and some results.
 
-    The column `kind` of the table has the names of the strips. `results` are keys of the runs'
-    results. `aim` and `marks` are the legend's texts for `Strip.aim` and `Strip.marks`, if any.
+    The table has the names of the strips in the column `kind`, and also `columns` of the traces.
+    `aim` and `marks` are the legend's texts for `Strip.aim` and `Strip.marks`, if any.
     """
     height = len(strips) * (style.WIDTH / _COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)
@@ -186,7 +182,7 @@ def snapshot_drawing(
 
 
 def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
-    """A camera that shows all snapshots of some rows, which have the same viewing direction."""
+    """A camera that shows all snapshots of some strips, which have the same `view`."""
     meshes: list[trimesh.Trimesh] = []
     for strip in strips:
         run = strip.run.trace
@@ -244,8 +240,7 @@ def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> Non
 def _on_floor(ax: Axes, picture: Picture, corners: Array, **line: Any) -> None:
     """Draw a line through `corners` (N, 3) [m] on the floor, without the parts behind objects."""
     share = np.linspace(0.0, len(corners) - 1.0, 60 * len(corners))
-    at = np.arange(len(corners))
-    points = np.column_stack([np.interp(share, at, column) for column in corners.T])
+    points = np.column_stack([np.interp(share, np.arange(len(corners)), x) for x in corners.T])
     pixels = picture.pixels(points)
     pixels[~picture.unhidden(points)] = np.nan
     ax.plot(*pixels.T, zorder=3, **line)

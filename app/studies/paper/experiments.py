@@ -80,6 +80,7 @@ DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
 
 Runs = dict[Experiment, RunResult]
+Named = dict[str, Experiment]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +89,7 @@ class Sources:
 
     model: RobotModel
     data: BorderData
-    config: Config
-    """The default parameters, which all runs have except those on a border of points."""
+    config: Config  # the defaults, which all runs have except those on a border of points
     runs: Runs
 
     @property
@@ -118,20 +118,14 @@ class Sources:
         return construct_dbb(self.data.clouds[pair.name], config.d_b, config.eps)
 
     def finder(self, border: Border | None = None) -> ActingPointFinder:
-        """Algorithm 3 on a border of points of the end-effector, as printed in the paper.
-
-        By default the border is the continuous surface, as in the controller.
-        """
+        """Algorithm 3 for the end-effector on a border of points or, by default, on the surface."""
         points = [] if border is None else [border]
         return ActingPointFinder(BorderSearch(self.offset.table, points), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
-        """Compute acting point and force (3,) [N] for closest points in the base's frame.
-
-        `finder` is Algorithm 3 on a border; `force` are parameters, by default those of `config`.
-        """
+        """Acting point and force (3,) [N] in the base's frame; None means `config.force`."""
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
         assert acting is not None  # the paper's robot has a border at every height in the buffer
@@ -151,17 +145,13 @@ class Sources:
         """(N,) [m] distance between base and end-effector in each row of an experiment."""
         return self.runs[experiment].trace[f"d_{self.pair.name}_m"]
 
-    def results(
-        self, experiments: dict[str, Experiment], keys: Iterable[str]
-    ) -> dict[str, dict[str, Any]]:
+    def results(self, named: Named, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
         """Some results of each experiment, by the names of the experiments."""
-        return {n: {k: self.runs[e].figures[k] for k in keys} for n, e in experiments.items()}
+        return {name: {key: self.runs[e].figures[key] for key in keys} for name, e in named.items()}
 
-    def columns(
-        self, experiments: dict[str, Experiment], *names: str
-    ) -> dict[str, dict[str, Array]]:
+    def columns(self, named: Named, *columns: str) -> dict[str, dict[str, Array]]:
         """Some columns of each experiment's trace, by the names of the experiments."""
-        return {n: {c: self.runs[e].trace[c] for c in names} for n, e in experiments.items()}
+        return {name: {c: self.runs[e].trace[c] for c in columns} for name, e in named.items()}
 
 
 def load_sources() -> Sources:
@@ -177,10 +167,9 @@ def run_experiments(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Runs:
-    """Run each experiment once with the same seed, in up to `processes` parallel processes.
+    """Run each experiment once with the same seed; the results have thinned traces.
 
-    The results have thinned traces. After each result, longest run first, `on_progress` gets the
-    simulated time [s] so far.
+    After each result, longest run first, `on_progress` gets the simulated time [s] so far.
     """
     # Longest first, so that all processes end at about the same time.
     todo = sorted(set(experiments), key=lambda e: (-e.scenario.duration, e.name))

@@ -25,13 +25,10 @@ from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sourc
 TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4})
 """Parameters with which the step size α is always 0.4 m, the largest valid bound."""
 
-_NORMAL, _TANGENT = "#56B4E9", "#E69F00"
-_EVERY = 20  # [-] number of rows from one evaluation of the force to the next
 _ZOOM = 0.30  # [m] smallest side of the square around the points of Algorithm 3
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 _SHOWN = 12_000  # [-] largest number of points in a picture; more points would hide each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-_MIN_SHARE = 0.02  # [-] share of the peak above which a position counts as reached
 _SMOOTH = 1.0  # [-] standard deviation of the Gaussian filter, in steps of the lattice
 
 
@@ -110,7 +107,7 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     half = figure.add_subplot(1, 3, 1, projection="3d")
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
     reach, off = _smoothed(reach_map), reach_map.points - reach_map.p_base
-    reached = reach > _MIN_SHARE * maps.PEAK
+    reached = reach > 0.02 * maps.PEAK
     half_table, cut_table = (
         drawing.points_table(reach_map.points[shown], reachability=reach[shown])
         for shown in (reached & (off[:, 1] >= 0), reached & (np.abs(off[:, 2]) < 1e-9))
@@ -222,7 +219,7 @@ class Force(NamedTuple):
         return {"p_b": self.closest.p_b, "p_n": a.p_n, "p_t": a.p_t, "p_act": a.p_act}
 
     def measured(self) -> dict[str, float]:
-        """Distance, step size α, and magnitudes of the force and of its components, by key."""
+        """Distance, step size α, and magnitudes of the force and of its components."""
         f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
         return {
             "distance_m": self.closest.d,
@@ -237,7 +234,7 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in row k of an experiment, with the border as a surface; see `Sources.force`."""
+    """The force in row k of an experiment, on the border as a surface, with parameters `config`."""
     run = sources.runs[experiment].trace
     q_m = run.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
@@ -250,12 +247,11 @@ def deepest(sources: Sources) -> int:
 
 
 def turning(sources: Sources) -> Force:
-    """The force whose smaller component is largest, among the rows of the run along the wheel axis.
-
-    Every 20th row in the buffer is evaluated.
+    """Of the forces in each 20th row of WHEEL_AXIS inside the buffer, the force whose smaller
+    component is largest.
     """
     distance = sources.distances(WHEEL_AXIS)
-    inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]
+    inside = np.flatnonzero(distance < sources.config.border.d_b)[::20]
     return max(
         (force_at(sources, WHEEL_AXIS, int(k)) for k in inside),
         key=lambda force: min(np.linalg.norm(v) for v in force.components),
@@ -272,8 +268,7 @@ def figure_7(sources: Sources) -> drawing.Drawing:
     along, across = force.components
     p_b, p_act = force.closest.p_b, force.acting.p_act
     table = _slice(sources, force)
-    figure = style.new_figure(5.4)
-    whole, near = figure.subplots(1, 2)
+    figure, (whole, near) = style.new_panels(5.4, 1, 2)
     for ax in (whole, near):
         shown = _plan(ax, sources, force, table)
     style.panel_title(whole, "", "the border at the height of $p_b$")
@@ -284,8 +279,8 @@ def figure_7(sources: Sources) -> drawing.Drawing:
     drawing.square_around(near, np.array(list(force.points.values())), 0.06, _ZOOM)
     length = float(np.linalg.norm(p_b - p_act) / max(np.linalg.norm(force.f), 1e-9))
     for vector, colour, text in (
-        (across, _TANGENT, "towards a better score"),
-        (along, _NORMAL, "away from the end-effector"),
+        (across, "#E69F00", "towards a better score"),
+        (along, "#56B4E9", "away from the end-effector"),
         (force.f, style.ACTING, "force $f_{m,1}$"),
     ):
         drawing.arrow(near, p_act, p_act + length * vector, colour)
@@ -307,8 +302,7 @@ def figure_8(sources: Sources) -> drawing.Drawing:
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
     table = _slice(sources, found["chosen"])
-    figure = style.new_figure(5.4)
-    grid = figure.subplots(1, 2, sharex=True, sharey=True)
+    figure, grid = style.new_panels(5.4, 1, 2, sharex=True, sharey=True)
     for ax, letter, force in zip(grid, "ab", found.values(), strict=True):
         shown = _plan(ax, sources, force, table)
         drawing.arrow(ax, force.acting.p_n, force.acting.p_t, style.INK)
@@ -330,8 +324,7 @@ def figure_10(sources: Sources) -> drawing.Drawing:
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
     table = {"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])}
-    figure = style.new_figure(3.6, 6.4)
-    ax = figure.subplots()
+    figure, ax = style.new_panels(3.6, width=6.4)
     ax.plot(table["d_m"], table["beta"], color=style.METHOD_COLOURS["dbb"], linewidth=2.4)
     for at, text in ((d_full, "task fully active"), (d_b, "buffer distance $d_b$")):
         ax.axvline(at, color=style.SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)

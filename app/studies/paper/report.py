@@ -55,10 +55,7 @@ def reproduce(
 ) -> dict[str, Any]:
     """Make figures with their data, judge their claims, write all files into an existing folder.
 
-    `on_progress` gets the part of `work` [s] that is done.
-
-    Returns:
-        The content of `metrics.json`.
+    This returns the content of `metrics.json`. `on_progress` gets the finished part of `work` [s].
     """
     begin, experiments = perf_counter(), experiments_for(names)
     sources = load_sources()  # samples a missing border before the processes start

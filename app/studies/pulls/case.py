@@ -41,8 +41,7 @@ COLUMNS = {
     "fault_at": "fault_at_s",
 }
 """The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in
-`LineScenario`. The value of a release or new grasp that does not happen is None. `fault_at_s` is a
-time, not a share."""
+`LineScenario`. A release or new grasp that does not happen is None. `fault_at_s` is a time."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
 _NOT_STORED = {
     *("scenario", "controller", "robot", "seed", "duration_s", "physics"),  # equal to the inputs
@@ -107,10 +106,7 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load the data of a robot, once in each process.
-
-    This raises the errors of `load_robot` and `check_avoidance`.
-    """
+    """Load the data of a robot, once in each process."""
     model = RobotModel(load_robot(robot))
     body = MobileBody(model)
     lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
@@ -123,11 +119,8 @@ def draw_start(
 ) -> tuple[Start, Array, int]:
     """Draw a start in a range of heights [m], where the arm has every pair outside its buffer.
 
-    Returns:
-        The start, the arm's joint positions (n_m,), and the number of rejected starts.
-
-    Raises:
-        StudyError: The arm reaches none of the drawn starts.
+    This returns the start, the arm's joint positions (n_m,) and the number of rejected starts. If
+    the arm reaches none of the drawn starts, it raises a StudyError.
     """
     d_b = sources.model.description.config.border.d_b
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
@@ -182,8 +175,7 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
     """The fields `shoulder`, `near` and `far` of `StudySources`.
 
     The distances come from random postures in which the end-effector points outwards and not far
-    upwards, as at the starts that the start solver finds. If there is no such posture, `near` is 0
-    and `far` is infinite.
+    upwards, as in the start solver's postures. If there is none, `near` is 0 and `far` infinite.
     """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
@@ -206,10 +198,8 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
 def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
     """Draw the random quantities of a case, by the columns of the study's table.
 
-    They depend only on the parameters and the number, because a case has its own random streams.
-
-    Raises:
-        StudyError: The arm reaches no start in the range of heights.
+    They depend only on the parameters and the number, because a case has its own random streams. If
+    the arm reaches no start in the range of heights, this raises a StudyError.
     """
     rng, others = (
         np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=key))
@@ -221,9 +211,8 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along = _draw_move(start, rng)
     move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
-    release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
     drawn |= {"duration": duration, "moving": moving}
-    drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
+    drawn |= _draw_release(ranges, duration, moving, rng)
     drawn |= _draw_faults(ranges, duration * moving, others)
     return {
         "case": number,
@@ -238,7 +227,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 
 
 def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
-    """Draw the displacement (3,) [m] of a pull, and whether it is along the base.
+    """Draw the displacement (3,) [m] of a pull, and whether the pull is along the base.
 
     A pull along the base is perpendicular to the line to the target, or turned by up to 45° towards
     the target, and ends above the floor. Other pulls end at the target or after 0.6 m.
@@ -256,11 +245,10 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """The displacement (3,) [m] of a pull, shortened if it would take too long; the duration [s] of
-    the run; and the share [-] of this duration that the pull takes.
+    """Displacement (3,) [m] of a pull, duration [s] of the run, and the pull's share of it.
 
     `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
-    rest of 1 s after the pull, or of a quarter of `longest` if that is shorter.
+    rest of 1 s, or of a quarter of `longest` if that is shorter; if necessary, the pull is shorter.
     """
     rest = min(_REST, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed
@@ -284,12 +272,13 @@ def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -
 
 def _draw_release(
     ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
-) -> tuple[float | None, float | None]:
+) -> dict[str, float | None]:
     """Draw the times [s] of release and new grasp; None if the event does not happen."""
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
-    release = duration * moving * rng.uniform(*_RELEASE)
-    regrasp = release + duration * (1.0 - moving) * rng.uniform(*_FREE)
-    return (release if released else None), (regrasp if released and regrasped else None)
+    at = duration * moving * rng.uniform(*_RELEASE)
+    again = at + duration * (1.0 - moving) * rng.uniform(*_FREE)
+    regrasp_at = again if released and regrasped else None
+    return {"release_at": at if released else None, "regrasp_at": regrasp_at}
 
 
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
@@ -304,18 +293,15 @@ def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
         q_m=tuple(row[key] for key in row if re.fullmatch(r"q\d+_rad", key)),
         **{name: row[COLUMNS[name]] for name in _OF_LINE},
     )
-    run = scenario, config, parameters.controller, parameters.physics, row["seed"]
-    return RunSpec(parameters.robot, *run)
+    how = parameters.controller, parameters.physics, row["seed"]
+    return RunSpec(parameters.robot, scenario, config, *how)
 
 
 def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: BorderData) -> Row:
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
-    If the run stops with an error, `error` is the reason, and the row has no results. Otherwise
-    `nan` is true if a torque, a pose of the base or a result is not finite.
-
-    Raises:
-        AssetError: The robot's files are missing.
+    `nan` is true if a torque, a pose of the base or a result is not finite. If the run stops with
+    an error, `error` is the reason, and the row has no results; an AssetError is raised instead.
     """
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)
@@ -336,12 +322,17 @@ def stopped(drawn: Row, reason: str) -> Row:
 
 def met_base(row: Row) -> bool:
     """Whether the arm touched the base in the plant, or the convex bodies of both met."""
-    return bool(row.get("contacts")) or _at_most_zero(row.get("min_clearance_m"))
+    return _met(row, "")
 
 
 def met_itself(row: Row) -> bool:
     """Whether the arm touched itself in the plant, or two bodies of a pair within the arm met."""
-    return bool(row.get("arm_contacts")) or _at_most_zero(row.get("arm_min_clearance_m"))
+    return _met(row, "arm_")
+
+
+def _met(row: Row, prefix: str) -> bool:
+    distance = row.get(f"{prefix}min_clearance_m")
+    return bool(row.get(f"{prefix}contacts")) or (distance is not None and distance <= 0.0)
 
 
 def too_fast(row: Row) -> bool:
@@ -366,10 +357,6 @@ def failed(row: Row) -> bool:
 def flat(results: Mapping[str, Any]) -> Row:
     """The stored results of a run by the columns of a study's table."""
     return flattened({key: value for key, value in results.items() if key not in _NOT_STORED})
-
-
-def _at_most_zero(distance: float | None) -> bool:
-    return distance is not None and distance <= 0.0
 
 
 def _finite(value: object) -> bool:

@@ -26,10 +26,9 @@ _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name !
 
 
 class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
-    """The set of cases with a limited force of the person, and other quantities in intervals.
+    """The set of cases with a limited force (`exerted`), and some quantities in intervals.
 
-    The intervals have the names of the quantities in `StudyRange`; quantities without an interval
-    do not matter. The force of a case is that of `exerted`.
+    The intervals have the names of the quantities in `StudyRange`.
     """
 
     force: NonNegative  # [N] largest force F* of a case inside; with 0, no case is inside
@@ -49,12 +48,10 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
     def narrowed(self, ranges: StudyRange) -> StudyRange:
         """The parts of a study's ranges inside the envelope; `hand_f_max` ends at most at F*.
 
-        Raises:
-            StudyError: A range has no part inside the envelope.
+        A range without such a part raises a StudyError.
         """
         found = {}
-        limits = {**self._intervals(), "hand_f_max": (0.0, self.force)}
-        for name, (lower, upper) in limits.items():
+        for name, (lower, upper) in (self._intervals() | {"hand_f_max": (0.0, self.force)}).items():
             low, high = getattr(ranges, name)
             found[name] = max(low, lower), min(high, upper)
             if low > upper or high < lower:
@@ -83,9 +80,9 @@ def exerted(row: Row) -> float:
 def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
     """Fit an envelope to cases, with the intervals of the study's ranges.
 
-    A case counts against the envelope if it failed, or if the arm came nearer to the base than
-    10 mm. F* is 0.9 times the smallest force of these cases, or the largest force of the other
-    cases if this is smaller. F* is rounded down to 1 N, and is 0 if there are no other cases.
+    A case is bad if it failed, or if the arm came nearer to the base than 10 mm. F* is 0.9 times
+    the smallest force of a bad case or, if this is smaller, the largest force of the other cases;
+    F* is rounded down to 1 N. Without other cases, F* is 0.
     """
     good: list[float] = []
     bad: list[float] = []
@@ -104,10 +101,9 @@ def tally(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of the cases inside an envelope that was fitted to other cases.
+    """The tally of the even cases inside an envelope fitted to the odd cases, and vice versa.
 
-    The envelope of the odd cases selects even cases, and vice versa. In an envelope that is fitted
-    to the same cases no case would have failed.
+    In an envelope that is fitted to the same cases no case would have failed.
     """
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []

@@ -54,10 +54,9 @@ _BOUNDS = {
 
 
 class StudyRange(Strict):
-    """The distributions of the random quantities.
+    """The distributions of the random quantities: uniform, or for `LOGARITHMIC` log-uniform.
 
-    An interval has a uniform distribution, on a logarithmic scale for `LOGARITHMIC`; `height`
-    only bounds the random starts.
+    `height` only bounds the random starts.
     """
 
     speed: Interval = (0.1, 1.2)
@@ -145,10 +144,7 @@ class StudyParameters(Strict):
 
 @cache
 def code_digest() -> str:
-    """A digest, 16 hexadecimal digits, of the program's Python files.
-
-    Remote workers and a continued study must have the same digest.
-    """
+    """A digest of the program's Python files; it must be the same in all processes of a study."""
     root, digest = Path(__file__).parents[2], hashlib.blake2b(digest_size=8)
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")

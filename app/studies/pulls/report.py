@@ -21,7 +21,7 @@ from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, me
 from app.studies.pulls.envelope import FORCE, Envelope, exerted, tally
 from app.studies.pulls.parameters import FAULTS, PARAMETERS, StudyParameters
 from app.studies.runs import Row
-from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
+from app.studies.style import INK, SOFT, TARGET, new_panels, picture, pictures_in
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] limits of intervals
 _DISTRIBUTED = (
@@ -83,12 +83,9 @@ _COLUMNS = {
     "solver_failures": "steps with the fallback command",
 }
 """Titles of the columns in the table of failures."""
-_CLEARANCES = 0.0, 0.15  # [m] ends of the colour scale
 _LARGEST = 0.3  # [m] end of the axes of distance
 _ERRORS = 1e-5, 1.0  # [m] ends of the axes of errors
-_SHADE = "#DCEBF5"
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
-_BEYOND = 1.15  # [-] end of the force axis relative to the largest force
 
 
 def summary_of(
@@ -135,8 +132,8 @@ def summary_of(
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
     """Count the cases with a fault, those with a report of it, and those with a timely report.
 
-    A fault begins at the control step nearest to `fault_at_s`, or at 0 if it is `stated_period`.
-    Earlier reports do not count. A timely report is at most 0.2 s later.
+    A fault begins at the control step nearest to `fault_at_s`; `stated_period` begins at 0. Earlier
+    reports do not count. A timely report is at most 0.2 s later.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -186,21 +183,19 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
     envelope that is fitted to these cases. Its force is at most 0.9 times the smallest force of the
     cases that failed or in which the arm came nearer to the base than 10 mm.
     """
-    figure = new_figure(4.6)
-    axes = figure.subplots()
+    figure, axes = new_panels(4.6)
     known = [row for row in rows if row.get(FORCE) is not None]
     low, high = envelope.speed
-    axes.fill_between((low, high), envelope.force, color=_SHADE, zorder=0)
+    axes.fill_between((low, high), envelope.force, color="#DCEBF5", zorder=0)
     axes.hlines(envelope.force, low, high, color=INK, linewidth=2, zorder=3)
 
     def scatter(shown: list[Row], **style: Any) -> PathCollection:
-        return axes.scatter(
-            [row["speed_mps"] for row in shown], [row[FORCE] for row in shown], **style
-        )
+        speeds, forces = ([row[key] for row in shown] for key in ("speed_mps", FORCE))
+        return axes.scatter(speeds, forces, **style)
 
     good = [row for row in known if not failed(row)]
     colours = {"c": [row["min_clearance_m"] for row in good], "cmap": "viridis"}
-    look = {"norm": Normalize(*_CLEARANCES), "s": 16, "linewidths": 0.4, "edgecolors": "white"}
+    look = {"norm": Normalize(0.0, 0.15), "s": 16, "linewidths": 0.4, "edgecolors": "white"}
     points = scatter(good, **colours, **look, zorder=4)
     text = "smallest distance, arm to base [m]"
     figure.colorbar(points, ax=axes, extend="max", pad=0.01, label=text)
@@ -210,7 +205,7 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set(xlabel="speed of the person's hand [m/s]", xlim=(low - 0.02, high + 0.02))
     axes.set_ylabel("largest force before a distance of 10 mm [N]")
-    axes.set_ylim(0.0, _BEYOND * max([row[FORCE] for row in known] + [envelope.force, 1.0]))
+    axes.set_ylim(0.0, 1.15 * max(*_known(rows, FORCE), envelope.force, 1.0))
     return figure
 
 
@@ -220,13 +215,14 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     line is contact, the grey line is d_b. Left: number of cases inside and outside the envelope
     that is fitted to them. Right: each case, by the direction of its start; failed cases are red.
     """
-    figure = new_figure(4.2)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    figure, (left, right) = new_panels(4.2, 1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("min_clearance_m") is not None]
-    low = min([0.0] + [row["min_clearance_m"] for row in known])
+    low = min(0.0, *_known(rows, "min_clearance_m"))
     bins = np.arange(np.floor(low / 0.01) * 0.01, _LARGEST + 0.01, 0.01)
-    inside = [row["min_clearance_m"] for row in known if envelope.holds(row)]
-    outside = [row["min_clearance_m"] for row in known if not envelope.holds(row)]
+    inside, outside = (
+        [row["min_clearance_m"] for row in known if envelope.holds(row) is held]
+        for held in (True, False)
+    )
     left.hist(
         [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)],
         bins=list(bins),
@@ -239,7 +235,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     left.set_xlabel("smallest distance between arm and base [m]; the last bar has no upper limit")
     left.set_ylabel("cases")
     left.legend(title="envelope", loc="upper center")
-    _by_kind(right, known, "min_clearance_m", (low, _LARGEST))
+    _by_kind(right, rows, "min_clearance_m", (low, _LARGEST))
     right.axvline(0.0, color=TARGET, linewidth=1.2)
     right.set(xlabel="smallest distance [m]", xlim=(low - 0.01, _LARGEST))
     return figure
@@ -251,15 +247,12 @@ def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
     move away in the direction of a pull, such as down onto the base, the arm resists the pull: the
     end-effector then intentionally ends far from the target.
     """
-    figure = new_figure(3.8)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    known = [row for row in rows if row.get("ee_error_final_m") is not None]
-    values = np.clip([row["ee_error_final_m"] for row in known], *_ERRORS)
+    figure, (left, right) = new_panels(3.8, 1, 2, width_ratios=(3, 2))
+    values = np.clip(_known(rows, "ee_error_final_m"), *_ERRORS)
     left.hist(values, bins=list(np.geomspace(*_ERRORS, 41)), color=_INSIDE)
-    left.set_xscale("log")
     left.set_xlabel("final distance [m]; the outer bars have the values beyond the axis")
-    left.set_ylabel("cases")
-    _by_kind(right, known, "ee_error_final_m", _ERRORS)
+    left.set(xscale="log", ylabel="cases")
+    _by_kind(right, rows, "ee_error_final_m", _ERRORS)
     right.set(xscale="log", xlim=_ERRORS, xlabel="final distance [m]")
     return figure
 
@@ -278,10 +271,11 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
 
 
 def _by_kind(axes: Axes, rows: Sequence[Row], column: str, ends: tuple[float, float]) -> None:
-    """Draw the cases of each kind as a row of points, with values limited to `ends`."""
-    kinds = sorted({row["kind"] for row in rows}, reverse=True)
+    """Draw the known values of each kind of cases as a row of points, limited to `ends`."""
+    known = [row for row in rows if row.get(column) is not None]
+    kinds = sorted({row["kind"] for row in known}, reverse=True)
     for y, kind in enumerate(kinds):
-        here = [row for row in rows if row["kind"] == kind]
+        here = [row for row in known if row["kind"] == kind]
         spread = y + 0.5 * (np.arange(len(here)) % 7 - 3) / 6
         colours = [TARGET if failed(row) else _INSIDE for row in here]
         values = np.clip([row[column] for row in here], *ends)
@@ -304,12 +298,10 @@ def report_html(
     """The HTML of the report, with the results of `summary_of` and a PNG for each of `PICTURES`."""
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
     verdict, forces = outcome(summary)
+    drawn = [Part(p.title, name, [p.caption], pictures[name]) for name, p in PICTURES.items()]
     parts = [
         verdict,
-        *(
-            Part(each.title, name, [each.caption], pictures[name])
-            for name, each in PICTURES.items()
-        ),
+        *drawn,
         _envelope(envelope),
         forces,
         _counted("By the direction of the start", "from", summary["by_kind"]),
@@ -331,11 +323,8 @@ def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
 
 
 def _lead(parameters: StudyParameters) -> str:
-    intervals = ", ".join(
-        f"{name.replace('_', ' ')} {_interval(v)}"
-        for name, v in parameters.ranges
-        if isinstance(v, tuple)
-    )
+    drawn = ((name.replace("_", " "), v) for name, v in parameters.ranges if isinstance(v, tuple))
+    intervals = ", ".join(f"{name} {_interval(value)}" for name, value in drawn)
     inside = " Only pulls inside the stated envelope were drawn." if parameters.inside else ""
     return (
         "A person pulls the end-effector towards the base or along it, from random starts on all "
@@ -381,22 +370,19 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
         if halves["cases"]
         else "No case is inside an envelope that was fitted to other cases."
     )
-    return [*lines, _stated(s["stated_envelope"])]
+    inside, outside = (s["stated_envelope"][name] for name in ("inside", "outside"))
+    lines.append(
+        f"Inside the envelope that the project states, {inside['failed']} of {inside['cases']} "
+        f"cases failed: the failure rate is below {_percent(inside['rate_bound_95'])} with 95 % "
+        f"confidence. Outside, {outside['failed']} of {outside['cases']} cases failed."
+        if inside["cases"]
+        else "No case is inside the envelope that the project states."
+    )
+    return lines
 
 
 def _texts(quantiles: Mapping[str, float], *names: str) -> list[str]:
     return [number_text(quantiles[name]) for name in names]
-
-
-def _stated(stated: Mapping[str, Any]) -> str:
-    inside, outside = stated["inside"], stated["outside"]
-    if not inside["cases"]:
-        return "No case is inside the envelope that the project states."
-    return (
-        f"Inside the envelope that the project states, {inside['failed']} of {inside['cases']} "
-        f"cases failed: the failure rate is below {_percent(inside['rate_bound_95'])} with 95 % "
-        f"confidence. Outside, {outside['failed']} of {outside['cases']} cases failed."
-    )
 
 
 def _envelope(fitted: Envelope) -> Part:

@@ -45,20 +45,17 @@ def study(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run the missing cases of a study, and write its results into an existing folder.
+    """Run the missing cases of a study, write its results, and return the content of `study.json`.
 
     The cases have the numbers from 0 to `cases` - 1; further stored cases are ignored. They run on
     the workers of the dask scheduler with the address `scheduler`; without one, in processes of
-    this machine. `on_progress` gets the number of cases with a stored result.
-
-    Returns:
-        The content of `study.json`.
+    this machine. `on_progress` gets the number of stored cases.
 
     Raises:
-        StudyError: The folder has another study or damaged data, is in use or cannot be written,
-            the scheduler does not answer or has no suitable workers, or a range has no part inside
-            the stated envelope.
-        DbbError: The robot cannot be loaded, or the arm reaches no start.
+        StudyError: The existing folder `out` has another study or damaged data, is in use or not
+            writable; the scheduler does not answer or has no suitable workers; a range has no part
+            inside the stated envelope; or the arm reaches no start.
+        DbbError: The robot cannot be loaded, or no monitored part of its arm can meet the base.
     """
     if parameters.inside:
         inside = Envelope.stated().narrowed(parameters.ranges)
@@ -75,7 +72,7 @@ def study(
 
 
 def identity_of(parameters: StudyParameters) -> dict[str, Any]:
-    """The data that identify the study in a folder: the parameters and the code."""
+    """The data that identify the study in a folder: parameters and `code_digest`."""
     return {**parameters.model_dump(mode="json"), "code": code_digest()}
 
 
@@ -87,12 +84,11 @@ def _rows(
         return
     load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
+    run, lost = (partial(function, parameters) for function in (_row, _lost_row))
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
-    lost = partial(_lost_row, parameters)
     with workers:
         for begin in range(0, len(todo), _AT_ONCE):
-            numbers = todo[begin : begin + _AT_ONCE]
-            yield from workers.map(partial(_row, parameters), numbers, lost=lost)
+            yield from workers.map(run, todo[begin : begin + _AT_ONCE], lost=lost)
 
 
 def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -> Row:
@@ -118,15 +114,13 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
         write_whole(out / f"{name}.png", png)
-    page = report_html(rows, parameters, summary, envelope, pictures)
-    write_whole(out / "report.html", page)
-    identity = identity_of(parameters)
-    source = {name: identity[name] for name in ("seed", "controller", "physics", "code")}
-    source |= {name: summary[name] for name in ("cases", "failed")}
+    write_whole(out / "report.html", report_html(rows, parameters, summary, envelope, pictures))
+    result = {"parameters": identity_of(parameters), **summary}
+    whole, inside = result["parameters"] | summary, summary["envelope"]
+    source = {n: whole[n] for n in ("seed", "controller", "physics", "code", "cases", "failed")}
     for name in ("inside", "inside_by_halves"):
-        source |= {f"{name}_{key}": value for key, value in summary["envelope"][name].items()}
+        source |= {f"{name}_{key}": value for key, value in inside[name].items()}
     write_whole(out / "envelope.toml", as_toml(envelope, source))
-    result = {"parameters": identity, **summary}
     write_json(out / "study.json", result)
     return result
 
@@ -147,17 +141,15 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
 
 
 class Journal(AbstractContextManager["Journal"]):
-    """The stored rows of a study.
+    """The stored rows of a study, one line of JSON each, on the disk before `add` returns.
 
-    Each row is one line of JSON, which is on the disk before `add` returns. If the last line is
-    incomplete, because the writing process was killed, the line is removed: the case runs again.
+    An incomplete last line, after the writing process was killed, is removed: its case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
         """Open or start the journal of the study with this identity in an existing folder.
 
-        Raises:
-            StudyError: The folder has another study or damaged data, or is in use.
+        If the folder has another study or damaged data, or is in use, this raises a StudyError.
         """
         self.rows: dict[int, Row] = {}  # by the number of the case
         self._folder = folder
@@ -204,8 +196,8 @@ class Journal(AbstractContextManager["Journal"]):
 
     def _read(self) -> None:
         self._file.seek(0)
-        whole, lines = 0, iter(partial(self._file.readline, SMALL), b"")
-        for number, line in enumerate(lines, start=1):
+        whole = 0
+        for number, line in enumerate(iter(partial(self._file.readline, SMALL), b""), start=1):
             if not line.endswith(b"\n") and len(line) < SMALL:
                 break  # cut off
             whole += len(line)
@@ -245,10 +237,8 @@ class Cluster(AbstractContextManager["Cluster"]):
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
         """Connect to a scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-        Each job calls `make_context`, which must cache the data that the jobs share.
-
-        Raises:
-            StudyError: No scheduler answers, or it has no workers with the same code.
+        Each job calls `make_context`, which must cache the data that the jobs share. If no
+        scheduler answers, or it has no workers with the same code, this raises a StudyError.
         """
         # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
         from distributed import Client
@@ -276,21 +266,17 @@ class Cluster(AbstractContextManager["Cluster"]):
     def map(
         self, function: Callable[..., Row], jobs: Sequence[int], *, lost: Callable[[int], Row]
     ) -> Iterator[Row]:
-        """Execute the jobs, and yield the results in the order in which the jobs end.
-
-        If the worker's process ends in each attempt at a job, `lost` makes the result.
-        """
+        """As `Workers.map`, but the results are in the order in which the jobs end."""
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 
         run = partial(_run, function, self._make_context)
-        futures = self._client.map(run, jobs, pure=False)
-        names = {future.key: job for future, job in zip(futures, jobs, strict=True)}
-        for future in as_completed(futures):
+        jobs_of = dict(zip(self._client.map(run, jobs, pure=False), jobs, strict=True))
+        for future in as_completed(jobs_of):
             try:
                 result = future.result()
             except KilledWorker:
-                result = lost(names[future.key])
+                result = lost(jobs_of[future])
             yield result
 
 
@@ -299,7 +285,7 @@ def _run(function: Callable[..., Row], make_context: Callable[[], Any], job: int
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Check that a cluster has workers, and that all have the code of this process."""
+    """Check that a cluster has workers, and that all of them have the code of this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:

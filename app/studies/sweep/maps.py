@@ -53,7 +53,7 @@ class Quantity(NamedTuple):
     def radius(self, value: float) -> float:
         """[m] radius in plan at which the bar of a value ends.
 
-        If larger values are better, all values below the limit have the limit's radius.
+        If larger values are better, values below the limit have the limit's radius.
         """
         if self.more_is_better and self.limit is not None:
             value = max(value, self.limit)
@@ -68,20 +68,20 @@ class Quantity(NamedTuple):
     def colour(self, value: float) -> Colour:
         """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit.
 
-        Without a limit, all values are good, and smaller values are darker.
+        Without a limit, smaller values are darker.
         """
         at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
         good = self.good(value)
         width = limit if good is not self.more_is_better else 1.0 - limit
-        depth = abs(at - limit) / width if width > 0.0 else 0.0
-        return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * min(depth, 1.0))
+        depth = min(abs(at - limit) / width, 1.0)
+        return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * depth)
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance and time; the last two have scales that start at 0.
+    """Final error, smallest distance and time; an overlap counts as a distance of 0.
 
     The scale of the distance ends at the largest distance at a start, and that of the time at the
-    longest time, both rounded up. An overlap counts as a distance of 0.
+    longest time, both rounded up.
     """
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
@@ -116,42 +116,37 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
     """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
 
-    There is a column of panels for each controller, with a row for each of `quantities`; the three
-    panels of a single controller are side by side.
+    There is a column of panels for each controller, with a row for each of `quantities`; for a
+    single controller there is one row.
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
         for key in ("paths", "wheel_axis")
     )
     no_start = [row for row in result["unreachable"] if row.get("height_m") == height]
-    title = (
-        f"sweep, {result['mode']}: end-effector at {height:g} m, {1000 * speed:.3g} mm/s, "
-        f"{result['length_m']:g} m towards the base"
-    )
-    names, shown = result["controllers"], [*paths, *axis]
-    figure, panels = _panels(title, names, shown, _PANEL, projection="polar")
-    for ax, name, quantity in panels:
+    speed_text, length = f"{1000 * speed:.3g} mm/s", f"{result['length_m']:g} m"
+    at = f"end-effector at {height:g} m, {speed_text}"
+    title = f"sweep, {result['mode']}: {at}, {length} towards the base"
+    names, step = result["controllers"], result["step_deg"]
+    figure, panels = _panels(title, names, [*paths, *axis], _PANEL, projection="polar")
+    for ax, quantity, rows in panels:
         in_plan = ax.transProjectionAffine + ax.transAxes  # metres in plan on the polar axes
         _base(ax, model, 0.07, (-1.7, 1.7), facecolor="#EEF1F4", transform=in_plan)
         tip = MobileBody(model).upper[0]
         nose = [(tip, 0.09), (tip + 0.12, 0.0), (tip, -0.09)]
         ax.add_patch(Polygon(nose, closed=True, color=INK, zorder=4, transform=in_plan))
-        for row in paths:
-            if row["controller"] == name:
-                value, step = row[quantity.key], 0.92 * result["step_deg"]
-                if value is None:
-                    _bar(ax, row, step, _OUTER, linewidth=0.6, **_NEVER)
-                else:
-                    _bar(ax, row, step, quantity.radius(value), facecolor=quantity.colour(value))
+        for row in rows:
+            value, radius, look = row[quantity.key], _OUTER, {"linewidth": 0.6, **_NEVER}
+            if value is not None:
+                radius, look = quantity.radius(value), {"facecolor": quantity.colour(value)}
+            if "offset_m" in row:
+                _dot(ax, row, _NEVER["edgecolor"] if value is None else look["facecolor"], INK)
+            else:
+                _bar(ax, row, 0.92 * step, radius, **look)
                 _cross(ax, row, (math.radians(row["direction_deg"]), 0.72), 4.5)
-        for row in axis:
-            if row["controller"] == name:
-                value = row[quantity.key]
-                face = _NEVER["edgecolor"] if value is None else quantity.colour(value)
-                _dot(ax, row, face, INK)
         for row in no_start:
             if row["kind"] == "side":
-                _bar(ax, row, result["step_deg"], _OUTER, zorder=1, linewidth=0, **_UNREACHABLE)
+                _bar(ax, row, step, _OUTER, zorder=1, linewidth=0, **_UNREACHABLE)
             else:
                 _dot(ax, row, "white", SOFT)
         _scale(ax, quantity)
@@ -160,47 +155,40 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths that lead down onto the base at one speed [m/s], in a top view of the base.
-
-    Each path is a square. The panels are as in `polar_map`.
-    """
+    """Draw the paths that lead down onto the base at one speed [m/s], each as a square in plan."""
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
     sides = [_smallest_step([*rows, *no_start], key) for key in ("place_x_m", "place_y_m")]
     body = MobileBody(model)
     lower, upper = body.lower, body.upper
-    title = (
-        f"sweep from above, {result['mode']}: {1000 * speed:.3g} mm/s, "
-        f"{result['length_m']:g} m down"
-    )
+    speed_text, length = f"{1000 * speed:.3g} mm/s", f"{result['length_m']:g} m"
+    title = f"sweep from above, {result['mode']}: {speed_text}, {length} down"
 
     def square(ax: Axes, row: Row, **style: Any) -> None:
         corner = row["place_x_m"] - sides[0] / 2, row["place_y_m"] - sides[1] / 2
         ax.add_patch(Rectangle(corner, *sides, linewidth=0.8, zorder=2, **style))
 
     figure, panels = _panels(title, result["controllers"], rows, 2.6)
-    for ax, name, quantity in panels:
-        ax.set_aspect("equal")
+    for ax, quantity, own in panels:
         _base(ax, model, 0.05, (lower[1] - 0.1, upper[1] + 0.1), fill=False)
-        ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
+        ax.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
         ax.set(xlim=(lower[0] - 0.15, upper[0] + 0.15), ylim=(lower[1] - 0.15, upper[1] + 0.15))
         for row in no_start:
             square(ax, row, **_UNREACHABLE)
-        for row in rows:
-            if row["controller"] == name:
-                if (value := row[quantity.key]) is None:
-                    square(ax, row, **_NEVER)
-                else:
-                    square(ax, row, facecolor=quantity.colour(value), edgecolor="white")
-                _cross(ax, row, (row["place_x_m"], row["place_y_m"]), 6)
+        for row in own:
+            if (value := row[quantity.key]) is None:
+                square(ax, row, **_NEVER)
+            else:
+                square(ax, row, facecolor=quantity.colour(value), edgecolor="white")
+            _cross(ax, row, (row["place_x_m"], row["place_y_m"]), 6)
     _legend(figure, axis=False)
     return figure
 
 
 def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
-) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
-    """Make a figure, and panels of the height `panel` [in], each with controller and quantity."""
+) -> tuple[Figure, list[tuple[Axes, Quantity, list[Row]]]]:
+    """Make panels of the height `panel` [in], each with a quantity and the rows of a controller."""
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
     wide, high = (3, 1) if single else (len(names), 3)
@@ -212,7 +200,7 @@ def _panels(
     for (i, j), ax in np.ndenumerate(grid.T if single else grid):
         text = shown[i].title
         ax.set_title(f"{labels[j]}\n{text}" if i == 0 and not single else text, fontsize=11)
-        panels.append((ax, names[j], shown[i]))
+        panels.append((ax, shown[i], [row for row in rows if row["controller"] == names[j]]))
     return figure, panels
 
 
@@ -271,10 +259,7 @@ def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """Draw a path along the wheel axis as a dot outside of the scale.
-
-    The x coordinates of the arm's nearest points determine the order of these dots.
-    """
+    """Draw a path along the wheel axis as a dot outside of the scale, ordered by `offset_m`."""
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)

@@ -56,8 +56,7 @@ class Approach:
     direction_deg: float = 0.0
     """[deg] direction from the middle of the base's box to the start of a horizontal path,
     counter-clockwise from the front; 90 or 270 for `wheel_axis`."""
-    offset: float = 0.0
-    """[m] x of p_b, the arm's point nearest to the base, at the start, for `wheel_axis`."""
+    offset: float = 0.0  # [m] x of p_b, the arm's closest point, at the start, for `wheel_axis`
     place: tuple[float, float] = (0.0, 0.0)  # [m] x and y of the end-effector, for `above`
 
     @property
@@ -115,9 +114,9 @@ def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]
 
 
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance from a point p inside a box to the box's surface, along a unit vector.
+    """[m] distance from a point p in a box with corners [m] to its surface, along a unit vector.
 
-    All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
+    All arguments are (2,) or all are (3,).
     """
     with np.errstate(divide="ignore", over="ignore"):
         distances = np.where(direction > 0.0, upper - p, lower - p) / direction

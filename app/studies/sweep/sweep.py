@@ -1,5 +1,6 @@
 """A sweep: paths of the end-effector towards the base from all directions, with each controller."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -73,11 +74,8 @@ _Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joi
 
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 """[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
-_SEARCHES = tuple(
-    (float(np.radians(turn)), k)
-    for turn, k in ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
-)
-"""[rad] horizontal angle of the end-effector from the outward direction, and a number that is added
+_SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
+"""[deg] horizontal angle of the end-effector from the outward direction, and a number that is added
 to the seed; preferred first."""
 _TRIES = 4  # [-] starting points of a search for each pitch of the end-effector
 _MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
@@ -93,10 +91,7 @@ class StartFinder:
     """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
-        """Prepare the search for a buffer distance `d_b` [m].
-
-        If no monitored part of the arm can meet the base, this raises a DescriptionError.
-        """
+        """Prepare the search for a buffer distance `d_b` [m], with the check `check_avoidance`."""
         check_avoidance(model, data)
         self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
@@ -144,7 +139,8 @@ class StartFinder:
             flaws[OUT_OF_REACH] = len(places) - len(reached)
         for (turn, k), p_ee in product(_SEARCHES, reached):
             try:
-                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, turn=turn, tries=_TRIES)
+                how = {"turn": math.radians(turn), "tries": _TRIES}
+                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, **how)
             except UnreachableError as error:
                 flaws.update(error.flaws)
                 continue
@@ -164,10 +160,8 @@ class StartFinder:
     ) -> tuple[Array, Array]:
         """Move the end-effector (3,) [m] and the joints (n_m,) towards the desired distance [m]."""
         excess = self._closest(q_m).d - distance
-        step, moved = np.sign(excess) * _SLIDE, 0.0
-        while abs(excess) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
-            if moved > _FARTHEST_SLIDE:
-                break
+        step, moved, small = np.sign(excess) * _SLIDE, 0.0, _DISTANCE_TOLERANCE
+        while abs(excess) > small and abs(step) > small / 8 and moved <= _FARTHEST_SLIDE:
             p_new = p_ee + step * approach.inwards
             with suppress(UnreachableError):
                 q_new = self._solver.slide(point_of(p_new), q_m)
@@ -179,14 +173,10 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Find joint positions (n_m,) for which p_b has the coordinate x [m] in the base's frame.
+        """Find joint positions (n_m,) with p_b at the coordinate x [m]; the search starts at `q_m`.
 
-        The search starts at `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m]. While the error
-        of p_b, the arm's closest point to the base, is large, it shifts the end-effector along the
-        base's x axis. A small error is corrected by a step of the joint positions, which is finer.
-
-        Raises:
-            UnreachableError: The search has found no such posture.
+        p_b is the arm's closest point to the base; `p_ee` (3,) [m] is the end-effector's position
+        at `q_m`. If the search finds no such joint positions, it raises an UnreachableError.
         """
         smallest = np.inf
         for _ in range(_OFFSET_TRIES):
@@ -195,7 +185,7 @@ class StartFinder:
             if abs(error) < _OFFSET_TOLERANCE:
                 return q_m
             smallest = min(smallest, abs(error))
-            if abs(error) > _SMALL_OFFSET:
+            if abs(error) > _SMALL_OFFSET:  # shift the end-effector along the base's x axis
                 p_ee = p_ee - [error, 0.0, 0.0]
                 q_m = self._solver.slide(point_of(p_ee), q_m)
             else:  # the smallest joint step, which is finer than the search for postures
@@ -227,32 +217,25 @@ def load(robot: str, d_b: float) -> StartFinder:
 
 
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
-    """Run all paths of a plan, and return the content of `sweep.json`, whose keys end in the unit.
-
-    Except for `elapsed_s` it does not depend on the number of processes.
-    """
+    """Run all paths of a plan, and return the content of `sweep.json`; its keys end in the unit."""
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
     # Paths along the wheel axis that differ only in p_b share a search for postures.
     same = attrgetter("kind", "height", "direction_deg", "place")
     approaches = plan.approaches(make_context().model)
     groups = [tuple(group) for _, group in groupby(approaches, same)]
-    starts: list[Start] = []
     rows: dict[Kind, list[Row]] = {kind: [] for kind in LISTS}
     with Workers(make_context, processes) as workers:
         on_share = part_of(on_progress, 0.0, _START_SHARE)
-        for found in workers.map(partial(_find_starts, plan), groups, on_share):
-            starts += found
+        found = workers.map(partial(_find_starts, plan), groups, on_share)
+        starts = [start for each in found for start in each]
         trials, on_share = list(plan.trials(starts)), part_of(on_progress, _START_SHARE, 1.0)
         results = workers.map(partial(_row, plan), trials, on_share)
         for (start, *_), row in zip(trials, results, strict=True):
             rows[start.approach.kind].append(row)
     on_progress(1.0)
     return {
-        "robot": plan.robot,
-        "seed": plan.seed,
-        "mode": plan.mode,
-        "physics": plan.physics,
+        **{name: getattr(plan, name) for name in ("robot", "seed", "mode", "physics")},
         "controllers": list(plan.controllers),
         "heights_m": list(plan.heights),
         "speeds_mps": list(plan.speeds),
@@ -297,19 +280,14 @@ def _row(plan: SweepPlan, finder: StartFinder, trial: tuple[Start, str, float]) 
 
 
 def arrival(t: Array, errors: Array) -> float | None:
-    """[s] time from which the end-effector stays within 1 mm of the path's end; None if never.
-
-    `errors` (N,) [m] are its distances from the path's end at the times `t` (N,) [s].
-    """
+    """[s] time from which all errors (N,) [m], at times t (N,) [s], are within 1 mm, or None."""
     arrived = np.append(0, np.flatnonzero(errors > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
 
 
 def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
-    """Whether a path was successful.
-
-    Then the final error is at most `error_limit` [m], and the distance between arm and base is at
-    least 0.03 m. The arm never touches the base or itself, and there is no fallback command.
+    """Whether the final error is at most `error_limit` [m], the distance between arm and base at
+    least 0.03 m, and no step had a contact with base or arm or the fallback command.
     """
     clearance = results["min_clearance_m"]
     flaws = (results[key] for key in ("contacts", "arm_contacts", "solver_failures"))
@@ -320,16 +298,17 @@ def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
 def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]) -> Row:
     """Summaries by controller and by the key of `LISTS`, for the kinds of paths in the plan."""
     result: Row = {controller: {} for controller in plan.controllers}
-    for (controller, found), (kind, key) in product(result.items(), LISTS.items()):
+    for controller, (kind, key) in product(result, LISTS.items()):
         if own := [start for start in starts if start.approach.kind == kind]:
             of_it = [row for row in rows[kind] if row["controller"] == controller]
-            found[key] = _summary(own, of_it)
+            result[controller][key] = _summary(own, of_it)
     return result
 
 
 def _summary(starts: list[Start], rows: list[Row]) -> Row:
     """Numbers of runs by their result, sums, and worst and median values; None without a value."""
     unreachable = sum(bool(start.reason) for start in starts)
+    contacts, arm_contacts = ([row[k] for row in rows] for k in ("contacts", "arm_contacts"))
 
     def extreme(choose: Any, key: str) -> float | None:
         values = [row[key] for row in rows if row[key] is not None]
@@ -343,10 +322,10 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
         "ee_error_max_m": extreme(max, "ee_error_max_m"),
         "min_clearance_m": extreme(min, "min_clearance_m"),
         "arm_min_clearance_m": extreme(min, "arm_min_clearance_m"),
-        "runs_with_contact": sum(row["contacts"] > 0 for row in rows),
-        "runs_with_arm_contact": sum(row["arm_contacts"] > 0 for row in rows),
-        "contacts": sum(row["contacts"] for row in rows),
-        "arm_contacts": sum(row["arm_contacts"] for row in rows),
+        "runs_with_contact": sum(count > 0 for count in contacts),
+        "runs_with_arm_contact": sum(count > 0 for count in arm_contacts),
+        "contacts": sum(contacts),
+        "arm_contacts": sum(arm_contacts),
         "never_arrived": sum(row["time_s"] is None for row in rows),
         "time_max_s": extreme(max, "time_s"),
         "base_displacement_max_m": extreme(max, "base_displacement_m"),
@@ -363,12 +342,13 @@ def write_sweep(result: Row, out: Path) -> list[str]:
 
     model = RobotModel(load_robot(result["robot"]))
     names = ["sweep.json", "sweep.csv"]
+    above = result["above"] or any(row["kind"] == "above" for row in result["unreachable"])
     with styled():
         for speed in result["speeds_mps"]:
             for height in result["heights_m"]:
                 names.append(f"sweep_h{height:g}_v{speed:g}.png")
                 write_whole(out / names[-1], png_of(polar_map(result, height, speed, model)))
-            if result["above"] or any(row["kind"] == "above" for row in result["unreachable"]):
+            if above:
                 names.append(f"sweep_above_v{speed:g}.png")
                 write_whole(out / names[-1], png_of(above_map(result, speed, model)))
     rows = [{"kind": kind, **row} for kind, key in LISTS.items() for row in result[key]]
