@@ -179,8 +179,8 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check for implausible limits of speed or torque, and for joints that move no inertia; warn if
-    a torque limit is too small for gravity.
+    """Check that speed and torque limits are plausible and each joint moves an inertia; warn if a
+    torque limit is too small for gravity.
     """
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)

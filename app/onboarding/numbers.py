@@ -355,12 +355,11 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
     """The fit of (9) above the first of `SHARES` with a positive R², and this share [-].
 
-    With R² ≤ 0, a constant fits better than (9). This happens with a large share in a small
-    workspace, where few spherical shells are above the share, with almost equal reachabilities.
+    In a small workspace, few spherical shells are above the first share, and their reachabilities
+    can be almost equal. With R² ≤ 0, a constant fits better than (9).
 
     Raises:
-        DescriptionError: No share has a positive R², or (9) cannot be fitted above a share that is
-            tried before; see `fit_reachability`.
+        DescriptionError: No share has a positive R², or `fit_reachability` fails with one of them.
     """
     for share in SHARES:
         if (fit := fit_reachability(counted, share)).r_squared > 0.0:

@@ -214,10 +214,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Warnings of joints that the model fixes, such as suspensions and those of a head or legs.
-
-    Joints of the base that turn without limits, such as wheels and casters, are not reported.
-    """
+    """Warnings of joints that the model fixes, except joints of the base that turn without limits."""
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
     if rigid := [joint for joint in above if joint.kind != "fixed"]:
@@ -248,9 +245,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Warnings of links beside the arm's chain that can move out of their bodies by over `_OUT`; of
-    several links on one joint of the arm and in one body, only the farthest is reported.
-    """
+    """A warning for each body that a link beside the arm's chain can leave, with the farthest link."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
