@@ -117,7 +117,7 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
 
     It is 2 N m s/rad for a joint with an effort of at least 30 N m and 1 N m s/rad for a weaker
     one, as for the paper's robot, and 20 N s/m for a prismatic joint. It is at most m/(3 dt), which
-    pybullet simulates stably: m is the smallest `RobotModel.joint_inertia` in random postures, and
+    pybullet simulates stably; m is the smallest `RobotModel.joint_inertia` in random postures, and
     dt = 1 ms.
     """
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))

@@ -1,6 +1,6 @@
 """Bodies around groups of links: small convex shapes around the points that other links can reach.
 
-A body encloses one or more units (`app.onboarding.fit.units`).
+A body encloses one or more units, which are groups of links that move as one rigid body.
 """
 
 from collections.abc import Mapping, Sequence

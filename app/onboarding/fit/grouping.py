@@ -51,7 +51,6 @@ _SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet although its links
 _ALWAYS_COST = 1.0  # [-] cost of a pair in `Verdict.always`
 _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
-
 BY_LINKS = "chosen: some of its links are nearer than d_b by design"
 BY_BODIES = "chosen: its bodies are within d_b in most postures; other pairs detect the collisions"
 """Reasons why a pair is not monitored."""

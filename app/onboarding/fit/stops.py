@@ -1,7 +1,7 @@
 """Stops: joint limits that prevent collisions of the base with links close to it by design.
 
-No pair monitors these links. An example is the upper arm of a UR, which a limit of the shoulder
-lift joint keeps away from the base.
+No pair monitors these links, which are within d_b of the base in most postures. An example is
+the upper arm of a UR: a limit of the shoulder lift joint keeps it away from the base.
 """
 
 from collections.abc import Sequence

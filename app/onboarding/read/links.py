@@ -131,7 +131,7 @@ def _hull(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """A mesh in nearly convex pieces, so that hulls meet only where links do; or another shape."""
+    """The shape alone or, of a mesh, nearly convex pieces, whose hulls meet only where links do."""
     if shape.kind != "mesh":
         return [shape]
     whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
@@ -346,7 +346,7 @@ def _check_inertia(where: str, stated: pin.Inertia, shapes: LinkGeometry) -> Non
 
 
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
-    """The stated inertia, with moments of the hull if only a mass is stated; without one, an
+    """The stated inertia, with moments of the hull if only a mass is stated; if none is stated, an
     inertia by volume. A link without volume has the stated inertia, or zero.
     """
     if geometry.volume <= _FLAT:

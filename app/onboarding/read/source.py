@@ -40,7 +40,8 @@ _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can 
 def locate(source: str) -> Path:
     """The file of a path, a `file://` address or a `package://` address.
 
-    Raises a RobotFileError if the file does not exist, and the AssetError of `resolve_package_uri`.
+    A RobotFileError is raised if the file does not exist, and the AssetError of
+    `resolve_package_uri` if a `package://` address is wrong.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
