@@ -56,8 +56,7 @@ class Limits(NamedTuple):
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
     assumed: dict[str, dict[str, list[str]]]
-    """Names of joints without a limit in the URDF: by the field of the description, then by a text
-    with the assumed limit."""
+    """Joints without a limit in the URDF, by the description's field, then by the assumed limit."""
     stops: dict[str, str]  # reasons of narrower position limits, by the name of the joint
 
     @property

@@ -214,7 +214,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Warnings of joints that the model fixes; endless joints of the base are not reported."""
+    """Warnings of joints that the model fixes, except joints of the base that `turns_round`."""
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
     if rigid := [joint for joint in above if joint.kind != "fixed"]:

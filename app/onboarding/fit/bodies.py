@@ -66,9 +66,9 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
-    """Divisions of parts into one, two, three and four groups; the hull represents a group.
+    """Divisions of parts into one group, two, and so on up to four; the hull represents a group.
 
-    Each division results from the one with one group more by the merger that adds the least volume.
+    A division becomes the next smaller one by the merger of two groups that adds the least volume.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull

@@ -179,7 +179,8 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
 
     Units are nested if they are in `found.nested`, or are neighbours that touch in half of the
-    postures or more. Their links are nested if they touch in half of these postures or more.
+    postures or more. Links are nested if they touch in half or more of the postures in which their
+    units touch.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []

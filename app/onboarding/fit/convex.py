@@ -121,8 +121,7 @@ def fit_capsule(points: Array) -> Capsule:
 
 
 def fit_box(points: Array) -> Box:
-    """A small box around points (N, 3) [m], with an edge along an axis of the frame or a principal
-    axis of the points.
+    """A small box around points (N, 3) [m], aligned with an axis of the frame or a principal axis.
 
     A rotated box replaces the best box so far only if its volume is smaller by more than a tenth.
     """

@@ -87,8 +87,8 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0, or to
-    l_m if the pairs would miss over 0.1 % of its collisions, as for a mast.
+    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If the
+    pairs then miss over 0.1 % of its collisions, as for a mast, it belongs to l_m instead.
 
     `count` is the number of bodies of the arm. None means four, as in the paper, if these are
     sufficient, and otherwise the best number from two to six. Four are not sufficient if

@@ -64,8 +64,8 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] corners of all hulls and reproducible random points on their faces, in the
-        link's frame.
+        """(N, 3) [m] up to 1,500 corners of each hull, and reproducible random points on its faces,
+        in the link's frame.
         """
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
@@ -291,8 +291,8 @@ def read_inertias(
 ) -> dict[str, LinkInertia]:
     """The inertia of the base and of each link below it, by the name of the link.
 
-    A link without an `<inertial>` gets a mass by its volume. So do the links from a joint to the
-    next joint if they have no mass. A RobotFileError is raised if an inertia is impossible or
+    A link without an `<inertial>` gets a mass by its volume. So do the links from one joint of the
+    arm to the next if their total mass is 0. A RobotFileError is raised if an inertia is impossible or
     probably in another unit, and, unless `assume` is true, if no link of the arm has a mass.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}

@@ -44,7 +44,7 @@ _UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSE
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write URDFs, meshes and licences of a zip to a folder; return the paths of all its files.
+    """Write URDFs, meshes and licences of a zip to a folder; return the paths of all zipped files.
 
     A RobotFileError is raised if the zip cannot be read or is too large, or if an entry has an
     invalid path, a link, a password, a duplicate path or a compression other than deflate.

@@ -251,8 +251,9 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """Find the arm between the links `base` and `tip`.
 
     With `mount` None, the mount is the parent link of the arm's first joint; if this parent is the
-    base, the mount is the child link of this joint. A RobotFileError names the option that is wrong
-    if a link does not exist, or if the joints between the two links do not form an arm.
+    base, the mount is the child link of this joint. A RobotFileError names the wrong option if a
+    link does not exist, if the joints between the two links do not form an arm, or if an ancestor
+    of `base` has shapes or other children.
     """
     tree.check_link(base, "--base")
     tree.check_link(tip, "--tip")
