@@ -292,8 +292,8 @@ def read_inertias(
     """The inertia of the base and of each link below it, by the name of the link.
 
     A link without an `<inertial>` gets a mass by its volume. So do the links from one joint of the
-    arm to the next if their total mass is 0. A RobotFileError is raised if an inertia is impossible or
-    probably in another unit, and, unless `assume` is true, if no link of the arm has a mass.
+    arm to the next if their total mass is 0. A RobotFileError is raised if an inertia is impossible
+    or probably in another unit, and, unless `assume` is true, if no link of the arm has a mass.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     moving = [link for segment in arm.segments[1:] for link in segment]
