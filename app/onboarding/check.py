@@ -61,7 +61,7 @@ class Row(NamedTuple):
     """The result of one check."""
 
     name: str
-    outcome: Outcome  # "nothing to show" if no posture or run tests the robot
+    outcome: Outcome  # "nothing to show" if no posture, or no run, tests the robot
     text: str
     numbers: dict[str, float]  # the measured values by their names
 
@@ -82,8 +82,9 @@ def check_robot(
     start or has "nothing to show".
 
     `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
-    called with the name of each step before it begins. `processes` sample the border, by default
-    one for each usable core; `sampling` are the parameters of a coarser border.
+    called with the name of each step before it begins. `processes` is the number of processes that
+    sample the border; None means one for each usable core. `sampling` has the parameters of a
+    coarser border; None means the complete border.
     """
     tell("loading the robot")
     try:
@@ -178,7 +179,9 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check for implausible limits and missing inertias; warn of torques too small for gravity."""
+    """Check that speed and torque limits are plausible and each joint moves an inertia; warn if a
+    torque limit is too small for gravity.
+    """
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
@@ -204,7 +207,7 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Warn if nested links touch in few random postures: simulations ignore these contacts."""
+    """Warn of nested links that touch in few random postures: plants ignore all their contacts."""
     touches = nested_touches(model, _geometry(model))
     least = min(touches.values())
     seldom = [f"{a} and {b} in {share:.0%}" for (a, b), share in touches.items() if share < NESTED]
@@ -217,7 +220,7 @@ def nested_row(model: RobotModel) -> Row:
 
 
 def base_row(model: RobotModel) -> Row:
-    """Check that no hull corner of the base's links above the floor is over 1 cm outside of l_m."""
+    """Check that hulls of the base's links, above the floor, extend beyond l_m by at most 1 cm."""
     unit = units_of_links(model, _geometry(model))[model.body_names[0]]
     points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
     points = points[points[:, 2] > 0.0]
@@ -230,7 +233,9 @@ def base_row(model: RobotModel) -> Row:
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Check that bodies overlap when their links collide and that a pair detects each collision."""
+    """Check that a pair of bodies detects each collision of links in random postures, and that the
+    bodies of colliding links overlap; warn if no pair can monitor many of the contacts.
+    """
     found = detection_of(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.postures),
@@ -285,7 +290,7 @@ def holding_row(model: RobotModel) -> Row:
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warn if a person can often push the arm against the base: its torques are too small."""
+    """Warn if the joint torques often cannot resist a person who pushes the arm to the base."""
     borne = warn.borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
@@ -341,9 +346,9 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair with l_m has points at the heights that the arm reaches,
     from the floor to the top of l_m.
 
-    A gap between the lowest and the highest point, or no pair with l_m, causes a warning. Below and
-    above these points, the exact offset of l_m replaces missing points; the row reports these
-    heights and pairs. The check fails if all borders are empty.
+    A gap between the lowest and the highest point of a border, or no pair with l_m, causes a
+    warning. Below and above these points, the exact offset of l_m replaces missing points; the row
+    reports these heights and pairs. The check fails if all borders are empty.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -383,7 +388,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     - `warned` if the run cannot start;
     - `failed` after a contact, an unsolved QP, or a distance of arm and base below 0.03 m;
     - "nothing to show" if no pair has l_m, or the arm without avoidance stays d_b/2 or more away;
-    - `warned` if the base moves by less than d_b/3 and `holding_row` warns, otherwise `failed`;
+    - if the base moves by less than d_b/3: `warned` if `holding_row` warns, `failed` otherwise;
     - `warned` if d_b is too small for the speed of the run;
     - `passed`.
     """

@@ -64,11 +64,12 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Create a robot and its border, and write the complete folder or nothing.
 
-    `helpers` starts workers for all parallel work except the border, which `processes` other
-    processes sample (default: one for each usable core). With `sampling`, the parameters of a
-    coarser border, the calling process samples the border alone, because starting others would take
-    longer. `whole` is the result of `whole_robot`, if it is known. `tell` is called with the name
-    of each step before it begins, `on_progress` with the finished share, 0 to 1, of a long step.
+    `helpers` starts the workers for all parallel work except the border; by default there are none.
+    `processes` other processes sample the border (default: one for each usable core). `sampling`
+    has the parameters of a coarser border. With them, the calling process samples the border alone,
+    because starting others would take longer. `whole` is the result of `whole_robot`, if it is
+    known. `tell` is called with the name of each step before it begins. `on_progress` is called
+    with the finished share, 0 to 1, of a long step.
 
     Raises:
         RobotFileError: The zip or the URDF cannot become a robot, a library refuses it, or the name
@@ -181,11 +182,11 @@ def _written(robot: NewRobot, data: BorderData, folder: Path, work: _Work) -> Ne
 def _embodied(
     request: Request, parsed: Parsed, bare: RobotModel, path: Path, work: _Work
 ) -> Fitted:
-    """Fit bodies around groups of links, up to three times while `Detection.fails`.
+    """Fit bodies around groups of links; while `Detection.fails`, fit again, at most twice.
 
-    The result is the fit with the fewest pairs in `Detection.blind` and, among these, the least
-    `undetected`. It has the joint limits of `with_stops` and, if `request.d_b` is None, the buffer
-    distance of `watching_buffer`.
+    The result is the fit with the fewest pairs in `Detection.blind` and, among such fits, the
+    smallest `Detection.undetected`. It has the joint limits of `with_stops` and, if `request.d_b`
+    is None, the buffer distance of `watching_buffer`.
 
     Raises:
         RobotFileError: Each fit has a pair in `Detection.blind`; or as for `with_stops` or
@@ -238,8 +239,9 @@ def _embodied(
 def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int | None:
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
-    Without --bodies, the third fit has one body more than the first two, if the arm has enough
-    moving units with shapes. `found` has the earlier numbers of bodies, including l_m.
+    Without --bodies, the third fit has one body more than the larger of the first two, if the arm
+    has enough moving units with shapes. `found` has the numbers of bodies, including l_m, of the
+    earlier fits.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies

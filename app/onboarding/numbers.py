@@ -56,7 +56,7 @@ class Limits(NamedTuple):
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
     assumed: dict[str, dict[str, list[str]]]
-    """Joints without a limit in the URDF, by the field of the description and the assumed limit."""
+    """Joints without a limit in the URDF, by the description's field, then by the assumed limit."""
     stops: dict[str, str]  # reasons of narrower position limits, by the name of the joint
 
     @property
@@ -96,7 +96,7 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
-    """The limits; a missing effort is 2.5 times the gravity load, at least `_MIN_EFFORT`."""
+    """The limits; a missing effort becomes 2.5 times the `gravity_load`, at least 5 N m or 50 N."""
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
@@ -114,9 +114,10 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     """(n_m,) [N m s/rad or N s/m] damping D of the joints while a person guides the arm.
 
-    It is 2 or 1 N m s/rad for a strong or weak joint, as for the paper's robot, or 20 N s/m for a
-    prismatic joint; but at most m/(3 dt), which pybullet simulates stably. m is the smallest
-    `joint_inertia` in random postures; dt = 1 ms.
+    It is 2 N m s/rad for a joint with an effort of at least 30 N m and 1 N m s/rad for a weaker
+    one, as for the paper's robot, and 20 N s/m for a prismatic joint. It is at most m/(3 dt), which
+    pybullet simulates stably; m is the smallest `RobotModel.joint_inertia` in random postures, and
+    dt = 1 ms.
     """
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
@@ -202,8 +203,8 @@ def _within(value: float | None, most: float) -> float:
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
     """The inertias of all links; a large assumed total mass of the base's links is reduced.
 
-    Above `_COMPACT`, the assumed mass grows only with the surface, the power 2/3 of the volume,
-    because large bases are hollow.
+    `BASE_DENSITY` is that of small bases, and large bases are hollow. So above `_COMPACT`, the
+    assumed total mass grows only with the power 2/3 of the volume, like the surface.
     """
     if (total := assumed_mass(inertias, base_links)) <= _COMPACT:
         return inertias
@@ -242,8 +243,9 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 def base_numbers(
     model: RobotModel, wheels: Wheels, inertias: Inertias, q_m: Array, half_track: float | None
 ) -> Sourced:
-    """Numbers of the base with their sources; q_m (n_m,) is the ready posture, `half_track` [m] the
-    value of --half-track, or None.
+    """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
+
+    `half_track` [m] is that of --half-track; None means half of the distance between the wheels.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
@@ -296,7 +298,8 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
     return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
 
 
-SHARES = 0.5, 0.2, FLOOR  # [-] shares of the peak above which (9) is fitted, the best ones first
+SHARES = 0.5, 0.2, FLOOR
+"""[-] shares of the peak above which (9) is fitted, best first; the tails are not parabolic."""
 COUNTED_POSTURES = 20_000  # [-] random joint positions for counting a reachability
 _REACH_SAMPLES = 2000  # [-] number of random postures for an assumed reachability
 _WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
@@ -322,10 +325,9 @@ class Reach(NamedTuple):
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
     """The names of all bodies that can form a pair with l_m, with their coefficients of (9).
 
-    `workers` start at once, so the caller can do other work before it reads the results. The fit
-    uses the first of `SHARES` with which (9) explains the counted reachability better than a
-    constant does. Coefficients are assumed if there is no such fit, or if fewer than three joints
-    move the body.
+    `workers` start at once, so the caller can do other work before it reads the results. For the
+    fit see `best_fit`. Coefficients are assumed if it raises an error, or if fewer than three
+    joints move the body.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -352,10 +354,11 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
     """The fit of (9) above the first of `SHARES` with a positive R², and this share [-].
 
-    Few shells of a small workspace are above the first share, and can be almost equal.
+    In a small workspace, few spherical shells are above the first share, and their reachabilities
+    can be almost equal. With R² ≤ 0, a constant fits better than (9).
 
     Raises:
-        DescriptionError: There is no such share, or as for `fit_reachability`.
+        DescriptionError: No share has a positive R², or `fit_reachability` fails with one of them.
     """
     for share in SHARES:
         if (fit := fit_reachability(counted, share)).r_squared > 0.0:

@@ -51,6 +51,6 @@ class NewRobot(Fitted):
     ready: Ready
     reach: dict[str, Reach]  # reachability by the name of the body
     held: str  # warning that the arm cannot hold its end-effector in place, or empty
-    places: dict[str, Place] = field(default_factory=dict)  # line by the name of the scenario
-    lacking: dict[str, str] = field(default_factory=dict)  # reason for a missing line, likewise
+    places: dict[str, Place] = field(default_factory=dict)  # lines, by scenario
+    lacking: dict[str, str] = field(default_factory=dict)  # reasons for missing lines, by scenario
     warnings: list[str] = field(default_factory=list)  # warnings; each is one sentence

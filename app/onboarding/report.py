@@ -47,7 +47,7 @@ class Pictures(NamedTuple):
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """Draw a robot and its border; the job lacks lines and warnings, which are found meanwhile."""
+    """Draw a robot and its border; lines for guiding and warnings may still be missing."""
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
@@ -217,7 +217,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """PNG of counted reachabilities (means over spherical shells) and their fits (9), or None."""
+    """PNG of counted reachabilities (means over spherical shells) and fits (9); None if none."""
     counted = [(name, r.counted, r.fit) for name, r in robot.reach.items() if r.counted and r.fit]
     if not counted:
         return None
@@ -263,8 +263,9 @@ def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """`Bare` of each link that extends beyond its body by more than `_BARE`, by the link's name;
-    `placed` are the `placements` in the ready posture.
+    """`Bare` of each link that extends beyond its body by more than 5 mm, by the link's name.
+
+    `placed` are the poses of the joint frames (`placements`) in the ready posture.
     """
     found: dict[str, Bare] = {}
     for k, body in enumerate(robot.bodies):
@@ -281,7 +282,7 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
 
 
 def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]) -> str:
-    """A page with a 3D view of the links and of the bodies."""
+    """A page with a 3D view of the links and bodies, in the poses `placed` of the joint frames."""
     hulls = _hulls(robot, placed, bare)
     links = [(trimesh.convex.convex_hull(points), colour, 1.0) for points, colour in hulls]
     meshes = robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)

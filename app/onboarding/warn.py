@@ -214,7 +214,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Warnings of joints that the model fixes, except the base's wheels and casters."""
+    """Warnings of joints that the model fixes, except joints of the base that `turns_round`."""
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
     if rigid := [joint for joint in above if joint.kind != "fixed"]:
@@ -263,8 +263,9 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of the signed distances of points (N, 3) [m], in the frame of a body's
-    joint, to the meshes of the body's shapes.
+    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes.
+
+    The points (N, 3) [m] are in the frame of the body's joint.
     """
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
@@ -349,8 +350,10 @@ class Carried(NamedTuple):
 
 
 def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
-    """Shares of `_near_postures` with `lost_ee`, for the largest commanded speed along each axis of
-    the base.
+    """Shares of postures in which the arm cannot hold its end-effector, for each axis of the base.
+
+    In these postures the arm is too slow or lacks a joint; see `lost_ee`. The base moves along one
+    axis at its largest commanded speed. The postures are random ones near the base.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, model.description.config.admittance)
@@ -368,10 +371,11 @@ def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
 def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, and its pose, while the base moves.
 
-    The position is lost if the residual of J_arm q̇ + `moved`, minimised within the speed limits of
-    the joints, exceeds a tenth of the motion. Only linear rows count. The pose is lost if the
-    position is, or if the linear or the angular part of the residual of all rows exceeds a tenth of
-    the larger part of the motion. A lever of 0.3 m converts angular parts to metres.
+    The arm compensates with the q̇ within its speed limits that minimises ‖J_arm q̇ + `moved`‖. The
+    position is lost if this residual, of the linear rows alone, exceeds a tenth of the linear
+    motion. For the pose all six rows count, and a lever of 0.3 m converts angular parts to metres.
+    The pose is lost if the linear or the angular part of the residual exceeds a tenth of the larger
+    part of the motion, or if the position is lost.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
@@ -388,7 +392,7 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
-    """A warning of the base's motions that the arm often cannot compensate, or empty."""
+    """A warning of base motions that the arm often (over 25 %) cannot compensate, or no text."""
     often = [each for each in carried if each.place > _OFTEN]
     if not often:
         return ""
@@ -404,8 +408,10 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
-    """(N,) [N] largest push on the arm towards the base that the joint torques can resist, for each
-    of `_near_postures`: the `force_bound` of the nearest of `pairs` at rest. Without pairs, N is 0.
+    """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
+
+    Each value belongs to a random posture near the base, at rest. It is the `force_bound` of the
+    nearest of `pairs`, the pairs with l_m. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():
@@ -420,9 +426,8 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def push_warning(model: RobotModel, borne: Array) -> str:
-    """A warning of an arm that a person can push against the base, or empty.
-
-    `borne` is the result of `borne_push`.
+    """A warning if a person is stronger than `borne`, the result of `borne_push`, in over a quarter
+    of the postures; an empty text otherwise.
     """
     person = model.description.config.hand.f_max
     if not len(borne) or (weak := float((borne < person).mean())) <= _OFTEN:

@@ -29,7 +29,7 @@ _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR
 
 @contextmanager
 def one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert an exception of a library to a `RobotFileError` that names the step `doing`."""
+    """Convert an exception of a library to a `RobotFileError` with the step that `doing` names."""
     try:
         yield
     except DbbError:
@@ -106,8 +106,8 @@ def with_distinct_names(tree: Tree) -> tuple[Tree, dict[str, str]]:
     """The tree with distinct names, and the new names of its renamed links by the old ones.
 
     A joint with the name of a link gets the suffix `_joint`, because pinocchio and MuJoCo cannot
-    distinguish the two. So does a joint with a name that this program or pinocchio reserves; a link
-    with such a name gets the suffix `_link`.
+    distinguish the two. Names that this program or pinocchio uses are reserved: a joint with a
+    reserved name also gets the suffix `_joint`, and a link gets the suffix `_link`.
     """
     links = _distinct(tree.links, _OWN_LINKS, {*tree.links, *tree.joints}, "{}_link")
     foreign = {links.get(name, name) for name in tree.links} | _OWN_JOINTS

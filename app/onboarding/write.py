@@ -107,8 +107,8 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     with a new name and title.
 
     Raises:
-        DescriptionError: The description cannot be read, its change exceeds the time or memory of
-            `within_budget`, or the result is invalid.
+        DescriptionError: The present description cannot be read, the change exceeds the time or
+            memory that `within_budget` allows, or the result is not a valid description.
         OutputError: `out` is another folder that is not empty, or cannot be written.
     """
     file, in_place = source / "robot.toml", out.resolve() == source.resolve()
@@ -224,9 +224,10 @@ def _text(robot: Element) -> str:
 def mesh_name(address: str, home: Path | None) -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
-    `home` is the folder of the new URDF; without it, all addresses stay. A mesh in this folder gets
-    a relative path, because the folder may be moved. A mesh for which `is_foreign` is true is first
-    converted to an STL file in metres in `home`. This raises the errors of `load_mesh`.
+    `home` is the folder of the new URDF; without it, the address does not change. A mesh in this
+    folder gets a relative path, because the folder may be moved. A mesh for which `is_foreign` is
+    true is first converted to an STL file in metres in `home`; the conversion raises the errors of
+    `load_mesh`. Other meshes keep their address.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -250,9 +251,10 @@ def _mesh_file(home: Path, name: str, key: str, end: str) -> Path:
 def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geometry]:
     """The text of a new URDF, and the geometry of its links, both with the shapes `in_pieces`.
 
-    For a shape of several pieces, the URDF names an OBJ file in `home`, the folder of the URDF; the
-    engines use the hull of each of its objects. Files of `MESH_FOLDER` that the text does not name,
-    such as a converted mesh that is now in pieces, are removed.
+    A shape of several pieces is written to an OBJ file in `home`, the folder of the URDF, with an
+    object for each piece. The URDF names this file, and the engines use the hull of each object.
+    Files of `MESH_FOLDER` that the text does not name, such as a converted mesh that is now in
+    pieces, are removed.
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     tree, cut = ElementTree.fromstring(urdf, parser), dict(geometry)

@@ -1,6 +1,6 @@
 """Bodies around groups of links: small convex shapes around the points that other links can reach.
 
-A body encloses one or more units (`app.onboarding.fit.units`).
+A body encloses one or more units, which are groups of links that move as one rigid body.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,8 +46,8 @@ class FittedBody(NamedTuple):
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
-    l_m has one box, unless each further shape, and each polytope instead of a box, saves more than
-    `_SAVES` contacts of l_m with the arm per posture, in the postures of `_touched`.
+    By default l_m has one box. Each further shape, and each polytope instead of a box, has to save
+    more than 0.03 contacts of l_m with the arm per posture, in postures in which no links touch.
     """
     units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -66,9 +66,9 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
-    """Divisions of parts into one, two, three and four groups; the hull represents a group.
+    """Divisions of parts into one group, two, and so on up to four; the hull represents a group.
 
-    Each division results from the one with one group more by the merger that adds the least volume.
+    A division becomes the next smaller one by the merger of two groups that adds the least volume.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
@@ -93,7 +93,7 @@ def _touched(
     model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
     """(tries,) [-] for each of `tried`: mean number of the arm's units, not close by design, that a
-    body of these shapes touches in postures without touching units, or in all if there are none.
+    body of these shapes touches in free postures, or in all postures if none is free.
     """
     free = (meetings.random.distances > 0.0).all(axis=1)
     q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
@@ -120,8 +120,8 @@ class ArmFitter:
         """The bodies l_1 … l_EE for groups of units, from the base outwards.
 
         A body encloses the points of its links that units of bodies other than its neighbours can
-        reach. If these points, while the body's joints move, sweep less than `_SPOT`, the body
-        encloses its links completely.
+        reach. If there are no such points, or if they sweep less than 1 cm³ as the body's joints
+        move, the body encloses its links completely.
 
         Raises:
             RobotFileError: The links of a group have no shapes.
@@ -150,7 +150,7 @@ class ArmFitter:
     ) -> tuple[tuple[Fit, ...], int] | None:
         """The smallest fit of one or more shapes in a joint's frame, and the joint's number.
 
-        None if the points of the units that `masks` select sweep less than `_SPOT`.
+        None if `masks` select no points of the units, or if these points sweep less than `_SPOT`.
         """
         pieces = [
             (unit.joint, part)
@@ -187,8 +187,10 @@ class ArmFitter:
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
-    """The points of the link `owner` in `mask`, in groups (N, 3) [m] more than `_APART` apart, and
-    more than twice the largest distance from a point of the link's surface to the nearest one.
+    """The points of the link `owner` in `mask`, in groups (N, 3) [m] distant from one another.
+
+    The distance of two groups exceeds `_APART`, and twice the largest distance from a point of the
+    link's surface to its nearest neighbour.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
     if len(points) < 2:

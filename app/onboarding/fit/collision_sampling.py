@@ -73,13 +73,13 @@ class Meetings:
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """Close pairs that touch in most random postures, such as the parts of a telescope."""
+        """Close pairs that touch in half of the random postures or more, as in a telescope."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
     @property
     def grazing(self) -> frozenset[tuple[int, int]]:
-        """Pairs of the arm's units that touch, but overlap by at most 3 mm, for any d_b."""
+        """Pairs of the arm's units with 30 contacts or more, all of them at most 3 mm deep."""
         distances = np.vstack([self.random.distances, self.rare.distances])
         return _grazing(self.units, self.pairs, distances)
 
@@ -176,10 +176,11 @@ def _touch_mostly(distances: Array) -> Array:
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
-    """Pairs (link of u, link of v) that touch in at least half of the postures in which u and v do.
+    """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
 
-    There is no such pair if u and v are neither `found.nested`, nor neighbours that touch in at
-    least half of the postures.
+    Units are nested if they are in `found.nested`, or are neighbours that touch in half of the
+    postures or more. Links are nested if they touch in half or more of the postures in which their
+    units touch.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []

@@ -71,7 +71,8 @@ def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
     The polytope has a face for each of 642 directions, evenly spread after scaling the points to
-    equal widths along their principal axes. It exceeds a round hull by about 0.2 % of its extent.
+    equal widths along their principal axes. It exceeds a round hull by about 0.2 % of the hull's
+    extent, and by up to 2 % at edges.
     """
     corners, D = hull(points).corners, directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many
@@ -112,14 +113,15 @@ def fit_capsule(points: Array) -> Capsule:
     options["initial_simplex"] = np.vstack([start, start + 0.03 * np.eye(6)])
     best = minimize(volume, start, method="Nelder-Mead", options=options)
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
-    # A coordinate that is small at both ends becomes zero if this adds little volume.
+    # A coordinate that is small at both ends becomes zero if this adds little volume: distances
+    # have simple formulas if the axis of the capsule meets that of a joint.
     ends = np.array([found.start_m, found.end_m])
     snapped = _capsule(points, np.where((np.abs(ends) < _SNAP).all(axis=0), 0.0, ends))
     return snapped if volume_of(snapped) < _SNAP_COST * volume_of(found) else found
 
 
 def fit_box(points: Array) -> Box:
-    """A small box around points (N, 3); an edge is along an axis of the frame or a principal axis.
+    """A small box around points (N, 3) [m], aligned with an axis of the frame or a principal axis.
 
     A rotated box replaces the best box so far only if its volume is smaller by more than a tenth.
     """
@@ -133,9 +135,10 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope around points (N, 3), with a face for each of 42 directions; a box if qhull fails.
+    """A polytope around points (N, 3) [m], with a face for each of 42 directions; or a box.
 
-    Its frame is at the centre of the points' bounding box, with z along their first principal axis.
+    The result is a box if qhull finds no polytope. The frame of a polytope is at the centre of the
+    points' bounding box, with z along their first principal axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -207,7 +210,7 @@ def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 @cache
 def directions(subdivisions: int) -> Array:
-    """(K, 3) evenly spread unit vectors; K is 42, 162 or 642 for 1, 2 or 3 subdivisions."""
+    """(K, 3) evenly spread unit vectors, also ±x, ±y, ±z; K is 42, 162, 642 for 1, 2, 3."""
     spread = np.asarray(trimesh.creation.icosphere(subdivisions=subdivisions).vertices)
     D = np.vstack([spread, np.eye(3), -np.eye(3)])
     D = np.unique(np.round(D / np.linalg.norm(D, axis=1)[:, None], 9), axis=0)

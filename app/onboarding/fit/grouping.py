@@ -51,9 +51,9 @@ _SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet although its links
 _ALWAYS_COST = 1.0  # [-] cost of a pair in `Verdict.always`
 _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
-
 BY_LINKS = "chosen: some of its links are nearer than d_b by design"
 BY_BODIES = "chosen: its bodies are within d_b in most postures; other pairs detect the collisions"
+"""Reasons why a pair is not monitored."""
 
 
 class Verdict(NamedTuple):
@@ -87,16 +87,18 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0, or to
-    l_m if the pairs would miss over 0.1 % of its collisions, as for a mast.
+    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If the
+    pairs then miss over 0.1 % of its collisions, as for a mast, it belongs to l_m instead.
 
-    `count` is the number of bodies of the arm. None means four, as in the paper, or the best number
-    from two to six if, with four, `Verdict.always` or `Verdict.spurious` has a pair, or
-    `Verdict.missed` is over 0.1 %. The bodies of two links in `separate` are a pair, if possible.
-    `on_progress` is called with the finished share of each search.
+    `count` is the number of bodies of the arm. None means four, as in the paper, if these are
+    sufficient, and otherwise the best number from two to six. Four are not sufficient if
+    `Verdict.always` or `Verdict.spurious` has a pair, or if `Verdict.missed` is over 0.1 %. If
+    possible, the bodies of the two links of each entry in `separate` are a pair. `on_progress` is
+    called with the finished share of each search.
 
     Raises:
-        RobotFileError: No grouping into `count` bodies is possible; the message has a valid range.
+        RobotFileError: No grouping into `count` bodies is possible (the message has a valid range),
+            or as for `ArmFitter.bodies`.
     """
     fixed = meetings.units[1]
     own = {link: unit.index for unit in meetings.units for link in unit.links}
@@ -234,8 +236,8 @@ class Detection(NamedTuple):
     """Pairs whose bodies miss more than half of the collisions of their links, in the random and
     the `rare` postures of `Meetings` together."""
     unseen: dict[tuple[str, str], float]
-    """[-] share of all random postures, by the links that meet in the undetected postures; of two
-    units, only the links that come nearest."""
+    """[-] share of all random postures, by the two links that meet in the undetected postures. Of
+    the links of two units, only the two that come nearest are included."""
     left_out: int
     """Number of postures in which no pair of bodies overlaps, but links meet that are neighbours or
     close by design. It is extrapolated if more than 300 postures qualify."""
@@ -251,12 +253,13 @@ class Detection(NamedTuple):
 
     @property
     def worst(self) -> str:
-        """The links that meet in most of the undetected postures; there must be such a posture."""
+        """The links with the largest share in `unseen`, and this share; `unseen` is not empty."""
         (a, b), share = max(self.unseen.items(), key=itemgetter(1))
         return f"{a} and {b} ({share:.2%} of the postures)"
 
     @property
     def fails(self) -> bool:
+        """Whether a collision is undetected, or `blind` has a pair."""
         return bool(self.undetected or self.blind)
 
 
@@ -265,8 +268,9 @@ def detection_of(
 ) -> Detection:
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
-    Contacts of `neighbours`, and those of pairs in `Meetings.close` for a buffer distance d_b [m],
-    do not count, except those of pairs in `Meetings.apart`.
+    Contacts of units that are `neighbours`, or that `Meetings.close` has for the buffer distance
+    d_b [m], do not count; but contacts of pairs in `Meetings.apart` count. `workers` share the
+    postures.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -351,7 +355,7 @@ def _left_out(
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
     """The largest range of one of the `joints` without a posture of q_m (N, n_m), as text; empty if
-    it is below `LEAST` of the joint's range or of a turn, or if N is below `_FEWEST_CONTACTS`.
+    it is below `LEAST` of the joint's range (at most a turn), or if N is below `_FEWEST_CONTACTS`.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():

@@ -158,8 +158,9 @@ def find_place(
 
     A line starts at most 0.425 m and ends at most 0.125 m from l_m. If the end-effector follows it
     without avoidance, the arm touches the base or comes nearer than `INNER` d_b. The order of
-    preference is: lines with a contact, then those with the smallest distance; lines on which the
-    arm best holds its end-effector while the base moves; the order of `_front` or `_lateral`.
+    preference is: first, lines with a contact, then those with the smallest distance; second, lines
+    on which the arm best holds its end-effector while the base moves; third, the order of `_front`
+    or `_lateral`, with far starts first.
 
     `name` is the scenario, `guiding-front` or `guiding-lateral`. At least one of the monitored
     `pairs` has l_m. For `fault` and `anyway` see `chosen`. `on_progress` is called with the
@@ -211,7 +212,8 @@ def fault_of_run(
     """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
     At the end, the base has to be `GIVES_WAY` d_b away from its start. The arm has to stay
-    `CLEARANCE` away from the base, and `_LOWEST` from the floor.
+    `CLEARANCE` away from the base, and 0.01 m from the floor. `on_progress` is called with the
+    finished share of the run.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -285,7 +287,7 @@ class _Candidate(NamedTuple):
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Sort key, rounded so that small differences do not change the order."""
+        """Sort key: `nearest` (0 for a contact), `carried`; rounded to ignore small differences."""
         return round(max(self.nearest, 0.0), 3), round(self.carried, 1)
 
 
@@ -320,8 +322,8 @@ class _Guide:
 
         First the arm moves to each start from a known posture. Each time the caller requests a
         line, a slower search finds a posture with which a run starts: for lines that lead nearer
-        than `INNER` d_b with few tries, then with all tries. If there is no result, the first of
-        the other lines that a run can start is yielded.
+        than `INNER` d_b with few tries, then with all tries. If no line is found, the first of the
+        other lines on which a run can start is yielded.
         """
         mount = self._model.p_base()
         tops = _tops(self.body, float(mount[2]) + _OVER_MOUNT)

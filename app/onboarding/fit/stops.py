@@ -1,7 +1,7 @@
 """Stops: joint limits that prevent collisions of the base with links close to it by design.
 
-No pair monitors these links. An example is the upper arm of a UR, which a limit of the shoulder
-lift joint keeps away from the base.
+No pair monitors these links, which are within d_b of the base in most postures. An example is
+the upper arm of a UR: a limit of the shoulder lift joint keeps it away from the base.
 """
 
 from collections.abc import Sequence
@@ -34,9 +34,9 @@ def with_stops(
     """Joint limits that, if possible, prevent contact of the base with links close to it by design.
 
     For each of these links that touches the base in a sampled posture, one joint before the link
-    gets narrower limits: the joint that retains the largest share of its range, at least a quarter
-    of it (of a turn, if this is less). The limits have to include the posture `ready` (n_m,), if
-    any. If no joint can have such limits, `watching_buffer` is the remedy.
+    gets narrower limits: the joint that retains the largest share of its range. If no joint retains
+    a quarter of its range, or of a turn if this is less, no limit changes; see `watching_buffer`.
+    `ready` (n_m,) is a posture that the limits have to include, or None.
 
     Raises:
         RobotFileError: Limits can prevent the contact, but none of them includes `ready`.
@@ -78,8 +78,8 @@ def with_stops(
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] distance up to which two links count as in contact: `MARGIN`, or half of their largest
-    distance in postures if that is less, as for adjacent links; `distances` (N,) [m] are theirs.
+    """[m] distance up to which two links with `distances` (N,) [m] in postures count as in contact:
+    `MARGIN`, or half of the largest of `distances` if that is less, as for adjacent links.
     """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 

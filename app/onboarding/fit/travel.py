@@ -16,7 +16,7 @@ _MOST = 144  # [-] largest number of steps
 
 
 def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, LinkGeometry]:
-    """The links' geometry in nearly convex pieces, which for some links cover their motions.
+    """The links' geometry in nearly convex pieces; the pieces of some links cover their motions.
 
     These links are those beyond the arm's last link (fingers), the other parts of telescopes, and
     those on joints that mimic a joint of the arm. `chain` has the joints of the arm.

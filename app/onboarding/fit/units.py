@@ -147,7 +147,7 @@ Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
 def shape_distances(
     model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
 ) -> Array:
-    """(N, pairs) [m] smallest signed distances between the shapes of two groups, in postures.
+    """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
     `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions.
     With 150 or more pairs of shapes, results of at least 0.5 m are lower bounds.

@@ -64,8 +64,8 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] corners of all hulls and reproducible random points on their faces, in the
-        link's frame.
+        """(N, 3) [m] up to 1,500 corners of each hull, and reproducible random points on its faces,
+        in the link's frame.
         """
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
@@ -85,12 +85,16 @@ Geometry = Mapping[str, LinkGeometry]  # by the names of the links
 
 
 def read_geometry(tree: Tree) -> Geometry:
-    """The geometry of each link."""
+    """The geometry of each link; raises the RobotFileError of `link_geometry`."""
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """The geometry of one link, from its elements with the first tag in `tags` that occurs."""
+    """The geometry of one link, from its elements with the first tag in `tags` that occurs.
+
+    A RobotFileError names a missing geometry, a missing or unreadable mesh, an invalid number, or a
+    size that is probably not in metres.
+    """
     for tag in tags:
         found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
         if found:
@@ -127,7 +131,7 @@ def _hull(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """The shape alone, or a mesh in nearly convex pieces, whose hulls meet only where links do."""
+    """The shape alone or, of a mesh, nearly convex pieces, whose hulls meet only where links do."""
     if shape.kind != "mesh":
         return [shape]
     whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
@@ -145,7 +149,10 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified."""
+    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified.
+
+    A RobotFileError is raised if the file cannot be read, or has no triangles.
+    """
     name = f"mesh {path}"
     end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
     try:
@@ -265,7 +272,7 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """Of more than `_MANY` points the farthest in 642 (`fineness` 3) or 2,562 (4) directions."""
+    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; all if at most `_MANY`."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
@@ -284,8 +291,9 @@ def read_inertias(
 ) -> dict[str, LinkInertia]:
     """The inertia of the base and of each link below it, by the name of the link.
 
-    A link without an `<inertial>` gets a mass by its volume. So do the links from a joint to the
-    next joint if they have no mass. `assume` permits a URDF that states no mass for the whole arm.
+    A link without an `<inertial>` gets a mass by its volume. So do the links from one joint of the
+    arm to the next if their total mass is 0. A RobotFileError is raised if an inertia is impossible
+    or probably in another unit, and, unless `assume` is true, if no link of the arm has a mass.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     moving = [link for segment in arm.segments[1:] for link in segment]
@@ -338,7 +346,7 @@ def _check_inertia(where: str, stated: pin.Inertia, shapes: LinkGeometry) -> Non
 
 
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
-    """The stated inertia, with moments of the hull if only a mass is stated; without one, an
+    """The stated inertia, with moments of the hull if only a mass is stated; if none is stated, an
     inertia by volume. A link without volume has the stated inertia, or zero.
     """
     if geometry.volume <= _FLAT:

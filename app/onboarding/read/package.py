@@ -44,10 +44,10 @@ _UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSE
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write URDFs, meshes and licences of a zip to a folder; return the paths of all its files.
+    """Write URDFs, meshes and licences of a zip to a folder; return the paths of all zipped files.
 
-    A zip is refused if it is too large, or if an entry has an invalid path, a link, a password, a
-    duplicate path or a compression other than deflate.
+    A RobotFileError is raised if the zip cannot be read or is too large, or if an entry has an
+    invalid path, a link, a password, a duplicate path or a compression other than deflate.
     """
     _check_size(archive)
     try:
@@ -133,7 +133,9 @@ def _path(info: zipfile.ZipInfo) -> PurePosixPath:
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip into a robot's folder; return the file of its URDF, with relative mesh paths.
 
-    `file` is the path of the URDF in the zip, or None for the only URDF.
+    `file` is the path of the URDF in the zip, or None for the only URDF. A RobotFileError is raised
+    as for `unpack`, if the URDF or one of its meshes is not in the zip or cannot be read, or if the
+    zip has several URDFs and `file` is None.
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):
@@ -238,7 +240,7 @@ class Contents(NamedTuple):
 def look_into(archive: Path) -> dict[str, Contents]:
     """The `Contents` of each readable URDF among the first 20 of a zip, by its path.
 
-    It is an error if none of these URDFs can be read.
+    A RobotFileError is raised as for `unpack`, or if none of these URDFs can be read.
     """
     with temporary_folder() as folder:
         with named_part(archive.name):

@@ -40,7 +40,8 @@ _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can 
 def locate(source: str) -> Path:
     """The file of a path, a `file://` address or a `package://` address.
 
-    A wrong `package://` address raises the AssetError of `resolve_package_uri`.
+    A RobotFileError is raised if the file does not exist, and the AssetError of
+    `resolve_package_uri` if a `package://` address is wrong.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
@@ -59,7 +60,8 @@ def read_robot(
     """The `<robot>` of `read_source`, a sentence on each removed shape, and the arguments' names.
 
     Each mesh gets its `mesh_address`. Shapes of size 0 are removed. So are visual shapes whose mesh
-    is missing or unreadable, if their link also has a collision shape.
+    is missing or unreadable, if their link also has a collision shape; any other missing or
+    unreadable mesh raises the RobotFileError of `mesh_address`.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
@@ -92,8 +94,10 @@ def read_source(
 ) -> tuple[Element, Collection[str]]:
     """The `<robot>` of a URDF or xacro, and the names of arguments that a xacro declares or uses.
 
-    The content decides whether the file is a xacro. With `arguments` None, a xacro is refused.
-    Attributes lose blanks at both ends, and elements lose the namespace of `<robot>`.
+    The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
+    elements lose the namespace of `<robot>`. A RobotFileError is raised if the file is not
+    well-formed XML, declares entities or is not a robot, if its macros cannot be expanded, or if it
+    is a xacro and `arguments` is None.
     """
     text, known = xml_text(path), frozenset[str]()
     robot = _plain_xml(text)
@@ -148,8 +152,8 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF: `package://…` in an installed package, else its path.
 
-    `reference` is its address in a URDF in `folder`. A file that does not exist, has an unreadable
-    format, or is a placeholder is an error.
+    `reference` is its address in a URDF in `folder`. A RobotFileError is raised if the file does
+    not exist in any of the `spellings`, has an unreadable format, or is a placeholder.
     """
     search = partial(_package_folders, folder=folder, named=packages or {})
     names = spellings(reference)

@@ -65,7 +65,7 @@ class Tree:
 
     @cached_property
     def joint_of(self) -> dict[str, Joint]:
-        """The joint whose child is each link, by the name of the link; not for the root."""
+        """The joint between each link and its parent, by the name of the link; not for the root."""
         return {joint.child: joint for joint in self.joints.values()}
 
     @property
@@ -74,7 +74,7 @@ class Tree:
         return next(link for link in self.links if link not in self.joint_of)
 
     def check_link(self, name: str, option: str) -> None:
-        """Refuse a name that no link has; the message names `option` and the links."""
+        """Raise a RobotFileError, which names `option` and the links, if no link has this name."""
         if name not in self.links:
             raise RobotFileError(
                 f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
@@ -83,7 +83,7 @@ class Tree:
 
     @cached_property
     def children(self) -> defaultdict[str, list[Joint]]:
-        """The joints whose parent is each link, by the name of the link."""
+        """The joints between each link and its children, by the name of the link."""
         found = defaultdict[str, list[Joint]](list)
         for joint in self.joints.values():
             found[joint.parent].append(joint)
@@ -133,6 +133,9 @@ def make_tree(robot: Element) -> Tree:
 
     The materials of each visual in `robot` become one material, which is named by its colour. Two
     robots can have different materials of one name, and some libraries read only the first one.
+
+    A RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
+    missing link, the links are not a tree, or a number is invalid.
     """
     for tag in ("link", "joint"):
         for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():
@@ -248,7 +251,9 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """Find the arm between the links `base` and `tip`.
 
     With `mount` None, the mount is the parent link of the arm's first joint; if this parent is the
-    base, the mount is the child link of this joint. Errors name the option that is wrong.
+    base, the mount is the child link of this joint. A RobotFileError names the wrong option if a
+    link does not exist, if the joints between the two links do not form an arm, or if an ancestor
+    of `base` has shapes or other children.
     """
     tree.check_link(base, "--base")
     tree.check_link(tip, "--tip")

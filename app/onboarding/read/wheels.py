@@ -30,7 +30,8 @@ class Steering(NamedTuple):
     """The steered front wheels of a car-like base."""
 
     numbers: dict[str, tuple[float, str]]
-    """Wheelbase [m], largest angle [rad] and rate [rad/s] with their sources, by field names."""
+    """Wheelbase [m], largest angle [rad] and rate [rad/s], by the field of a description, each with
+    its source."""
     rolling: tuple[str, ...]  # joints about which the steered wheels roll
     joints: tuple[str, ...]  # steering joints
 
@@ -159,8 +160,8 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
     """Find the driven wheels of a base, and the steering of a car-like one.
 
     For a holonomic base, or with --wheel-radius, the URDF's wheels are not used: the floor is at
-    the lowest point of the base's shapes, and the base faces the x axis of its link. An error names
-    an option that helps.
+    the lowest point of the base's shapes, and the base faces the x axis of its link. If wheels,
+    steering or shapes are missing, a RobotFileError names an option that helps.
     """
     base = _Base(tree, arm, geometry)
     given = request.wheel_radius is not None and request.half_track is not None

@@ -4,7 +4,7 @@
 |---|---|---|
 | `/robot_description` | `std_msgs/msg/String`, the URDF with local paths of meshes | once |
 | `/joint_states` | `sensor_msgs/msg/JointState`, the joints of arm and wheels | each snapshot |
-| `/tf` | `tf2_msgs/msg/TFMessage`, the links in the world | each snapshot |
+| `/tf` | `tf2_msgs/msg/TFMessage`, each link in its parent, the root in the world | each snapshot |
 | `/curves/…` | `sensor_msgs/msg/JointState`, a quantity's columns as joints | each snapshot |
 | `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, with their meshes | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
@@ -66,7 +66,7 @@ _ROS = _STORE.types  # constructors of messages by their types
 
 
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
-    """Write a trace with snapshots completely or not at all.
+    """Write a trace that has snapshots; the file is complete, or there is no file.
 
     With `ros`, the file has only the topics `/robot_description`, `/joint_states` and `/tf`. If the
     file cannot be written, this raises an OutputError; if the robot's URDF is missing or invalid,
@@ -85,7 +85,7 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
 
 
 def _put(log: Context, topic: str, t: float, content: bytes, schema: Schema) -> None:
-    """Append a message at time t [s]; equal channels of a context are one and the same channel."""
+    """Append a message at time t [s]; foxglove reuses the channel of an equal topic."""
     encoding = "cdr" if schema.encoding == "ros2msg" else schema.encoding
     channel = Channel(topic, schema=schema, message_encoding=encoding, context=log)
     channel.log(content, log_time=round(1e9 * t))
@@ -115,7 +115,7 @@ def _joint_state(
 
 
 def _put_motion(log: Context, trace: Trace, model: RobotModel) -> None:
-    """Write the robot's URDF, the states of arm joints and wheels, and the poses of all links.
+    """Write the URDF, the states of arm joints and wheels, and each link's pose in its parent link.
 
     Unknown speeds and torques of wheels are NaN. The last pose is that of the end-effector's frame.
     """
@@ -283,7 +283,7 @@ def _pose(T: pin.SE3) -> fg.Pose:
 
 
 def _xyz(values: Iterable[float]) -> dict[str, float]:
-    """The values by the names x, y, z and, of a quaternion, w."""
+    """Values by the names x, y, z, and w for the fourth value of a quaternion."""
     return dict(zip("xyzw", map(float, values), strict=False))
 
 
