@@ -248,5 +248,8 @@ def test_a_fit_that_is_worse_than_a_constant_uses_more_of_the_reachability() -> 
     assert fit.r_squared > 0.9
     assert fit.B_m == pytest.approx(0.21, abs=0.01)
     assert best_fit(counted(0.3, 0.2))[1] == SHARES[0]
+    with pytest.raises(DescriptionError):
+        fit_reachability(counted(0.1, 0.07), SHARES[0])
+    assert best_fit(counted(0.1, 0.07))[0].r_squared > 0.9
     with pytest.raises(DescriptionError, match="a constant fits the reachability map better"):
         best_fit(counted(0.5, 0.03))

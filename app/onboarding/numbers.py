@@ -358,12 +358,18 @@ def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
     can be almost equal. With R² ≤ 0, a constant fits better than (9).
 
     Raises:
-        DescriptionError: No share has a positive R², or `fit_reachability` fails with one of them.
+        DescriptionError: (9) does not fit with a positive R² above any share.
     """
+    why = f"{counted.body}: a constant fits the reachability map better than (9)"
     for share in SHARES:
-        if (fit := fit_reachability(counted, share)).r_squared > 0.0:
-            return fit, share
-    raise DescriptionError(f"{counted.body}: a constant fits the reachability map better than (9)")
+        try:
+            fit = fit_reachability(counted, share)
+        except DescriptionError as error:
+            why = str(error)
+        else:
+            if fit.r_squared > 0.0:
+                return fit, share
+    raise DescriptionError(why)
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
