@@ -644,10 +644,13 @@ def test_loop_that_catches_up_after_a_stall_keeps_its_period(
 def test_loop_that_catches_up_commands_the_base_at_10_hz(
     robot: RobotModel, border_data: BorderData, short: float
 ) -> None:
-    """Each missed period counted twice: at the stall, and at the step that follows at once."""
+    """Each missed period counted twice: at the stall, and at the step that follows at once.
+
+    The stalls hardly coincide with a new command, which they delay.
+    """
     loop, m, times, reports, now = ControlLoop(robot, border_data), ready(robot), [], [], 0.0
     for k in range(1, 1500):
-        now = max(0.001 * k + 0.03 * (k % 130 == 70), now + short)
+        now = max(0.001 * k + 0.03 * (k % 137 == 70), now + short)
         command = loop.step(m._replace(now=now, time=now))
         times += [now] if command.step.command_due else []
         reports += [now] if "stall" in command.faults else []

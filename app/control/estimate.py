@@ -430,10 +430,12 @@ def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
     begins, late = w.samples[()] == _SETTLED, w.blind_time[()] > _SOON
     corrected = w.corrected[()] + w.lag[()] > w.stated_lag[()]
     restarted = jumped or w.known[()] == 0.0 or (begins and (late or corrected))
+    if elapsed == 0.0 and not (begins or restarted):  # a second step in the same period
+        return
     M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
     for k in range(3):
         a = 0.0
-        if elapsed > 0.0 and not (begins or restarted):
+        if not (begins or restarted):
             a = (w.v_ee[k] - w.v_tip[k]) / elapsed
         if k == 2:
             a += _GRAVITY
@@ -442,8 +444,9 @@ def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
     put(w.v_tip, w.v_ee[:3])
     if restarted:
         w.torques_age[()], w.torques[1, 0] = 0.0, math.nan  # no earlier interval
-    w.torques_age[()] += dt
-    share = dt / w.torques_age[()]
+    time = max(elapsed, dt)
+    w.torques_age[()] += time
+    share = time / w.torques_age[()]
     for i in range(len(torque)):
         w.torques[0, i] += share * (torque[i] - w.torques[0, i])
         w.lifts[0, i] += share * (lift[i] - w.lifts[0, i])

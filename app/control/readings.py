@@ -97,9 +97,11 @@ _RIGHT_BY_CLOCK = 1.05  # [-] the same for a control period that a clock shows
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 EARLY = 0.01
 """[s] largest difference by which a time stamp can be later than the control step."""
-_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag, and
-# of a step from its expected time
-_KEPT = 0.9  # [-] share of this difference that the next step keeps: the mean delay does not count
+_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag
+_LATE_BY, _EARLY_BY = 0.9, 0.5  # [periods] largest delay of a step that is no missed period, and
+# largest lead of one that is no second step in the same period
+_DRIFT = 0.05  # [-] relative difference of the true control period that causes no missed periods
+_SPREAD = 0.75  # [-] standard deviations of the clock's intervals within which a mean counts as 1
 _MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
 # periods, for a measurement of the period by the clock
 _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
@@ -602,24 +604,31 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
 
 @compiled()
-def _count_periods(w: Any, now: float, dt: float) -> float:
-    """Number of control periods dt [s] that the loop has missed before this step at `now` [s].
+def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
+    """Number of control periods dt [s] since the last step, and by how much the clock is ahead.
 
-    It is 0 without a clock, infinite after a pause of more than 0.1 s, and −1 for a second step in
-    the same period: after a stall, some loops catch up. Delays of up to 0.9 periods do not count;
-    if a coarse clock has not changed for some steps, 0.9 periods for each of these steps.
+    `now` [s] is the time of this step. The number is 1 without a clock, infinite after a pause of
+    more than 0.1 s, and 0 for a second step in the same period, because some loops catch up after a
+    stall. A step that is up to 0.9 periods late, or up to half a period early, counts as one
+    period; if a coarse clock has not changed for some steps, these bounds count for each of them.
+    The second result, for `w.clock_ahead`, is the difference of the clock from the number of all
+    periods, so that the numbers add up to the true time. A difference of 5 % of the time between
+    two steps is subtracted from it, because the control period can differ from dt by 5 %.
     """
-    interval, steps = now - w.clock[()], 1.0 + w.clock_rest[()]
-    w.clock_rest[()] = steps if interval == 0.0 else 0.0
-    if interval >= steps * dt + MAX_AGE:
-        w.clock_ahead[()] = 0.0
-        return math.inf
-    if not interval > 0.0:  # NaN too
-        return 0.0
-    ahead = _KEPT * w.clock_ahead[()] + interval / dt - steps
-    missed = 1.0 * max(round(ahead), -1) if abs(ahead) > _JITTER * steps else 0.0
-    w.clock_ahead[()] = ahead - missed
-    return missed
+    interval, ahead = (now - w.clock[()]) / dt, w.clock_ahead[()]
+    if not interval >= 0.0:  # NaN too
+        return 1.0, 0.0
+    steps, drift = 1.0 + max(math.floor(-ahead), 0), _DRIFT * min(interval, 1.0)
+    ahead += interval - 1.0
+    if ahead * dt >= MAX_AGE:
+        return math.inf, 0.0
+    if interval == 0.0:
+        return 1.0, ahead
+    ahead -= min(max(ahead, -drift), drift)
+    missed = 0.0
+    if ahead > _LATE_BY * steps or ahead < -_EARLY_BY * steps:
+        missed = 1.0 * max(round(ahead), -1)
+    return 1.0 + missed, max(ahead - missed, -_EARLY_BY * steps)
 
 
 @compiled()
@@ -627,54 +636,43 @@ def _watch_clock(w: Any, now: float, dt: float) -> float:
     """Compare the control period dt [s] with the caller's clock; `now` [s] is NaN without one.
 
     A step after missed periods sets the fault `stall` if the clock has confirmed the period, or
-    after a pause of more than 0.1 s. Returns the result of `_count_periods`.
+    after a pause of more than 0.1 s. Returns the number of missed periods: `count_periods` - 1.
     """
-    interval, missed = now - w.clock[()], _count_periods(w, now, dt)
-    w.clock[()], usual = now, missed == 0.0
-    late = missed > 0.0 and (w.clock_ratio[()] == 1.0 or missed == math.inf)
+    interval, steps = (now - w.clock[()]) / dt, 1.0 + max(math.floor(-w.clock_ahead[()]), 0)
+    periods, w.clock_ahead[()] = count_periods(w, now, dt)
+    w.clock[()] = now
+    late = periods > 1.0 and (w.clock_ratio[()] == 1.0 or periods == math.inf)
     w.faults[STALL] = 1.0 if late else 0.0
-    if not (interval >= 0.0 and missed < math.inf):  # NaN too
-        w.clock_owed[()] = 0.0
-        for row in w.clock_span:
-            fill(row, 0.0)
-        if math.isnan(now):
-            w.clock_ratio[()] = 0.0
-        return missed
-    owed = w.clock_owed[()] if interval < 0.5 * dt else 0.0
-    w.clock_owed[()] = max(owed + missed, 0.0)
-    if owed > 0.0:  # the loop catches up
-        return missed
-    near = abs(interval - dt) < (_RIGHT_BY_CLOCK - 1.0) * dt
-    counted = True, usual, near
-    for k in range(3):
-        w.clock_span[k, 0] += interval if counted[k] else 0.0
-        w.clock_span[k, 1] += 1.0 if counted[k] else 0.0
-    if w.clock_span[0, 0] >= _MEASURED and w.clock_span[0, 1] >= _FEWEST_PERIODS:
-        _measure_period(w, dt)
-    return missed
+    if not (interval >= 0.0 and periods < math.inf):  # NaN too
+        fill(w.clock_span, 0.0)
+        w.clock_ratio[()] = 0.0 if math.isnan(now) else w.clock_ratio[()]
+    elif interval > 0.0:
+        w.clock_span[0] += steps
+        w.clock_span[1] += interval
+        w.clock_span[2] += interval**2 / steps
+        if w.clock_span[1] * dt >= _MEASURED and w.clock_span[0] >= _FEWEST_PERIODS:
+            _measure_period(w)
+    return periods - 1.0
 
 
 @compiled()
-def _measure_period(w: Any, dt: float) -> None:
-    """Measure the ratio `w.clock_ratio` of the true control period to dt [s], by the clock.
+def _measure_period(w: Any) -> None:
+    """Measure the ratio `w.clock_ratio` of the true control period to dt, by the clock.
 
-    The ratio is 1 if, within 5 %, dt is the mean of all intervals of the clock, the mean of those
-    without a stall, or the length of most of them. Steps that catch up after a stall do not count.
-    Two successive ratios that differ from 1, and agree, set the fault `period`.
+    The ratio is the mean interval of the clock, in periods dt. It is 1 if the mean differs from 1
+    by less than 5 %, or by less than 0.75 times the standard deviation of the intervals: stalls
+    and jitter do not show a wrong period. Two successive ratios that differ from 1, and agree, set
+    the fault `period`.
     """
-    time, number = w.clock_span[0]
-    usual_time, usual = w.clock_span[1]
-    mean = found = time / (number * dt)
-    if 2.0 * usual > number:
-        found = usual_time / (usual * dt)
-    right = min(abs(mean - 1.0), abs(found - 1.0)) < _RIGHT_BY_CLOCK - 1.0
-    if right or 2.0 * w.clock_span[2, 1] > number:
-        found = 1.0
-    elif abs(found - w.clock_ratio[()]) < _ALIKE_PERIODS * found:
+    number, total, squares = w.clock_span
+    mean = total / number
+    deviation = math.sqrt(max(squares / number - mean**2, 0.0))
+    if abs(mean - 1.0) < max(_RIGHT_BY_CLOCK - 1.0, _SPREAD * deviation):
+        mean = 1.0
+    elif abs(mean - w.clock_ratio[()]) < _ALIKE_PERIODS * mean:
         w.faults[PERIOD] = 1.0
-    w.clock_ratio[()] = found
-    for row in w.clock_span:
-        fill(row, 0.0)
+    w.clock_ratio[()] = mean
+    fill(w.clock_span, 0.0)
 
 
 @compiled()

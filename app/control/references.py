@@ -32,14 +32,13 @@ from app.compiled import compiled
 from app.control.inputs import GAINS
 from app.control.qp import fill, put, put_rows
 from app.control.quantities import STEP
-from app.control.readings import MAX_AGE
+from app.control.readings import MAX_AGE, count_periods
 from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
 
 FASTEST, HARDEST = 20.0, 1000.0
 """[m/s, rad/s; m/s², rad/s²] largest components of a reference; no arm reaches them."""
 _LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
-_LEAST_INTERVAL = 0.1  # [periods] shortest interval of steps, in a loop that catches up
 _RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
 _OVERDUE = 1.75  # [-] mean intervals after which no further sample is expected
@@ -107,7 +106,7 @@ def _largest(motion: Array) -> float:
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
     """Start a polynomial to the newest sample; `way` (6,) leads to it from the last reference."""
-    between = w.since_sample[()]
+    between = max(w.since_sample[()], gains.dt)
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion
         w.sample_interval[()] = 0.0
@@ -280,7 +279,7 @@ def take_reference(
     if not _is_motion(R, p, v, a):
         return False
     way, is_sample, interval, dt = np.zeros(6), False, now - w.clock[()], gains.dt
-    time = max(interval - w.clock_rest[()] * dt, _LEAST_INTERVAL * dt)
+    time = count_periods(w, now, dt)[0] * dt
     if not 0.0 < interval < MAX_AGE:  # NaN too
         time = interval = dt
     follows = interpolate and not math.isnan(w.x_sent[3, 0])
