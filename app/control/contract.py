@@ -23,10 +23,10 @@ _FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 
 
 
 def checked_period(dt: float) -> float:
-    """The control period dt [s] as a float, if it is within `SHORTEST` and `LONGEST`.
+    """The control period dt [s] as a float.
 
     Raises:
-        ConfigError: The value is not a valid control period.
+        ConfigError: It is no number from `SHORTEST` to `LONGEST`.
     """
     if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
         raise ConfigError(f"dt must be between {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
@@ -37,7 +37,7 @@ def check_gains(config: Config, dt: float) -> None:
     """Refuse gains that are too large for a control period of dt [s].
 
     Raises:
-        ConfigError: `config` is not a `Config`; or a gain is too large: then the message states the
+        ConfigError: `config` is not a `Config`, or a gain is too large; the message then states the
             upper bounds of the gain and of dt.
     """
     if not isinstance(config, Config):

@@ -65,16 +65,7 @@ _take = direct(take_reference)
 _estimate, _later, _law = direct(update_estimate), direct(later_base), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
-_UNKNOWN = (
-    "d_b",
-    "u_a",
-    "v_last",
-    "q_posture",
-    "reading",
-    "x_sent",
-    "clock",
-    "stamp",
-)  # NaN until known
+_UNKNOWN = "d_b", "u_a", "v_last", "q_posture", "reading", "x_sent", "clock", "stamp"  # first NaN
 
 
 class Controller:
@@ -94,15 +85,9 @@ class Controller:
         dt: float = 0.001,
         interpolate: bool = False,
     ) -> None:
-        """Prepare the controller.
+        """Prepare the controller `name`, one of `CONTROLLERS`, with the control period dt [s].
 
-        Args:
-            model: The robot.
-            data: The robot's link pairs and border.
-            config: Parameters, which `configure` replaces.
-            name: One of `CONTROLLERS`.
-            dt: [s] control period.
-            interpolate: Whether to interpolate references that jump (`app.control.references`).
+        If `interpolate`, references that jump are interpolated (`app.control.references`).
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -146,10 +131,10 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
 
-        A new d_b or ε selects a different border at once; the method `hqp` always uses the sampled
-        points. The buffer distance in use approaches the new d_b at `algorithm.BUFFER_RATE`,
-        because a jump would abruptly accelerate an arm inside the buffer. An addition to the mass
-        of the payload is subtracted from the detected loads.
+        The border changes at once; the method `hqp` always uses the sampled points. The buffer
+        distance in use approaches a new d_b at `algorithm.BUFFER_RATE`, because a jump would
+        abruptly accelerate an arm inside the buffer. An addition to the mass of the payload is
+        subtracted from the detected loads.
 
         Raises:
             ConfigError: `config` is not a `Config`, or the control period is too long for a gain.
@@ -214,15 +199,13 @@ class Controller:
             measurement: The sensors' readings.
             reference: Desired motion of the end-effector, or None while a person guides the arm.
             base_acceleration: (n_b,) [m/s² or rad/s²] measured acceleration of the base; default:
-                the commanded acceleration of this step.
+                the commanded one of this step.
 
         Returns:
             The quantities of this step, which the next step overwrites. They always contain a
             command. It is the fallback command before the first valid reading and after 0.1 s
             without one, after readings that contradict the torques (until `reset`), and if the
-            arm's QP or the hierarchy of `hqp` has no solution. The fallback command brakes the
-            base, compensates gravity at the last valid posture (before the first one, at the ready
-            posture), and damps the estimated joint speeds, except after contradictory readings.
+            arm's QP or the hierarchy of `hqp` has no solution (docs/own_loop.md).
 
         Raises:
             MeasurementError: A reading or the reference has a wrong type or number of entries, the
@@ -362,8 +345,8 @@ class ControlLoop:
 
         Args:
             model: The robot.
-            data: The robot's link pairs and border; default: read from a file, or sampled now.
-            config: Parameters; default: the parameters of the robot.
+            data: Link pairs and border; default: read from a file, or sampled now.
+            config: Parameters; default: those of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
             interpolate: Whether to interpolate references that jump (`app.control.references`).
@@ -420,9 +403,8 @@ class ControlLoop:
     def step(self, measured: Measurement, reference: Reference | None = None) -> Command:
         """Compute the commands of one control step.
 
-        Args:
-            measured: The sensors' readings.
-            reference: Desired motion of the end-effector, or None while a person guides the arm.
+        `reference` is the desired motion of the end-effector, or None while a person guides the
+        arm.
 
         Raises:
             MeasurementError: As `Controller.step`.

@@ -4,21 +4,20 @@ The references of a planner arrive in steps, for example at 10 or 30 Hz with jit
 a sample if its pose jumps, which means that its own velocity does not explain the change of the
 pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
 acceleration of the reference. It ends at the sample after two mean intervals, with the sample's own
-velocity. If the own velocity is 0 or does not match the poses, the mean velocity since the previous
-sample replaces it. If the acceleration of the polynomial would exceed about `_LEAP`, the polynomial
-ends later, and beyond the sample along this velocity. Thus a steady motion stays steady, and jitter
-has no effect. Without a further sample the reference comes to rest at the last sample.
+velocity, or with the mean velocity since the previous sample if the own velocity is 0 or does not
+match the poses. If the acceleration would exceed about `_LEAP`, the polynomial ends later, and
+beyond the sample along this velocity. Thus a steady motion stays steady, and jitter has no effect.
+Without a further sample the reference comes to rest at the last sample.
 
 The first sample after a pause, an outlier or noise can require more than the correction speed
 (`task.ee_speed`). The reference then approaches the sample within this speed and about `_LEAP`:
 each polynomial ends at rest, at the sample or on the way to it; in the second case each step starts
 a new polynomial. The first reference, and references without jumps while no polynomial lasts, are
 used unchanged: the law itself limits the correction speed. A repeated reference is no sample, and
-counts as a reference at rest: a velocity is valid only while the poses move.
+counts as a reference at rest.
 
-If a reading of the base's pose jumps, the end-effector jumps in the world, but the caller's
-reference does not. Therefore the reference in use is shifted with the end-effector, and the shift
-returns to 0 on a polynomial (`shift_reference`).
+If a reading of the base's pose jumps, the reference in use is shifted with the end-effector, and
+the shift returns to 0 on a polynomial (`shift_reference`).
 """
 
 import math
@@ -76,25 +75,14 @@ def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
 @compiled()
 def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
     """Whether a reference, as in `take_reference`, differs from the last one of the caller."""
-    for i in range(3):
-        if p[i] != w.x_sent[3, i]:
-            return True
-        for j in range(3):
-            if R[j, i] != w.x_sent[i, j]:
-                return True
-    differs = False
-    for i in range(6):
-        differs = differs or v[i] != w.v_sent[i] or a[i] != w.a_sent[i]
-    return differs
+    moved = (w.x_sent[:3] != R.T).any() or (p != w.x_sent[3]).any()
+    return bool(moved or (v != w.v_sent).any() or (a != w.a_sent).any())
 
 
 @compiled()
 def _leaps(way: Array, v: Array, time: float, dt: float) -> bool:
     """Whether the velocity v (6,) does not explain the motion `way` (6,) in `time` [s]."""
-    leaps = False
-    for i in range(6):
-        leaps = leaps or abs(way[i] - time * v[i]) > _LEAP * max(time, dt) ** 2
-    return leaps
+    return bool((np.abs(way - time * v) > _LEAP * max(time, dt) ** 2).any())
 
 
 @compiled()
@@ -218,8 +206,7 @@ def shift_reference(gains: Any, w: Any) -> None:
     """Shift the reference of this step by the end-effector's motion at jumps of the base's pose.
 
     The shift returns to 0, not faster than the correction speed. The first reference after guiding
-    has no shift: here `w.tracking` is still that of the last step. `w.pose_jump` has the jump; the
-    kinematics are still those before the jump.
+    has no shift. `w.tracking` and the kinematics are still those of the last step.
     """
     x, y, turn = w.p_ee[0] - w.p_o[0], w.p_ee[1] - w.p_o[1], w.pose_jump[2]
     c, s, moved = math.cos(turn), math.sin(turn), np.zeros(6)
@@ -273,8 +260,8 @@ def take_reference(
 
     The fields of the caller's `Reference` are R (3, 3) and p (3,) [m], v (6,) [m/s, rad/s] and
     a (6,) [m/s², rad/s²], linear above angular, in the world. `now` [s] is the time of the step, or
-    NaN. `interpolate` states whether to interpolate references that jump. Returns whether the
-    reference is a possible motion (`_is_motion`); if it is not, nothing is written.
+    NaN. If `interpolate`, references that jump are interpolated. Returns whether the reference is a
+    possible motion (`_is_motion`); if it is not, nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False
