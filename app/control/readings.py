@@ -1009,15 +1009,21 @@ def take_readings(
 def _is_older(gains: Any, w: Any, q: Array, qd: Array, old: Array, age: float, first: bool) -> bool:
     """Whether new readings are older than the last ones; predictions replace those of `old` joints.
 
-    The `age` by the time stamp is in seconds, or NaN.
+    The `age` by the time stamp is in seconds, or NaN. It and the clock show by which part of a
+    period a reading is later than the time that the counted periods and the lag assume. The motion
+    in this part is subtracted from the positions.
     """
+    stamped, later = not math.isnan(age), 0.0
+    older = stamped and _use_stamp(w, age, gains.dt, first)
+    if stamped and abs(w.clock_ahead[()]) < 1.0:  # else a coarse clock
+        later = w.clock_ahead[()] + w.lag[()] - w.hidden_lag[()] - age / gains.dt
+        later = later if abs(later) < 1.0 else 0.0
     for i in range(len(q)):
+        q[i] -= later * gains.dt * w.x_est[1, i]
         if old[i]:
             q[i] = w.x_est[0, i] - w.lag[()] * gains.dt * w.x_est[1, i]
             qd[i] = w.x_est[1, i]
-    if not math.isnan(age):
-        return _use_stamp(w, age, gains.dt, first)
-    return not first and _match_lag(w, q, qd, gains)
+    return older if stamped else not first and _match_lag(w, q, qd, gains)
 
 
 @compiled()
