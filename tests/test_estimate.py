@@ -52,8 +52,9 @@ class Memory(NamedTuple):
 
 def empty_memory(n_m: int) -> Memory:
     """Zero external acceleration, unknown noise, and a blind time of one control period."""
-    sizes = (3, n_m), (n_m, 3, 3), (2, n_m), (4, n_m), (), n_m
-    return Memory(*map(np.zeros, sizes), np.array(DT))
+    sizes = (3, n_m), (n_m, 3, 3), (2, n_m), (4, n_m)
+    x, P, variances, last = (np.zeros((*size,)) for size in sizes)
+    return Memory(x, P, variances, last, np.zeros(()), np.zeros(n_m), np.array(DT))
 
 
 class RunningEstimate:

@@ -118,9 +118,9 @@ class BufferWatch:
 def approach_speeds(twists: Array, joints: Array, p_b: Array, n: Array) -> tuple[float, float]:
     """[m/s] speeds of the arm's closest point p_b (3,) [m] of a pair towards the base.
 
-    They are the speed relative to the floor, and the speed relative to the base, which only the
-    joints of the arm cause. `twists` (n_j, 6) are those of `RobotState`, n (3,) the pair's normal,
-    both in the world like p_b; `joints` (2,) are the joints that move the base and the arm's body.
+    The first is relative to the floor, the second to the base: only the joints of the arm cause it.
+    `twists` (n_j, 6) are those of `RobotState`, n (3,) the pair's normal, both in the world like
+    p_b; `joints` (2,) are the joints that move the base and the arm's body.
     """
     v = -np.dot(n, np.array(point_velocity(twists[joints[1]], p_b)))
     return v, v + np.dot(n, np.array(point_velocity(twists[joints[0]], p_b)))

@@ -60,10 +60,7 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """Build the error for joint positions q_m (n_m,) far outside the position limits.
-
-    The message names the joint that is the farthest outside, relative to its range.
-    """
+    """Build the error for joint positions q_m (n_m,); it names the joint farthest outside."""
     low, high, joints = model.q_lower, model.q_upper, model.description.arm.joints
     i = int(np.argmax(np.abs(q_m - 0.5 * (high + low)) / (high - low)))
     return MeasurementError(
@@ -98,9 +95,9 @@ class JointOrder:
     """A function that selects the arm's positions and velocities from a driver's joint states.
 
     The joint states can have any order of joints, further joints, and no velocities, as in
-    `sensor_msgs/JointState`. The names are resolved once; a call only selects the entries::
+    `sensor_msgs/JointState`::
 
-        order = loop.joint_order(message.name)
+        order = loop.joint_order(message.name)  # once
         Measurement(base_pose, base_velocity, *order(message.position, message.velocity))
     """
 

@@ -16,7 +16,7 @@ from app.border.cache import BorderData, load_border_data
 from app.border.offset import border_of
 from app.compiled import direct
 from app.config import Config, slowed
-from app.control import CONTROLLERS
+from app.control import CONTROLLERS, contract
 from app.control.algorithm import (
     BASE_AS_COMMANDED,
     BASE_MEASURED,
@@ -26,18 +26,6 @@ from app.control.algorithm import (
     ROOM,
     run_algorithm_2,
     update_estimate,
-)
-from app.control.contract import (
-    LONGEST,
-    SHORTEST,
-    JointOrder,
-    check_gains,
-    checked_period,
-    checked_reference,
-    clocks_differ,
-    implausible,
-    no_motion,
-    rounding,
 )
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
@@ -96,7 +84,7 @@ class Controller:
                 the base.
         """
         self._model, self._data, self._config = model, data, config
-        self._dt, self._interpolate = checked_period(dt), interpolate
+        self._dt, self._interpolate = contract.checked_period(dt), interpolate
         self._base = model.description.base
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
@@ -139,7 +127,7 @@ class Controller:
         Raises:
             ConfigError: `config` is not a `Config`, or the control period is too long for a gain.
         """
-        check_gains(config, self._dt)
+        contract.check_gains(config, self._dt)
         border, load, w = config.border, config.payload, self.last
         added = load.mass - self._config.payload.mass
         self._config = config
@@ -153,7 +141,6 @@ class Controller:
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
         self._border = border_of(self._model, clouds, border).struct
         self._set_gains()
-        self._largest_command = largest_command(self._base, config.admittance)
 
     def _set_gains(self) -> None:
         config, model = self._config, self._model
@@ -173,7 +160,6 @@ class Controller:
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        The controller forgets posture, speeds, torques, estimate, commands and counts of failures.
         A measured control period stays in use, and until the next valid reading the fallback
         command compensates gravity at the last valid posture.
         """
@@ -239,26 +225,26 @@ class Controller:
         w, robot, gains, data = self.last, self._robot, self._gains, self.state.data
         measurement = checked(measurement, self._model)
         if reference is not None:
-            pose, v, a = reference = checked_reference(reference)
+            pose, v, a = reference = contract.checked_reference(reference)
             R, p = pose.rotation, pose.translation
             if not _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate):
-                raise no_motion(reference)
+                raise contract.no_motion(reference)
         base, velocity, q, qd, drive, now, time, base_time = measurement
         if base_time == base_time:
             base, velocity = self._later_base(measurement)
         self.faulty = _estimate(robot, gains, w.struct, base, velocity, q, qd, drive, now, time)
         if self.faulty and w.faults[PERIOD]:
             ratio = float(w.clock_ratio or w.ratio)
-            self._dt = min(max(self._dt * ratio, SHORTEST), LONGEST)
+            self._dt = min(max(self._dt * ratio, contract.SHORTEST), contract.LONGEST)
             self._set_gains()
             if w.stamp == w.stamp:  # its age is now a different number of periods
                 hidden = w.hidden_lag - w.stated_lag
                 w.lag[...] = np.rint((w.lag - hidden) / ratio) + hidden
         if self.faulty and np.isnan(w.q_posture[0]):
             if w.faults[IMPLAUSIBLE]:
-                raise implausible(self._model, measurement.q_m)
+                raise contract.implausible(self._model, measurement.q_m)
             if w.faults[LAG] or measurement.time - measurement.now > EARLY:
-                raise clocks_differ(measurement)
+                raise contract.clocks_differ(measurement)
         if not self.faulty or w.valid:
             self.state.drive = measurement.drive
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
@@ -267,7 +253,8 @@ class Controller:
         while left_open := _law(robot, gains, slow, border, w.struct, base_source, tracking):
             self._rescue(int(left_open) - 1)
         if self._own_commands and w.command_due:
-            w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
+            largest = largest_command(self._base, self._config.admittance)
+            w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, largest)
         return w
 
     def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
@@ -317,8 +304,7 @@ class Command(NamedTuple):
     def load(self) -> float:
         """[kg] mass of the load in the fault `load`; negative if a load of `payload.mass` is gone.
 
-        Without this fault, the mass at the end-effector that best explains the external torques,
-        including those of a person.
+        Without this fault, the mass that best explains the external torques, also of a person.
         """
         return float(self.step.unstated or self.step.load)
 
@@ -349,7 +335,7 @@ class ControlLoop:
             config: Parameters; default: those of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
-            interpolate: Whether to interpolate references that jump (`app.control.references`).
+            interpolate: Whether to interpolate references that jump.
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -376,13 +362,13 @@ class ControlLoop:
         self.reported: set[str] = set()
         """Names of all faults of the readings since `reset`."""
 
-    def joint_order(self, names: Sequence[str]) -> JointOrder:
+    def joint_order(self, names: Sequence[str]) -> contract.JointOrder:
         """A function that selects the arm's joints from joint states in the order `names`.
 
         Raises:
             MeasurementError: `names` is a string or a set, or lacks or repeats a joint of the arm.
         """
-        return JointOrder(self.controller.state.model, names)
+        return contract.JointOrder(self.controller.state.model, names)
 
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
@@ -424,13 +410,13 @@ class ControlLoop:
                     "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
                     "period": f" ({self.controller.dt * 1000:.2f} ms{self._too_long()})",
                 }
-                note = more.get(name, "") + rounding(measured, 0.5 * self.controller.dt)
+                note = more.get(name, "") + contract.rounding(measured, 0.5 * self.controller.dt)
                 logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
 
     def _too_long(self) -> str:
         """The message about a gain that is too large for the measured period, or no text."""
         try:
-            check_gains(self.controller.config, self.controller.dt)
+            contract.check_gains(self.controller.config, self.controller.dt)
         except ConfigError as error:
             return f"; {error}"
         return ""
@@ -455,11 +441,10 @@ def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping
 
 
 def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Array) -> Array:
-    """The feasible command (n_b,) nearest to `command`, within the largest commands `v_max`.
+    """The feasible command (n_b,) nearest to `command`, in m/s or rad/s; `before` is the last one.
 
-    If the axes of a base depend on each other, the nearest feasible command can exceed the largest
-    command of an axis. Then all axes are multiplied by the same factor. `before` (n_b,) is the
-    previous command; all values are in m/s or rad/s.
+    If the axes of a base depend on each other, the nearest feasible command can exceed `v_max`
+    (n_b,). Then all axes are multiplied by the same factor.
     """
     found = base.admissible(command, before)
     over = float(np.max(np.abs(found) / v_max))

@@ -2,21 +2,19 @@
 
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
 Torques and the base's motion predict a joint's acceleration; the external acceleration is a random
-walk. The noise of the readings is estimated from the readings themselves. The predicted
-accelerations explain the second difference of the positions except for a remainder. From reading to
-reading this remainder changes by the noise of the positions, with 20 times the variance of this
-noise. The weight of a velocity depends on its agreement with the difference of the last two
-positions. Thus the filter follows readings without noise at once, noisy readings do not shake the
-arm, and velocities that are late, wrongly scaled or missing have little or no effect.
+walk. The noise is estimated from the readings themselves: the predicted accelerations explain the
+second difference of the positions except for a remainder, which the noise changes from reading to
+reading, with 20 times its variance. The weight of a velocity depends on its agreement with the
+difference of the last two positions. Thus the filter follows readings without noise at once, noisy
+readings do not shake the arm, and wrong or missing velocities have little or no effect.
 
-The estimate belongs to the newest reading, which can be several periods old; `advance` predicts
-the present state from this estimate, with the accelerations due to torques and base since then.
-The external accelerations imply the external torques; `estimate_load` finds loads in these torques.
-Tasks do not use the external acceleration: a guided end-effector stays free. Limits use it, so that
-joint speeds and distances stay within their limits while a person pulls.
+The estimate belongs to the newest reading; `advance` predicts the present state from it, and
+`estimate_load` finds loads in the external torques that the external accelerations imply. Tasks do
+not use the external acceleration: a guided end-effector stays free. Limits use it, so that joint
+speeds and distances stay within their limits while a person pulls.
 
-The argument `w` is a `STEP`. `estimate_arm` and the functions that it calls use its `x_read`,
-`P_est`, `noise_var`, `q_last` and `samples`.
+The argument `w` is a `STEP`. `estimate_arm` and its parts use its `x_read`, `P_est`, `noise_var`,
+`q_last` and `samples`.
 """
 
 import math
@@ -81,8 +79,8 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; reset P to the noise variances `trusted` (2, n_m).
 
-    A clear change of the velocity that x[2] and `predicted` do not explain changes the external
-    acceleration x[2]. The other arguments are those of `estimate_arm`.
+    A clear change of the velocity that x[2] and `predicted` do not explain changes x[2]. The other
+    arguments are those of `estimate_arm`.
     """
     x, P, steps, dt = w.x_read, w.P_est, len(predicted), gains.dt
     expected = x.copy()
@@ -108,10 +106,9 @@ def process_noise(w: Any, qd_max: Array, periods: Array, gains: Any) -> Array:
 
     It is at least `gains.external_drift`, and so large that the filter responds within the longest
     of `RESPONSE`, the blind time, and the control periods from the joint's last reading until now,
-    `periods` (n_m,). The response is fast because a pull moves a light joint beyond its speed limit
-    within 0.05 s; the blind time slows it because readings that are older than assumed contradict
-    the predicted motion; noise above about 0.2 mrad at 1 kHz slows it too. If `periods` > 1, recent
-    errors of used speeds (`w.v_error`) increase the result up to `_MOST_DRIFT`.
+    `periods` (n_m,); noise above about 0.2 mrad at 1 kHz slows the response. A fast response keeps
+    a light joint below its speed limit; a slow one suits readings that can be older than assumed.
+    If `periods` > 1, recent errors of used speeds increase the result up to `_MOST_DRIFT`.
     """
     drift = np.full(len(periods), gains.external_drift)
     for i in range(len(periods)):
@@ -131,10 +128,9 @@ def estimate_arm(
 ) -> bool:
     """Update the estimate by one reading; return whether the arm cannot have moved to it.
 
-    After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading;
-    in the second case the external acceleration is reset to 0, because it is unknown. Until the
-    estimate of the noise has `FEWEST` samples, `_begin_at` replaces the filter. A joint without a
-    position is only predicted.
+    If it cannot, the filter restarts at the reading with an external acceleration of 0; after a gap
+    it restarts with the last external acceleration. Until the estimate of the noise has `FEWEST`
+    samples, `_begin_at` replaces the filter. A joint without a position is only predicted.
 
     Args:
         w: See the module's docstring.
@@ -219,9 +215,9 @@ def _learn(w: Any, predicted: Array, q: Array, qd: Array, gains: Any) -> None:
 def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
     """The variances (2, n_m) of positions and velocities, with lower bounds.
 
-    The standard deviation of a position is at least `least` [rad or m]. That of a velocity is at
-    least `ratio` [1/s] times that of its position, and `least` / dt, with the time dt [s] since the
-    last reading: drives compute velocities from the same positions.
+    The standard deviation of a position is at least `least` [rad or m], that of a velocity `ratio`
+    [1/s] times that of its position and `least` / dt: drives compute velocities from the same
+    positions. dt [s] is the time since the last reading.
     """
     found = np.empty_like(variances)
     for i in range(variances.shape[1]):
@@ -320,10 +316,10 @@ def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float)
 def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
 
-    A load changes the external torques at once, and only by its weight and its inertia. The result
-    is 0 for a force that changes in a different direction, has changed before, or grows for longer,
-    as a person's force usually does. `torques` and `lifts` (8, n_m) are those of `STEP`; the
-    covariance C (n_m, n_m) by noise of a change of `torques` gives noisy joints a smaller weight.
+    A load changes the external torques at once, and only by its weight and its inertia. A force
+    that changes in a different direction, has changed before, or grows for longer is a person's.
+    `torques` and `lifts` (8, n_m) are those of `STEP`; the covariance C (n_m, n_m) by noise of a
+    change of `torques` gives noisy joints a smaller weight.
     """
     first, last, L, usual = 3, len(torques) - 1, cholesky(C), np.eye(len(C))
     lift, change = forward(L, lifts[1]), forward(L, torques[3] - torques[1])

@@ -8,16 +8,14 @@ stamp of the readings shows their age, and the caller's clock the control period
 are estimated from the readings themselves. The module decides on four properties of the readings:
 
 - **The lag**, their delay in periods. A delay that begins during a motion is the age at which the
-  predicted state equals the reading (`_match_lag`). Any other delay is the number of periods until
-  accelerations due to the torques and the base appear in the measured positions (`_find_lag`).
-- **The period**. A joint's motion divided by the integral of its velocity, with the stated period
-  as the time step, is 1 if this period is right (`_find_period`).
-- **The contradiction**. The readings contradict the torques in two cases. A joint is far above its
-  speed limit, and no lag lets the commanded torques explain its motion better than no torques
-  (`_weigh_lags`); or the readings jump in many successive steps.
-- **The velocities** are not used if they exceed the speed limits by far, or if no plausible period
-  explains their ratio to the positions. Then the joint velocities are computed from the positions,
-  and the base's velocity from the model of its drive.
+  predicted state equals the reading (`_match_lag`). Any other delay is the time until accelerations
+  due to the torques and the base appear in the measured positions (`_find_lag`).
+- **The period** is right if a joint's motion is the integral of its velocity over this time step
+  (`_find_period`).
+- **The contradiction**. At each lag, the commanded torques explain the motion of a joint far above
+  its speed limit worse than no torques do (`_weigh_lags`). Many successive jumps count too.
+- **The velocities** are not used if they exceed the speed limits by far, or do not match the
+  positions at any plausible period. The positions and the model of the base's drive replace them.
 """
 
 import math
@@ -135,24 +133,20 @@ _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
     """The joint positions q (n_m,) without the jumps by full turns that some drivers make.
 
-    A position within ±1 turn is changed by full turns to the value nearest to `last` (n_m,), if
-    this value is at most 0.05 rad beyond the limits (2, n_m). In the `first` reading, a position
-    more than 0.05 rad beyond a limit is changed by one turn, if the result is not beyond the other
-    limit. Thus positions in degrees remain implausible.
+    A position within ±1 turn moves by full turns to the value nearest to `last` (n_m,), if this is
+    at most 0.05 rad beyond the limits (2, n_m). In the `first` reading, a position more than 0.05
+    rad beyond a limit moves by one turn, unless it is then beyond the other limit.
     """
-    found = q.copy()
+    found, turn = q.copy(), 2.0 * math.pi
     for i in range(len(q)):
-        turn = 2.0 * math.pi
-        if not first:
+        low, high = limits[0, i] - _NOISY, limits[1, i] + _NOISY
+        if first:
+            turns = int(q[i] < low and q[i] + turn <= limits[1, i])
+            turns -= int(q[i] > high and q[i] - turn >= limits[0, i])
+        else:
             turns = round((last[i] - q[i]) / turn)
-            unwrapped = q[i] + turns * turn
-            within = limits[0, i] - _NOISY <= unwrapped <= limits[1, i] + _NOISY
-            if turns != 0 and abs(q[i]) <= turn and within:
-                found[i] = unwrapped
-        elif q[i] < limits[0, i] - _NOISY and q[i] + turn <= limits[1, i]:
-            found[i] += turn
-        elif q[i] > limits[1, i] + _NOISY and q[i] - turn >= limits[0, i]:
-            found[i] -= turn
+            turns = turns if abs(q[i]) <= turn and low <= q[i] + turns * turn <= high else 0
+        found[i] += turns * turn
     return found
 
 
@@ -232,13 +226,6 @@ def _learn_grain(w: Any, i: int, change: float) -> None:
     grain = w.grain[i] if w.grain[i] > 0.0 else change
     rest = abs(change - grain * round(change / grain)) if grain > 0.0 else 0.0
     w.grain[i] = rest if rest > _EQUAL else grain
-
-
-@compiled()
-def _base_is_repeated(w: Any, pose: Array, velocity: Array) -> bool:
-    """Whether the readings of the base equal the last ones although the base moves."""
-    same = _same(pose, w.pose_read) and _same(velocity, w.v_read)
-    return same and bool(np.any(velocity != 0.0))  # NaN too
 
 
 @compiled()
@@ -392,8 +379,7 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
 def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
     """(n_m,) [rad] error of the motion predicted for n groups where joints turn back.
 
-    Dry friction is part of the external forces, and changes there at once; the polynomial for the
-    motion by external forces does not describe this change.
+    Dry friction changes there at once; the polynomial for external forces does not describe this.
     """
     found, torque = np.zeros(len(w.q_m)), np.zeros(len(w.q_m))
     for i in range(len(w.q_m)):
@@ -502,12 +488,6 @@ def _measure_from(w: Any, q: Array, qd: Array) -> None:
 
 
 @compiled()
-def _divided(way: float, integral: float) -> float:
-    """The ratio of a motion `way` to the `integral` of its velocity; infinite if that is 0."""
-    return way / integral if integral != 0.0 else math.inf
-
-
-@compiled()
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
@@ -537,8 +517,9 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         return
     way, integral = q[far] - w.travel[0, far], w.travel[1, far]
     change = qd[far] - w.travel[2, far]
-    delay = _FILTER + 0.5 * steps * gains.dt
-    ratio, late = _divided(way, integral), _divided(way, integral + delay * change)
+    later = integral + (_FILTER + 0.5 * steps * gains.dt) * change
+    ratio = way / integral if integral != 0.0 else math.inf
+    late = way / later if later != 0.0 else math.inf
     low, high = min(ratio, late), max(ratio, late)
     unclear = low < 0.0 < high  # the readings show neither a right nor a wrong ratio
     if unclear or (low < right and high > 1.0 / right):
@@ -597,10 +578,10 @@ def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
 
 @compiled()
 def _watch_clock(w: Any, now: float, dt: float) -> float:
-    """Compare the control period dt [s] with the caller's clock; `now` [s] is NaN without one.
+    """Compare the control period dt [s] with the caller's clock `now` [s]; NaN without one.
 
     A step after missed periods sets the fault `stall` if the clock has confirmed the period, or
-    after a pause of more than 0.1 s. Returns the number of missed periods: `count_periods` - 1.
+    after a pause of more than 0.1 s. Returns the number of missed periods.
     """
     interval, steps = (now - w.clock[()]) / dt, 1.0 + max(math.floor(-w.clock_ahead[()]), 0)
     periods, w.clock_ahead[()] = count_periods(w, now, dt)
@@ -776,25 +757,13 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 
 @compiled()
-def _begin_pose(w: Any, pose: Array, known: bool) -> None:
-    """Use a reading (3,) of the base's pose without a comparison; if not `known`, await one."""
-    if known:
-        put(w.pose_last, pose)
-    fill(w.pose_moved, 0.0)
-    fill(w.pose_error, 0.0)
-    fill(w.pose_way, 0.0 if known else math.inf)
-    w.pose_age[()] = 0.0
-
-
-@compiled()
 def _take_base(
     robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fresh: bool, first: bool
 ) -> None:
     """Store the base's readings, and compare them with each other and with the drive's model.
 
     `velocity` (n_b,) is the one in use. If the readings are not `fresh`, the last pose remains. The
-    fault `base` is set by a large decaying sum of the changes of velocity that the assumed
-    acceleration of the base does not explain.
+    fault `base` shows changes of velocity that the assumed acceleration does not explain.
     """
     time = w.elapsed[()]
     begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
@@ -802,7 +771,12 @@ def _take_base(
         put(pose, w.pose_read)
     moved = math.isfinite(pose.sum()) and (first or not _same(pose, w.pose_read))
     if begins or (moved and math.isinf(w.pose_way[0])):
-        _begin_pose(w, pose, moved)
+        if moved:
+            put(w.pose_last, pose)
+        fill(w.pose_moved, 0.0)
+        fill(w.pose_error, 0.0)
+        fill(w.pose_way, 0.0 if moved else math.inf)
+        w.pose_age[()] = 0.0
     else:
         _take_pose(robot, w, pose, time)
     if not math.isnan(w.v_last[0]):
@@ -960,8 +934,7 @@ def take_readings(
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, after 0.1 s without one, and from the fault `contradictory` until
-    `reset`. The arguments after `w`, a `STEP`, are the fields of a `Measurement` without
-    `base_time`.
+    `reset`. The arguments after `w`, a `STEP`, are those of a `Measurement` without `base_time`.
     """
     _use_stated_lag(gains, w)
     first, qd, v, stamped = math.isnan(w.q_posture[0]), qd_m.copy(), base_velocity, time == time
@@ -980,7 +953,8 @@ def take_readings(
         return
     # Without a time stamp of its own, the base's reading is as old as that of the joints.
     base_new = w.base_late[()] != 0.0 or not (stamped and not_new)
-    base_new = base_new and not _base_is_repeated(w, base_pose, v)
+    moves = bool(np.any(v != 0.0))  # NaN too
+    base_new = base_new and not (moves and _same(base_pose, w.pose_read) and _same(v, w.v_read))
     velocity = _usable_velocity(robot, w, v, base_new, first)
     if missed >= 0.0:
         _remember(robot, gains, w, velocity, base_new)
@@ -1009,15 +983,16 @@ def take_readings(
 def _is_older(gains: Any, w: Any, q: Array, qd: Array, old: Array, age: float, first: bool) -> bool:
     """Whether new readings are older than the last ones; predictions replace those of `old` joints.
 
-    The `age` by the time stamp is in seconds, or NaN. It and the clock show by which part of a
-    period a reading is later than the time that the counted periods and the lag assume. The motion
-    in this part is subtracted from the positions.
+    The `age` by the time stamp is in seconds, or NaN. A reading can be later by a part of a period
+    than the counted periods and the lag assume. The motion in the smaller part that clock and time
+    stamp show is subtracted from the positions; it is 0 if they contradict each other.
     """
     stamped, later = not math.isnan(age), 0.0
     older = stamped and _use_stamp(w, age, gains.dt, first)
     if stamped and abs(w.clock_ahead[()]) < 1.0:  # else a coarse clock
-        later = w.clock_ahead[()] + w.lag[()] - w.hidden_lag[()] - age / gains.dt
-        later = later if abs(later) < 1.0 else 0.0
+        by_clock = w.clock_ahead[()]
+        by_stamp = by_clock + w.lag[()] - w.hidden_lag[()] - age / gains.dt
+        later = max(min(by_clock, by_stamp), 0.0) + min(max(by_clock, by_stamp), 0.0)
     for i in range(len(q)):
         q[i] -= later * gains.dt * w.x_est[1, i]
         if old[i]:

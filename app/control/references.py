@@ -2,19 +2,17 @@
 
 The references of a planner arrive in steps, for example at 10 or 30 Hz with jitter. A reference is
 a sample if its pose jumps, which means that its own velocity does not explain the change of the
-pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
-acceleration of the reference. It ends at the sample after two mean intervals, with the sample's own
-velocity, or with the mean velocity since the previous sample if the own velocity is 0 or does not
-match the poses. If the acceleration would exceed about `_LEAP`, the polynomial ends later, and
-beyond the sample along this velocity. Thus a steady motion stays steady, and jitter has no effect.
-Without a further sample the reference comes to rest at the last sample.
+pose. At each sample a polynomial of fifth degree starts from the present motion of the reference.
+It ends at the sample after two mean intervals, with the sample's own velocity, or with the mean
+velocity since the previous sample if the own velocity is 0 or does not match the poses. If its
+acceleration would exceed about `_LEAP`, the polynomial ends later, and beyond the sample along this
+velocity. Without a further sample the reference comes to rest at the last sample.
 
 The first sample after a pause, an outlier or noise can require more than the correction speed
 (`task.ee_speed`). The reference then approaches the sample within this speed and about `_LEAP`:
 each polynomial ends at rest, at the sample or on the way to it; in the second case each step starts
 a new polynomial. The first reference, and references without jumps while no polynomial lasts, are
-used unchanged: the law itself limits the correction speed. A repeated reference is no sample, and
-counts as a reference at rest.
+used unchanged. A repeated reference is no sample, and counts as a reference at rest.
 
 If a reading of the base's pose jumps, the reference in use is shifted with the end-effector, and
 the shift returns to 0 on a polynomial (`shift_reference`).
@@ -73,13 +71,6 @@ def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
 
 
 @compiled()
-def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether a reference, as in `take_reference`, differs from the last one of the caller."""
-    moved = (w.x_sent[:3] != R.T).any() or (p != w.x_sent[3]).any()
-    return bool(moved or (v != w.v_sent).any() or (a != w.a_sent).any())
-
-
-@compiled()
 def _leaps(way: Array, v: Array, time: float, dt: float) -> bool:
     """Whether the velocity v (6,) does not explain the motion `way` (6,) in `time` [s]."""
     return bool((np.abs(way - time * v) > _LEAP * max(time, dt) ** 2).any())
@@ -112,8 +103,8 @@ def _take_sample(gains: Any, w: Any, way: Array) -> None:
 def _aim(gains: Any, w: Any, v_end: Array) -> None:
     """Start a polynomial from the present reference to the newest sample, with v_end (6,) there.
 
-    The polynomial ends at rest if v_end is 0, or if the correction speed is too low for v_end or
-    for the distance of the sample; for a distant sample it ends on the way (`w.way_capped`).
+    It ends at rest if v_end is 0, or if the correction speed is too low for v_end or the distance
+    of the sample; for a distant sample it ends on the way (`w.way_capped`).
     """
     at, v, a = _state(w.way, w.way_time[()])
     _put_moved(w.x_origin, w.x_origin.copy(), at)
@@ -145,8 +136,8 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
 def _continue_way(gains: Any, w: Any, time: float) -> None:
     """Evaluate the polynomial `time` [s] later, and write the result as the reference.
 
-    If no further sample arrives in time, or if the polynomial ends on the way to the sample, a new
-    polynomial replaces it. After its end, the duration becomes 0, and no reference is written.
+    A new polynomial replaces it if no sample arrives in time, or if it ends on the way to the
+    sample. After its end, the duration becomes 0, and no reference is written.
     """
     late = w.since_sample[()] > _OVERDUE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
@@ -218,8 +209,16 @@ def shift_reference(gains: Any, w: Any) -> None:
         w.shift_duration[()] = 0.0
     elif _largest(moved) > _LEAST_SHIFT:
         _return_from(gains, w, moved)
-    if w.shift_duration[()] > 0.0:
-        _add_shift(gains, w)
+    if w.shift_duration[()] == 0.0:
+        return
+    w.shift_time[()] += gains.dt
+    if w.shift_time[()] > w.shift_duration[()]:
+        w.shift_duration[()] = 0.0
+        return
+    at, v, a = _state(w.shift, w.shift_time[()])
+    _put_moved(w.x_ref, w.x_ref.copy(), at)
+    w.v_ref += v
+    w.a_ref += a
 
 
 @compiled()
@@ -235,19 +234,6 @@ def _return_from(gains: Any, w: Any, moved: Array) -> None:
     w.shift_time[()] = 0.0
     _write_quintic(w.shift, v, a, -at, np.zeros(6), w.shift_duration[()])
     put(w.shift[0], at)
-
-
-@compiled()
-def _add_shift(gains: Any, w: Any) -> None:
-    """Add the present shift to the reference of this step."""
-    w.shift_time[()] += gains.dt
-    if w.shift_time[()] > w.shift_duration[()]:
-        w.shift_duration[()] = 0.0
-        return
-    at, v, a = _state(w.shift, w.shift_time[()])
-    _put_moved(w.x_ref, w.x_ref.copy(), at)
-    w.v_ref += v
-    w.a_ref += a
 
 
 @compiled(
@@ -270,7 +256,8 @@ def take_reference(
     if not 0.0 < interval < MAX_AGE:  # NaN too
         time = interval = dt
     follows = interpolate and not math.isnan(w.x_sent[3, 0])
-    rests = follows and not _differs(w, R, p, v, a)
+    moved = (w.x_sent[:3] != R.T).any() or (w.x_sent[3] != p).any()
+    rests = follows and not (moved or (w.v_sent != v).any() or (w.a_sent != a).any())
     if follows and not rests:
         way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
         is_sample = _leaps(way, v, dt, dt) and _leaps(way, v, interval, dt)
