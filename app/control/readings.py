@@ -569,11 +569,11 @@ def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
         return math.inf, 0.0
     if interval == 0.0:
         return 1.0, ahead
-    ahead -= min(max(ahead, -drift), drift)
     missed = 0.0
     if ahead > _LATE_BY * steps or ahead < -_EARLY_BY * steps:
         missed = 1.0 * max(round(ahead), -1)
-    return 1.0 + missed, max(ahead - missed, -_EARLY_BY * steps)
+    ahead -= missed
+    return 1.0 + missed, max(ahead - min(max(ahead, -drift), drift), -_EARLY_BY * steps)
 
 
 @compiled()
