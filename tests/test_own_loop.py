@@ -664,7 +664,7 @@ def test_counted_periods_add_up_to_the_time_of_the_clock(short: float) -> None:
     """After each stall, the loop catches up with short intervals."""
     count = getattr(count_periods, "py_func", count_periods)
     rng, now, counted, off = np.random.default_rng(0), 0.0, 0.0, []
-    w = SimpleNamespace(clock=np.zeros(()), clock_ahead=np.zeros(()))
+    w = SimpleNamespace(clock=np.zeros(()), clock_ahead=np.zeros(()), clock_rest=np.zeros(()))
     for k in range(1, 3000):
         now = max(0.001 * k + 0.02 * (rng.random() < 0.03), now + short)
         periods, ahead = count(w, now, 0.001)

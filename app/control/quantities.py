@@ -100,6 +100,7 @@ lag | | | 1 | | readings | memory: delay of the readings in control periods
 clock | | | s | | readings | memory: `Measurement.now` of the last step; NaN without a clock
 clock_ahead | | | 1 | | readings |
     memory: control periods by which the clock is ahead of the counted ones
+clock_rest | | | 1 | | readings | memory: number of steps since the clock has changed
 clock_span | | 3 | 1 | | readings |
     memory: since the last measurement of the period by the clock, the number of steps, and the
     sums of their intervals in control periods and of the squares of these intervals

@@ -558,22 +558,18 @@ def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
     period; if a coarse clock has not changed for some steps, these bounds count for each of them.
     The lead, for `w.clock_ahead`, is the clock's time minus that of all counted periods; thus the
     numbers add up to the true time. The lead decays by up to 5 % of a period in each period,
-    because the true control period can differ from dt by 5 %.
+    because the true control period can differ from dt by 5 %. It is 0 for a coarse clock.
     """
-    interval, ahead = (now - w.clock[()]) / dt, w.clock_ahead[()]
-    if not interval >= 0.0:  # NaN too
+    interval, steps, missed = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()], 0.0
+    if not interval > 0.0:  # NaN too
         return 1.0, 0.0
-    steps, drift = 1.0 + max(math.floor(-ahead), 0), _DRIFT * min(interval, 1.0)
-    ahead += interval - 1.0
+    ahead, drift = w.clock_ahead[()] + interval - steps, _DRIFT * min(interval, 1.0)
     if ahead * dt >= MAX_AGE:
         return math.inf, 0.0
-    if interval == 0.0:
-        return 1.0, ahead
-    missed = 0.0
     if ahead > _LATE_BY * steps or ahead < -_EARLY_BY * steps:
         missed = 1.0 * max(round(ahead), -1)
     ahead -= missed
-    return 1.0 + missed, max(ahead - min(max(ahead, -drift), drift), -_EARLY_BY * steps)
+    return 1.0 + missed, ahead - min(max(ahead, -drift), drift) if steps == 1.0 else 0.0
 
 
 @compiled()
@@ -583,9 +579,9 @@ def _watch_clock(w: Any, now: float, dt: float) -> float:
     A step after missed periods sets the fault `stall` if the clock has confirmed the period, or
     after a pause of more than 0.1 s. Returns the number of missed periods.
     """
-    interval, steps = (now - w.clock[()]) / dt, 1.0 + max(math.floor(-w.clock_ahead[()]), 0)
+    interval, steps = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()]
     periods, w.clock_ahead[()] = count_periods(w, now, dt)
-    w.clock[()] = now
+    w.clock[()], w.clock_rest[()] = now, steps if interval == 0.0 else 0.0
     late = periods > 1.0 and (w.clock_ratio[()] == 1.0 or periods == math.inf)
     w.faults[STALL] = 1.0 if late else 0.0
     if not (interval >= 0.0 and periods < math.inf):  # NaN too
@@ -989,7 +985,7 @@ def _is_older(gains: Any, w: Any, q: Array, qd: Array, old: Array, age: float, f
     """
     stamped, later = not math.isnan(age), 0.0
     older = stamped and _use_stamp(w, age, gains.dt, first)
-    if stamped and abs(w.clock_ahead[()]) < 1.0:  # else a coarse clock
+    if stamped:
         by_clock = w.clock_ahead[()]
         by_stamp = by_clock + w.lag[()] - w.hidden_lag[()] - age / gains.dt
         later = max(min(by_clock, by_stamp), 0.0) + min(max(by_clock, by_stamp), 0.0)
