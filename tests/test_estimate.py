@@ -38,24 +38,42 @@ class Gains(NamedTuple):
     noise_window: float
 
 
+class Memory(NamedTuple):
+    """The memory of the estimate, by the names of `STEP`."""
+
+    x_read: Array
+    P_est: Array
+    noise_var: Array
+    q_last: Array
+    samples: Array
+    v_error: Array
+    blind_time: Array
+
+
+def empty_memory(n_m: int) -> Memory:
+    """Zero external acceleration, unknown noise, and a blind time of one control period."""
+    sizes = (3, n_m), (n_m, 3, 3), (2, n_m), (4, n_m)
+    x, P, variances, last = (np.zeros((*size,)) for size in sizes)
+    return Memory(x, P, variances, last, np.zeros(()), np.zeros(n_m), np.array(DT))
+
+
 class RunningEstimate:
     """The estimate without a controller, updated as in a control step."""
 
     def __init__(self, n_m: int) -> None:
         """Start with zero external acceleration and unknown noise."""
-        self._x, self._P, self._last = np.zeros((3, n_m)), np.zeros((n_m, 3, 3)), np.zeros((4, n_m))
-        self._variances, self._samples = np.zeros((2, n_m)), np.zeros(())
+        self._memory = empty_memory(n_m)
         self._v_last: Array | None = None
 
     @property
     def pushed(self) -> Array:
         """(n_m,) [rad/s²] the external acceleration."""
-        return self._x[2].copy()
+        return self._memory.x_read[2].copy()
 
     @property
     def noise(self) -> Array:
         """(2, n_m) [rad, rad/s] standard deviations of positions and velocities."""
-        return np.sqrt(self._variances)
+        return np.sqrt(self._memory.noise_var)
 
     def update(
         self, read: Measurement, state: RobotState, u_a: Array | None, c: EstimateConfig, dt: float
@@ -70,12 +88,11 @@ class RunningEstimate:
             L_aa = cholesky(state.M[robot.n_b :, robot.n_b :])
             known = predicted_joint_acceleration(state.M, state.h, L_aa, u_a, qdd_b)[None]
         self._v_last = read.base_velocity
-        memory = self._x, self._P, self._variances, self._last, self._samples
         gains = Gains(dt, c.external_drift, c.least_noise, c.velocity_noise, c.noise_window)
-        estimate_arm(
-            *memory, known, np.stack((read.q_m, read.qd_m)), robot.qd_max, np.zeros(7), gains
-        )
-        return read._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
+        readings = np.stack((read.q_m, read.qd_m))
+        estimate_arm(self._memory, known, readings, robot.qd_max, np.zeros(7), gains)
+        x = self._memory.x_read
+        return read._replace(q_m=x[0].copy(), qd_m=x[1].copy())
 
 
 class PushedArm:
@@ -216,17 +233,17 @@ def test_large_jump_of_the_positions_restarts_the_estimate(ready: PushedArm) -> 
 def test_noise_of_mean_external_accelerations_is_known(noise: float) -> None:
     """Changes from one interval to the next but one, with a mass matrix of 1 and without motion."""
     rng, c, qd_max = np.random.default_rng(0), Config().estimate, np.full(7, 2.0)
-    x, P, last = np.zeros((3, 7)), np.zeros((7, 3, 3)), np.zeros((4, 7))
-    variances, samples, pushed = np.zeros((2, 7)), np.zeros(()), []
+    memory, pushed = empty_memory(7), []
     gains = Gains(DT, c.external_drift, c.least_noise, c.velocity_noise, c.noise_window)
     for _ in range(4000):
         read = np.stack((noise * rng.standard_normal(7), np.full(7, np.nan)))
-        drift = process_noise(np.zeros(7), variances[0], qd_max, np.ones(7), DT, gains)
-        memory = x, P, variances, last, samples
-        estimate_arm(*memory, np.zeros((1, 7)), read, qd_max, drift, gains)
-        pushed.append(x[2].copy())
+        drift = process_noise(memory, qd_max, np.ones(7), gains)
+        estimate_arm(memory, np.zeros((1, 7)), read, qd_max, drift, gains)
+        pushed.append(memory.x_read[2].copy())
     means = np.array(pushed[1000:]).reshape(-1, 20, 7).mean(axis=1)
-    expected = np.diag(_torque_change(np.eye(7), np.eye(3, 7), P, 0.0, 20 * DT)) - _FRICTION**2
+    expected = (
+        np.diag(_torque_change(np.eye(7), np.eye(3, 7), memory.P_est, 0.0, 20 * DT)) - _FRICTION**2
+    )
     np.testing.assert_allclose((means[2:] - means[:-2]).std(axis=0), np.sqrt(expected), rtol=0.4)
 
 

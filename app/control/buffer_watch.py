@@ -12,7 +12,6 @@ from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
 from app.control.qp import fill, put
 from app.control.quantities import ControlStep
-from app.robot.bases.kind import BaseKind
 from app.robot.state import RobotState, point_velocity
 from app.strict import Array
 
@@ -46,10 +45,9 @@ class BufferWatch:
 
     The approach speed is the speed of the arm's closest point along −n, relative to the floor. The
     speed relative to the base would be smaller while the base retreats. An approach counts while
-    the arm's motion reduces the distance, and the distance is at most the configured d_b or at most
-    the required d_b, if this is finite: an end-effector that is farther away can still slow down.
-    An approach steeper than 45° does not count, because motion of the base hardly helps. At
-    distances above 0.3 m, the largest valid d_b, no approach counts.
+    the arm's motion reduces the distance, and the distance is at most the configured d_b, or the
+    required d_b if this is finite. An approach steeper than 45°, where motion of the base hardly
+    helps, or at a distance above 0.3 m, the largest valid d_b, does not count.
     """
 
     def __init__(self, config: Config) -> None:
@@ -106,25 +104,23 @@ class BufferWatch:
             if not (known := [each for each in speeds if not math.isnan(each[0])]):
                 continue
             v, closing = (sum(column) / len(known) for column in zip(*known, strict=True))
-            if min(v, closing) >= _SLOW:  # neither at rest, nor moving away
-                n, p = state.R_world_base.T @ control.normal[i], state.to_base(control.p_b[i])
-                self._judge(Approach(v, n, p), control.d.item(i), state.model.description.base)
-
-    def _judge(self, approach: Approach, d: float, base: BaseKind) -> None:
-        needed = buffer_need(approach, base, self.config)
-        if d > self.config.border.d_b and not d <= needed < float("inf"):
-            return
-        self._recent.append((self._steps, needed, approach.v))
-        self._worst = max(self._worst, (needed, approach.v))
+            if min(v, closing) < _SLOW:  # at rest, or moving away
+                continue
+            n, p = state.R_world_base.T @ control.normal[i], state.to_base(control.p_b[i])
+            needed = buffer_need(Approach(v, n, p), state.model.description.base, self.config)
+            d = control.d.item(i)
+            if d <= self.config.border.d_b or (math.isfinite(needed) and d <= needed):
+                self._recent.append((self._steps, needed, v))
+                self._worst = max(self._worst, (needed, v))
 
 
 @compiled("UniTuple(f8, 2)(f8[:,:], i8[:], f8[::1], f8[::1])")
 def approach_speeds(twists: Array, joints: Array, p_b: Array, n: Array) -> tuple[float, float]:
     """[m/s] speeds of the arm's closest point p_b (3,) [m] of a pair towards the base.
 
-    They are the speed relative to the floor, and the speed relative to the base, which only the
-    joints of the arm cause. `twists` (n_j, 6) are those of `RobotState`, n (3,) the pair's normal,
-    both in the world like p_b; `joints` (2,) are the joints that move the base and the arm's body.
+    The first is relative to the floor, the second to the base: only the joints of the arm cause it.
+    `twists` (n_j, 6) are those of `RobotState`, n (3,) the pair's normal, both in the world like
+    p_b; `joints` (2,) are the joints that move the base and the arm's body.
     """
     v = -np.dot(n, np.array(point_velocity(twists[joints[1]], p_b)))
     return v, v + np.dot(n, np.array(point_velocity(twists[joints[0]], p_b)))

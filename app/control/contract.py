@@ -23,10 +23,10 @@ _FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 
 
 
 def checked_period(dt: float) -> float:
-    """The control period dt [s] as a float, if it is within `SHORTEST` and `LONGEST`.
+    """The control period dt [s] as a float.
 
     Raises:
-        ConfigError: The value is not a valid control period.
+        ConfigError: It is no number from `SHORTEST` to `LONGEST`.
     """
     if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
         raise ConfigError(f"dt must be between {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
@@ -37,7 +37,7 @@ def check_gains(config: Config, dt: float) -> None:
     """Refuse gains that are too large for a control period of dt [s].
 
     Raises:
-        ConfigError: `config` is not a `Config`; or a gain is too large: then the message states the
+        ConfigError: `config` is not a `Config`, or a gain is too large; the message then states the
             upper bounds of the gain and of dt.
     """
     if not isinstance(config, Config):
@@ -60,10 +60,7 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """Build the error for joint positions q_m (n_m,) far outside the position limits.
-
-    The message names the joint that is the farthest outside, relative to its range.
-    """
+    """Build the error for joint positions q_m (n_m,); it names the joint farthest outside."""
     low, high, joints = model.q_lower, model.q_upper, model.description.arm.joints
     i = int(np.argmax(np.abs(q_m - 0.5 * (high + low)) / (high - low)))
     return MeasurementError(
@@ -98,9 +95,9 @@ class JointOrder:
     """A function that selects the arm's positions and velocities from a driver's joint states.
 
     The joint states can have any order of joints, further joints, and no velocities, as in
-    `sensor_msgs/JointState`. The names are resolved once; a call only selects the entries::
+    `sensor_msgs/JointState`::
 
-        order = loop.joint_order(message.name)
+        order = loop.joint_order(message.name)  # once
         Measurement(base_pose, base_velocity, *order(message.position, message.velocity))
     """
 

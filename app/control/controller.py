@@ -16,7 +16,7 @@ from app.border.cache import BorderData, load_border_data
 from app.border.offset import border_of
 from app.compiled import direct
 from app.config import Config, slowed
-from app.control import CONTROLLERS
+from app.control import CONTROLLERS, contract
 from app.control.algorithm import (
     BASE_AS_COMMANDED,
     BASE_MEASURED,
@@ -26,18 +26,6 @@ from app.control.algorithm import (
     ROOM,
     run_algorithm_2,
     update_estimate,
-)
-from app.control.contract import (
-    LONGEST,
-    SHORTEST,
-    JointOrder,
-    check_gains,
-    checked_period,
-    checked_reference,
-    clocks_differ,
-    implausible,
-    no_motion,
-    rounding,
 )
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
@@ -65,16 +53,7 @@ _take = direct(take_reference)
 _estimate, _later, _law = direct(update_estimate), direct(later_base), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
-_UNKNOWN = (
-    "d_b",
-    "u_a",
-    "v_last",
-    "q_posture",
-    "reading",
-    "x_sent",
-    "clock",
-    "stamp",
-)  # NaN until known
+_UNKNOWN = "d_b", "u_a", "v_last", "q_posture", "reading", "x_sent", "clock", "stamp"  # first NaN
 
 
 class Controller:
@@ -94,15 +73,9 @@ class Controller:
         dt: float = 0.001,
         interpolate: bool = False,
     ) -> None:
-        """Prepare the controller.
+        """Prepare the controller `name`, one of `CONTROLLERS`, with the control period dt [s].
 
-        Args:
-            model: The robot.
-            data: The robot's link pairs and border.
-            config: Parameters, which `configure` replaces.
-            name: One of `CONTROLLERS`.
-            dt: [s] control period.
-            interpolate: Whether to interpolate references that jump (`app.control.references`).
+        If `interpolate`, references that jump are interpolated (`app.control.references`).
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -111,7 +84,7 @@ class Controller:
                 the base.
         """
         self._model, self._data, self._config = model, data, config
-        self._dt, self._interpolate = checked_period(dt), interpolate
+        self._dt, self._interpolate = contract.checked_period(dt), interpolate
         self._base = model.description.base
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
@@ -146,15 +119,15 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
 
-        A new d_b or ε selects a different border at once; the method `hqp` always uses the sampled
-        points. The buffer distance in use approaches the new d_b at `algorithm.BUFFER_RATE`,
-        because a jump would abruptly accelerate an arm inside the buffer. An addition to the mass
-        of the payload is subtracted from the detected loads.
+        The border changes at once; the method `hqp` always uses the sampled points. The buffer
+        distance in use approaches a new d_b at `algorithm.BUFFER_RATE`, because a jump would
+        abruptly accelerate an arm inside the buffer. An addition to the mass of the payload is
+        subtracted from the detected loads.
 
         Raises:
             ConfigError: `config` is not a `Config`, or the control period is too long for a gain.
         """
-        check_gains(config, self._dt)
+        contract.check_gains(config, self._dt)
         border, load, w = config.border, config.payload, self.last
         added = load.mass - self._config.payload.mass
         self._config = config
@@ -168,7 +141,6 @@ class Controller:
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
         self._border = border_of(self._model, clouds, border).struct
         self._set_gains()
-        self._largest_command = largest_command(self._base, config.admittance)
 
     def _set_gains(self) -> None:
         config, model = self._config, self._model
@@ -188,7 +160,6 @@ class Controller:
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        The controller forgets posture, speeds, torques, estimate, commands and counts of failures.
         A measured control period stays in use, and until the next valid reading the fallback
         command compensates gravity at the last valid posture.
         """
@@ -214,15 +185,13 @@ class Controller:
             measurement: The sensors' readings.
             reference: Desired motion of the end-effector, or None while a person guides the arm.
             base_acceleration: (n_b,) [m/s² or rad/s²] measured acceleration of the base; default:
-                the commanded acceleration of this step.
+                the commanded one of this step.
 
         Returns:
             The quantities of this step, which the next step overwrites. They always contain a
             command. It is the fallback command before the first valid reading and after 0.1 s
             without one, after readings that contradict the torques (until `reset`), and if the
-            arm's QP or the hierarchy of `hqp` has no solution. The fallback command brakes the
-            base, compensates gravity at the last valid posture (before the first one, at the ready
-            posture), and damps the estimated joint speeds, except after contradictory readings.
+            arm's QP or the hierarchy of `hqp` has no solution (docs/own_loop.md).
 
         Raises:
             MeasurementError: A reading or the reference has a wrong type or number of entries, the
@@ -256,26 +225,26 @@ class Controller:
         w, robot, gains, data = self.last, self._robot, self._gains, self.state.data
         measurement = checked(measurement, self._model)
         if reference is not None:
-            pose, v, a = reference = checked_reference(reference)
+            pose, v, a = reference = contract.checked_reference(reference)
             R, p = pose.rotation, pose.translation
             if not _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate):
-                raise no_motion(reference)
+                raise contract.no_motion(reference)
         base, velocity, q, qd, drive, now, time, base_time = measurement
         if base_time == base_time:
             base, velocity = self._later_base(measurement)
         self.faulty = _estimate(robot, gains, w.struct, base, velocity, q, qd, drive, now, time)
         if self.faulty and w.faults[PERIOD]:
             ratio = float(w.clock_ratio or w.ratio)
-            self._dt = min(max(self._dt * ratio, SHORTEST), LONGEST)
+            self._dt = min(max(self._dt * ratio, contract.SHORTEST), contract.LONGEST)
             self._set_gains()
             if w.stamp == w.stamp:  # its age is now a different number of periods
                 hidden = w.hidden_lag - w.stated_lag
                 w.lag[...] = np.rint((w.lag - hidden) / ratio) + hidden
         if self.faulty and np.isnan(w.q_posture[0]):
             if w.faults[IMPLAUSIBLE]:
-                raise implausible(self._model, measurement.q_m)
+                raise contract.implausible(self._model, measurement.q_m)
             if w.faults[LAG] or measurement.time - measurement.now > EARLY:
-                raise clocks_differ(measurement)
+                raise contract.clocks_differ(measurement)
         if not self.faulty or w.valid:
             self.state.drive = measurement.drive
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
@@ -284,7 +253,8 @@ class Controller:
         while left_open := _law(robot, gains, slow, border, w.struct, base_source, tracking):
             self._rescue(int(left_open) - 1)
         if self._own_commands and w.command_due:
-            w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
+            largest = largest_command(self._base, self._config.admittance)
+            w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, largest)
         return w
 
     def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
@@ -334,8 +304,7 @@ class Command(NamedTuple):
     def load(self) -> float:
         """[kg] mass of the load in the fault `load`; negative if a load of `payload.mass` is gone.
 
-        Without this fault, the mass at the end-effector that best explains the external torques,
-        including those of a person.
+        Without this fault, the mass that best explains the external torques, also of a person.
         """
         return float(self.step.unstated or self.step.load)
 
@@ -362,11 +331,11 @@ class ControlLoop:
 
         Args:
             model: The robot.
-            data: The robot's link pairs and border; default: read from a file, or sampled now.
-            config: Parameters; default: the parameters of the robot.
+            data: Link pairs and border; default: read from a file, or sampled now.
+            config: Parameters; default: those of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
-            interpolate: Whether to interpolate references that jump (`app.control.references`).
+            interpolate: Whether to interpolate references that jump.
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -393,13 +362,13 @@ class ControlLoop:
         self.reported: set[str] = set()
         """Names of all faults of the readings since `reset`."""
 
-    def joint_order(self, names: Sequence[str]) -> JointOrder:
+    def joint_order(self, names: Sequence[str]) -> contract.JointOrder:
         """A function that selects the arm's joints from joint states in the order `names`.
 
         Raises:
             MeasurementError: `names` is a string or a set, or lacks or repeats a joint of the arm.
         """
-        return JointOrder(self.controller.state.model, names)
+        return contract.JointOrder(self.controller.state.model, names)
 
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
@@ -420,9 +389,8 @@ class ControlLoop:
     def step(self, measured: Measurement, reference: Reference | None = None) -> Command:
         """Compute the commands of one control step.
 
-        Args:
-            measured: The sensors' readings.
-            reference: Desired motion of the end-effector, or None while a person guides the arm.
+        `reference` is the desired motion of the end-effector, or None while a person guides the
+        arm.
 
         Raises:
             MeasurementError: As `Controller.step`.
@@ -442,13 +410,13 @@ class ControlLoop:
                     "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
                     "period": f" ({self.controller.dt * 1000:.2f} ms{self._too_long()})",
                 }
-                note = more.get(name, "") + rounding(measured, 0.5 * self.controller.dt)
+                note = more.get(name, "") + contract.rounding(measured, 0.5 * self.controller.dt)
                 logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
 
     def _too_long(self) -> str:
         """The message about a gain that is too large for the measured period, or no text."""
         try:
-            check_gains(self.controller.config, self.controller.dt)
+            contract.check_gains(self.controller.config, self.controller.dt)
         except ConfigError as error:
             return f"; {error}"
         return ""
@@ -473,11 +441,10 @@ def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping
 
 
 def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Array) -> Array:
-    """The feasible command (n_b,) nearest to `command`, within the largest commands `v_max`.
+    """The feasible command (n_b,) nearest to `command`, in m/s or rad/s; `before` is the last one.
 
-    If the axes of a base depend on each other, the nearest feasible command can exceed the largest
-    command of an axis. Then all axes are multiplied by the same factor. `before` (n_b,) is the
-    previous command; all values are in m/s or rad/s.
+    If the axes of a base depend on each other, the nearest feasible command can exceed `v_max`
+    (n_b,). Then all axes are multiplied by the same factor.
     """
     found = base.admissible(command, before)
     over = float(np.max(np.abs(found) / v_max))

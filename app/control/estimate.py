@@ -2,22 +2,19 @@
 
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
 Torques and the base's motion predict a joint's acceleration; the external acceleration is a random
-walk. The noise of the readings is estimated from the readings themselves. The predicted
-accelerations explain the second difference of the positions except for a remainder. From reading to
-reading this remainder changes by the noise of the positions, with 20 times the variance of this
-noise. The weight of a velocity depends on its agreement with the difference of the last two
-positions. The noise of velocities has a lower bound in proportion to the noise of positions,
-because drives compute velocities from the same positions. Thus the filter follows readings without
-noise at once, noisy readings do not shake the arm, and velocities that are late, wrongly scaled or
-missing have little or no effect.
+walk. The noise is estimated from the readings themselves: the predicted accelerations explain the
+second difference of the positions except for a remainder, which the noise changes from reading to
+reading, with 20 times its variance. The weight of a velocity depends on its agreement with the
+difference of the last two positions. Thus the filter follows readings without noise at once, noisy
+readings do not shake the arm, and wrong or missing velocities have little or no effect.
 
-The estimate belongs to the newest reading, which can be several periods old; `advance` predicts
-the present state from this estimate, with the accelerations due to torques and base since then.
+The estimate belongs to the newest reading; `advance` predicts the present state from it, and
+`estimate_load` finds loads in the external torques that the external accelerations imply. Tasks do
+not use the external acceleration: a guided end-effector stays free. Limits use it, so that joint
+speeds and distances stay within their limits while a person pulls.
 
-The external accelerations imply the external torques; `estimate_load` finds loads in these torques.
-
-Tasks do not use the external acceleration: a guided end-effector stays free. Limits use it, so that
-joint speeds and distances stay within their limits while a person pulls.
+The argument `w` is a `STEP`. `estimate_arm` and its parts use its `x_read`, `P_est`, `noise_var`,
+`q_last` and `samples`.
 """
 
 import math
@@ -78,122 +75,91 @@ def predicted_joint_acceleration(
 
 @compiled()
 def _begin_at(
-    x: Array,
-    P: Array,
-    trusted: Array,
-    last: Array,
-    predicted: Array,
-    q: Array,
-    qd: Array,
-    qd_max: Array,
-    gains: Any,
+    w: Any, trusted: Array, predicted: Array, q: Array, qd: Array, qd_max: Array, gains: Any
 ) -> None:
-    """Copy a reading into x without a filter; reset P to the noise variances `trusted` (2, n_m).
+    """Take a reading without a filter; reset P to the noise variances `trusted` (2, n_m).
 
-    A clear change of the velocity that x[2] and `predicted` do not explain changes the external
-    acceleration x[2]. The other arguments are those of `estimate_arm`.
+    A clear change of the velocity that x[2] and `predicted` do not explain changes x[2]. The other
+    arguments are those of `estimate_arm`.
     """
-    steps, dt, expected = len(predicted), gains.dt, x.copy()
+    x, P, steps, dt = w.x_read, w.P_est, len(predicted), gains.dt
+    expected = x.copy()
     advance(expected, predicted, dt)
     for i in range(len(q)):
         if math.isnan(q[i]):
             x[0, i], x[1, i] = expected[0, i], expected[1, i]
             continue
-        speed = last[0, i] if math.isnan(qd[i]) else qd[i]
+        speed = w.q_last[0, i] if math.isnan(qd[i]) else qd[i]
         if steps > 0:
             gained = speed - x[1, i] - steps * dt * x[2, i] - dt * predicted[:, i].sum()
             if abs(gained) > _CLEAR * qd_max[i]:
                 x[2, i] += gained / (max(FEWEST, steps) * dt)
         x[0, i], x[1, i] = q[i], speed
         for j in range(3):
-            for k in range(3):
-                P[i, j, k] = 0.0
+            fill(P[i, j], 0.0)
         P[i, 0, 0], P[i, 1, 1], P[i, 2, 2] = trusted[0, i], trusted[1, i], gains.external_drift**2
 
 
 @compiled()
-def process_noise(
-    v_error: Array, variance: Array, qd_max: Array, periods: Array, blind_time: float, gains: Any
-) -> Array:
+def process_noise(w: Any, qd_max: Array, periods: Array, gains: Any) -> Array:
     """(n_m,) [rad/s² or m/s²] standard deviation of the change of the external acceleration in 1 s.
 
     It is at least `gains.external_drift`, and so large that the filter responds within the longest
-    of `RESPONSE`, the blind time [s], and the control periods from the joint's last reading until
-    now, `periods` (n_m,). The response is fast because a pull moves a light joint beyond its speed
-    limit within 0.05 s; the blind time slows it because
-    readings that are older than assumed contradict the predicted motion. If the standard deviation
-    of the position noise exceeds about 0.2 mrad at 1 kHz, the response is slower too, which limits
-    the noise of estimated speeds. If `periods` > 1, recent errors `v_error` (n_m,) of used speeds
-    increase the result up to `_MOST_DRIFT`. `variance` (n_m,) is that of the positions' noise.
+    of `RESPONSE`, the blind time, and the control periods from the joint's last reading until now,
+    `periods` (n_m,); noise above about 0.2 mrad at 1 kHz slows the response. A fast response keeps
+    a light joint below its speed limit; a slow one suits readings that can be older than assumed.
+    If `periods` > 1, recent errors of used speeds increase the result up to `_MOST_DRIFT`.
     """
-    drift = np.full(len(v_error), gains.external_drift)
-    for i in range(len(v_error)):
+    drift = np.full(len(periods), gains.external_drift)
+    for i in range(len(periods)):
         time = periods[i] * gains.dt
-        noise = math.sqrt(variance[i] * time)
+        noise = math.sqrt(w.noise_var[0, i] * time)
         slow = (noise / (_SHAKE * qd_max[i])) ** (2.0 / 3.0)
-        drift[i] = max(drift[i], noise / max(RESPONSE, time, slow, blind_time) ** 3)
+        drift[i] = max(drift[i], noise / max(RESPONSE, time, slow, w.blind_time[()]) ** 3)
         if periods[i] > 1.0:
-            implied = v_error[i] * math.sqrt(3.0 / time**3)
+            implied = w.v_error[i] * math.sqrt(3.0 / time**3)
             drift[i] = max(drift[i], min(implied, _MOST_DRIFT))
     return drift
 
 
 @compiled()
 def estimate_arm(
-    x: Array,
-    P: Array,
-    variances: Array,
-    last: Array,
-    samples: Array,
-    predicted: Array,
-    read: Array,
-    qd_max: Array,
-    drift: Array,
-    gains: Any,
+    w: Any, predicted: Array, read: Array, qd_max: Array, drift: Array, gains: Any
 ) -> bool:
-    """Update the estimate (x, P) by one reading of positions and velocities.
+    """Update the estimate by one reading; return whether the arm cannot have moved to it.
 
-    After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading;
-    in the second case the external acceleration is reset to 0, because it is unknown. Until the
-    estimate of the noise has `FEWEST` samples, `_begin_at` replaces the filter. A
-    joint without a position is only predicted.
+    If it cannot, the filter restarts at the reading with an external acceleration of 0; after a gap
+    it restarts with the last external acceleration. Until the estimate of the noise has `FEWEST`
+    samples, `_begin_at` replaces the filter. A joint without a position is only predicted.
 
     Args:
-        x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
-        P: (n_m, 3, 3) covariances; updated.
-        variances: (2, n_m) noise variances of positions and velocities; updated.
-        last: (4, n_m) as in `_learn`; updated.
-        samples: () number of samples of the noise; updated.
+        w: See the module's docstring.
         predicted: (k, n_m) `predicted_joint_acceleration` in each of the k control periods
             since the last reading; no rows after a gap.
         read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN if one is unknown.
         qd_max: (n_m,) joint speed limits.
         drift: (n_m,) `process_noise`.
         gains: `GAINS`.
-
-    Returns:
-        Whether the arm cannot have moved to the reading.
     """
-    steps, dt, q, qd = len(predicted), gains.dt, read[0], read[1]
-    jumped = steps > 0 and has_jumped(x, q, qd_max, steps, dt, last[3])
+    steps, dt, last, q, qd = len(predicted), gains.dt, w.q_last, read[0], read[1]
+    jumped = steps > 0 and has_jumped(w.x_read, q, qd_max, steps, dt, last[3])
     continued, periods = steps > 0 and not jumped, steps + last[3]
     if jumped:
-        fill(x[2], 0.0)
+        fill(w.x_read[2], 0.0)
     if continued:
-        samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
-        _learn(variances, last, samples, predicted, q, qd, gains.noise_window, dt)
+        w.samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
+        _learn(w, predicted, q, qd, gains)
     else:
         for i in range(len(q)):
             if not math.isnan(q[i]):
                 last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
                 last[3, i] = 0.0
             last[2, i] = math.nan
-    trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
-    if continued and samples[()] >= FEWEST:
-        sudden = _SUDDEN * dt * periods * qd_max
-        _follow(x, P, predicted, q, qd, trusted, drift, sudden, dt)
+    trusted = _at_least(w.noise_var, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
+    if continued and w.samples[()] >= FEWEST:
+        _follow(w, predicted, q, qd, trusted, drift, _SUDDEN * dt * periods * qd_max, dt)
         return jumped
-    _begin_at(x, P, trusted, last, predicted if continued else predicted[:0], q, qd, qd_max, gains)
+    _begin_at(w, trusted, predicted if continued else predicted[:0], q, qd, qd_max, gains)
     return jumped
 
 
@@ -207,33 +173,17 @@ def advance(x: Array, predicted: Array, dt: float) -> None:
 
 
 @compiled()
-def _learn(
-    variances: Array,
-    last: Array,
-    samples: Array,
-    predicted: Array,
-    q: Array,
-    qd: Array,
-    window: float,
-    dt: float,
-) -> None:
-    """Include one more reading in the noise estimate.
+def _learn(w: Any, predicted: Array, q: Array, qd: Array, gains: Any) -> None:
+    """Include one more reading, q and qd (n_m,), in the noise estimate.
 
-    The mean velocity since the last reading and the predicted accelerations imply the velocities at
-    both readings. For the reading between two intervals, each interval implies a velocity; the
-    difference of the two, times the duration of the newer interval, is the unexplained second
-    difference of the positions. Its squared change / 20 is a sample of the positions' noise. After
-    `FEWEST` samples, an outlier is replaced by the largest plausible sample and has the weight of
-    one period only: a delay, a stop, or an external force during a gap causes it, not noise. The
+    For the reading between two intervals, each interval implies a velocity; their difference, times
+    the duration of the newer interval, is the unexplained second difference of the positions. Its
+    squared change / 20 is a sample of the positions' noise. After `FEWEST` samples, an outlier is
+    bounded and weighs as one period: a delay, a stop or an external force in a gap causes it. The
     squared difference of a velocity from the implied one is a sample of the velocities' noise.
-
-    The arguments are those of `estimate_arm`. `samples` includes this reading, q and qd (n_m,) are
-    its positions and velocities, and `window` [s] is the time window of the variances. `last`
-    (4, n_m) has the velocity at the last reading, from the positions; the last position; the last
-    unexplained second difference, or NaN; and the control periods since this reading. Without a
-    position, the first two are predicted.
     """
-    steps = len(predicted)
+    steps, dt, last, variances, samples = len(predicted), gains.dt, w.q_last, w.noise_var, w.samples
+    window = gains.noise_window
     share = max(1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / window))
     for i in range(len(q)):
         gained = way = 0.0
@@ -265,9 +215,9 @@ def _learn(
 def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
     """The variances (2, n_m) of positions and velocities, with lower bounds.
 
-    The standard deviation of a position is at least `least` [rad or m]. That of a velocity is at
-    least `ratio` [1/s] times that of its position, and at least `least` / dt, with the time dt [s]
-    since the last reading: drives compute velocities from the same positions.
+    The standard deviation of a position is at least `least` [rad or m], that of a velocity `ratio`
+    [1/s] times that of its position and `least` / dt: drives compute velocities from the same
+    positions. dt [s] is the time since the last reading.
     """
     found = np.empty_like(variances)
     for i in range(variances.shape[1]):
@@ -313,8 +263,7 @@ def grow(p: Array, drift: float, periods: int, dt: float) -> None:
 
 @compiled()
 def _follow(
-    x: Array,
-    P: Array,
+    w: Any,
     predicted: Array,
     q: Array,
     qd: Array,
@@ -326,12 +275,13 @@ def _follow(
     """Predict the state of each joint to this reading; correct it by the position and the velocity.
 
     A measured velocity counts as the mean velocity of the last control period, as in drives and
-    simulators; NaN has no effect. The arguments are those of `estimate_arm`. `sudden` (n_m,)
-    [rad/s² or m/s²] is the largest change of the external acceleration by a correction.
+    simulators. `variances` (2, n_m) are those of the noise; `sudden` (n_m,) [rad/s² or m/s²] is the
+    largest change of the external acceleration by a correction.
     """
+    x = w.x_read
     advance(x, predicted, dt)
     for i in range(len(q)):
-        p = P[i]
+        p = w.P_est[i]
         grow(p, drift[i], len(predicted), dt)
         if math.isnan(q[i]):
             continue
@@ -344,11 +294,10 @@ def _follow(
 def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float) -> Array:
     """(n_m, n_m) covariance by noise of the change of mean external torques between two intervals.
 
-    The mean of an estimated acceleration is the difference of two velocities, divided by `interval`
-    [s]. Most of the velocities' variance in P (n_m, 3, 3) stands for possible changes of the
-    acceleration; noise is the rest: the part `_NOISE` in the torques by the arm's inertia matrix M,
-    and one half in the inertia forces of the mass `loaded` [kg], both for a filter of positions
-    alone. J (3, n_m) is the arm's part of the end-effector's linear Jacobian; `_FRICTION` is added.
+    Noise is the part `_NOISE` of the velocities' variance in P (n_m, 3, 3) for the torques by the
+    arm's inertia matrix M, and one half for the inertia forces of the mass `loaded` [kg]; the rest
+    stands for changes of the acceleration. An interval lasts `interval` [s]; J (3, n_m) is the
+    arm's part of the end-effector's linear Jacobian. `_FRICTION` is added.
     """
     inertia, C = np.empty_like(M), np.zeros_like(M)
     for i in range(len(M)):
@@ -367,15 +316,10 @@ def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float)
 def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
     """[kg] mass of a load that has just begun to act; negative if it has ceased; 0 without one.
 
-    A load changes the external torques at once, and only by its weight and its inertia. The result
-    is 0 for a force that changes in a different direction, has changed before, or grows for longer,
-    as a person's force usually does. The changes are in units of the noise: noisy joints count
-    less. The change by a load is compared with the noise and the mean square of earlier changes.
-
-    Args:
-        torques: (8, n_m) [N m or N] mean external torques in intervals; the newest is first.
-        lifts: (8, n_m) mean torques that move a load of 1 kg in these intervals.
-        C: (n_m, n_m) covariance of the change from one row of `torques` to another by noise.
+    A load changes the external torques at once, and only by its weight and its inertia. A force
+    that changes in a different direction, has changed before, or grows for longer is a person's.
+    `torques` and `lifts` (8, n_m) are those of `STEP`; the covariance C (n_m, n_m) by noise of a
+    change of `torques` gives noisy joints a smaller weight.
     """
     first, last, L, usual = 3, len(torques) - 1, cholesky(C), np.eye(len(C))
     lift, change = forward(L, lifts[1]), forward(L, torques[3] - torques[1])
@@ -414,15 +358,9 @@ def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
     """Estimate the mass of a load at the end-effector, and detect a load that begins or ceases.
 
     A load of mass m exerts the torques -m f, with f = J_eeᵀ (ẍ - g⃗) by its weight and its inertia.
-    `w.load` is the mass that best explains the external torques; a force of a person counts too.
-    `w.loaded` is the sum of all sudden loads, minus the additions to the payload's mass, without
-    the friction that remains after a person's push upwards. It becomes 0 below `_LEAST_LOAD`, or if
-    none of the intervals 0, 1 and 3 (0 is the newest) contains more than half of it. `w.unstated`
-    is `w.loaded` while interval 0 or 1 contains more than half of it, otherwise 0. It is also 0 if
-    the mass at the end-effector would then be negative, because a person pushes upwards. `elapsed`
-    [s] is the time between the last two steps, whose difference of `w.v_ee` is the acceleration;
+    `elapsed` [s] is the time between the last two steps, whose difference of `w.v_ee` shows ẍ;
     `jumped` states whether the arm cannot have moved to the newest reading. Before `_SETTLED`
-    samples of the noise nothing changes.
+    samples of the noise nothing changes. `_judge_load` writes the results.
     """
     n_b, dt = len(w.g) - len(w.q_m), gains.dt
     if w.samples[()] < _SETTLED:
@@ -430,10 +368,12 @@ def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
     begins, late = w.samples[()] == _SETTLED, w.blind_time[()] > _SOON
     corrected = w.corrected[()] + w.lag[()] > w.stated_lag[()]
     restarted = jumped or w.known[()] == 0.0 or (begins and (late or corrected))
+    if elapsed == 0.0 and not (begins or restarted):  # a second step in the same period
+        return
     M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
     for k in range(3):
         a = 0.0
-        if elapsed > 0.0 and not (begins or restarted):
+        if not (begins or restarted):
             a = (w.v_ee[k] - w.v_tip[k]) / elapsed
         if k == 2:
             a += _GRAVITY
@@ -442,8 +382,9 @@ def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
     put(w.v_tip, w.v_ee[:3])
     if restarted:
         w.torques_age[()], w.torques[1, 0] = 0.0, math.nan  # no earlier interval
-    w.torques_age[()] += dt
-    share = dt / w.torques_age[()]
+    time = max(elapsed, dt)
+    w.torques_age[()] += time
+    share = time / w.torques_age[()]
     for i in range(len(torque)):
         w.torques[0, i] += share * (torque[i] - w.torques[0, i])
         w.lifts[0, i] += share * (lift[i] - w.lifts[0, i])
@@ -462,7 +403,10 @@ def _judge_load(gains: Any, w: Any, C: Array) -> None:
     """Update `w.load`, `w.loaded` and `w.unstated` at the end of an interval.
 
     If a load is detected, the intervals before it are changed as if the load had been present, so
-    that no load counts twice. C is that of `_sudden_mass`.
+    that no load counts twice. `w.loaded` becomes 0 below `_LEAST_LOAD`, or if none of the intervals
+    0, 1 and 3 (0 is the newest) contains more than half of it. `w.unstated` is `w.loaded` while
+    interval 0 or 1 contains more than half of it, unless the mass at the end-effector would then be
+    negative, because a person pushes upwards. C is that of `_sudden_mass`.
     """
     torques, lifts = w.torques, w.lifts
     if math.isnan(torques[1, 0]):  # the first interval after a gap

@@ -60,43 +60,18 @@ _Robot: Any = NamedTuple("_Robot", [(each, Any) for each in _ROBOT])  # type: ig
 ROBOT = struct_type("_Robot", _ROBOT)
 """The struct of the robot's constants, for signatures of compiled functions."""
 
+_SECTIONS = "border", "force", "activation", "repulsion", "barrier", "task", "limit", "estimate"
+_PARAMETERS = [
+    name for each in _SECTIONS for name, value in getattr(Config(), each) if type(value) is float
+]
 _GAINS: dict[str, Any] = {
     "dt": _FLOAT,  # [s] control period
     "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
-    "d_b": _FLOAT,  # this and the next fields: parameters of `Config`, by name, in their units
-    "f_max": _FLOAT,
-    "f_arm": _FLOAT,
-    "alpha_gain": _FLOAT,
-    "alpha_min": _FLOAT,
-    "alpha_max": _FLOAT,
-    "d_full": _FLOAT,
-    "closest_point_smoothing": _FLOAT,
-    "k_p": _FLOAT,
-    "k_v": _FLOAT,
-    "d_min": _FLOAT,
-    "barrier_rate": _FLOAT,
-    "max_separation_speed": _FLOAT,
+    **dict.fromkeys(_PARAMETERS, _FLOAT),  # numbers of these sections of `Config`, in their units
+    "barrier_rate": _FLOAT,  # [1/s] `barrier.rate`
     "ee_hold_min_speed": _FLOAT,
     "ee_hold_weight": _FLOAT,
-    "ee_stiffness": _FLOAT,
-    "ee_damping": _FLOAT,
-    "ee_speed": _FLOAT,
-    "posture_stiffness": _FLOAT,
-    "posture_damping": _FLOAT,
-    "joint_centering": _FLOAT,
-    "base_damping": _FLOAT,
-    "base_weight": _FLOAT,
-    "ee_weight": _FLOAT,
-    "slack_weight": _FLOAT,
-    "position_rate": _FLOAT,
-    "velocity_rate": _FLOAT,
-    "torque_rate": _FLOAT,
-    "external_drift": _FLOAT,
-    "least_noise": _FLOAT,
-    "velocity_noise": _FLOAT,
-    "noise_window": _FLOAT,
     "payload_mass": _FLOAT,  # [kg]
-    "delay": _FLOAT,
     "command_period": _FLOAT,  # [s] of the base's velocity command
     "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
     "virtual_damping": _VECTOR,  # (n_b,) [N s/m, N m s] D_a
@@ -131,7 +106,8 @@ def robot_struct(
 ) -> Any:
     """`ROBOT`: constants of a robot, and of the closest points and distances of its link pairs.
 
-    If a body of L_m has no reachability, it raises the error of `ScoreField.of`.
+    Raises:
+        DescriptionError: A body of L_m has no reachability.
     """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile
@@ -163,8 +139,7 @@ def robot_struct(
 def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any:
     """`GAINS` of a configuration for a controller in `METHODS`; `dt` [s] is the control period."""
     c, terms, base = config, METHODS[name], model.description.base
-    sections = c.border, c.force, c.activation, c.repulsion, c.barrier, c.task, c.limit, c.estimate
-    found = {each: value for section in sections for each, value in section}
+    found = {name: value for each in _SECTIONS for name, value in getattr(c, each)}
     found |= {
         "dt": dt,
         "joint_damping": model.joint_damping,

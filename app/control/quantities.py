@@ -98,13 +98,11 @@ age | | | 1 | | readings | memory: control periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in control periods
 clock | | | s | | readings | memory: `Measurement.now` of the last step; NaN without a clock
 clock_ahead | | | 1 | | readings |
-    memory: control periods by which the clock is ahead of the number of steps; the mean is removed
+    memory: control periods by which the clock is ahead of the counted ones
 clock_rest | | | 1 | | readings | memory: number of steps since the clock has changed
-clock_owed | | | 1 | | readings |
-    memory: missed control periods whose steps can still follow at short intervals
-clock_span | | 3 2 | s, 1 | | readings |
-    memory: duration and number of the clock's intervals since the last measurement by the clock,
-    then of those without a stall, and of those that last one period
+clock_span | | 3 | 1 | | readings |
+    memory: since the last measurement of the period by the clock, the number of steps, and the
+    sums of their intervals in control periods and of the squares of these intervals
 clock_ratio | | | 1 | | readings |
     memory: ratio of the control period by the clock to `dt`; 0 before a measurement
 elapsed | | | s | | readings |

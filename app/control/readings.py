@@ -3,25 +3,19 @@
 A step runs once in each control period, with or without a new reading. "Period" means the control
 period in this module. The Kalman filter estimates the state of the arm at the newest reading. The
 present state is predicted from this state over the age of the reading, with the known torques and
-the motion of the base. Thus repeated readings, lost readings, impossible readings, and readings
-with a known delay are the same case. A time stamp of the readings shows their age, and the caller's
-clock the control period. Without them, both are estimated from the readings themselves. The module
-decides on four properties of the readings:
+the motion of the base. Thus repeated, lost, impossible and late readings are the same case. A time
+stamp of the readings shows their age, and the caller's clock the control period. Without them, both
+are estimated from the readings themselves. The module decides on four properties of the readings:
 
 - **The lag**, their delay in periods. A delay that begins during a motion is the age at which the
-  predicted state equals the reading (`_match_lag`). Any other delay is the number of periods until
-  accelerations due to the torques and the base appear in the measured positions (`_find_lag`). The
-  readings of up to 100 periods count for it, so that noise hides the delay as little as possible.
-- **The period**. The motion of a joint, divided by the integral of its velocity with the stated
-  period as the time step, is 1 if this period is right. If successive measurements of this ratio
-  agree on a different value for 0.05 s, the loop does not run at the stated period.
-- **The contradiction**. The readings contradict the torques if a joint is far above its speed
-  limit, and no lag lets the commanded torques explain its motion better than no torques. Usually
-  the readings of joints are then swapped, have a wrong sign, or are too late. Readings that jump in
-  many successive steps count too.
-- **The velocities** are not used if no plausible period explains their ratio to the positions, if a
-  clock shows that the period does not explain it, or if they exceed the speed limits by far. Then
-  the joint velocities are computed from the positions, and the base's from the drive's model.
+  predicted state equals the reading (`_match_lag`). Any other delay is the time until accelerations
+  due to the torques and the base appear in the measured positions (`_find_lag`).
+- **The period** is right if a joint's motion is the integral of its velocity over this time step
+  (`_find_period`).
+- **The contradiction**. At each lag, the commanded torques explain the motion of a joint far above
+  its speed limit worse than no torques do (`_weigh_lags`). Many successive jumps count too.
+- **The velocities** are not used if they exceed the speed limits by far, or do not match the
+  positions at any plausible period. The positions and the model of the base's drive replace them.
 """
 
 import math
@@ -97,9 +91,11 @@ _RIGHT_BY_CLOCK = 1.05  # [-] the same for a control period that a clock shows
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
 EARLY = 0.01
 """[s] largest difference by which a time stamp can be later than the control step."""
-_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag, and
-# of a step from its expected time
-_KEPT = 0.9  # [-] share of this difference that the next step keeps: the mean delay does not count
+_JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag
+_LATE_BY, _EARLY_BY = 0.9, 0.5  # [periods] largest delay of a step that is no missed period, and
+# largest lead of one that is no second step in the same period
+_DRIFT = 0.05  # [-] relative difference of the true control period that causes no missed periods
+_SPREAD = 0.75  # [-] standard deviations of the clock's intervals within which a mean counts as 1
 _MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
 # periods, for a measurement of the period by the clock
 _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
@@ -137,24 +133,20 @@ _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
     """The joint positions q (n_m,) without the jumps by full turns that some drivers make.
 
-    A position within ±1 turn is changed by full turns to the value nearest to `last` (n_m,), if
-    this value is at most 0.05 rad beyond the limits (2, n_m). A `first` reading has no last one: a
-    position more than 0.05 rad beyond a limit is changed by one turn, unless the result is beyond
-    the other limit. Thus positions in degrees remain implausible.
+    A position within ±1 turn moves by full turns to the value nearest to `last` (n_m,), if this is
+    at most 0.05 rad beyond the limits (2, n_m). In the `first` reading, a position more than 0.05
+    rad beyond a limit moves by one turn, unless it is then beyond the other limit.
     """
-    found = q.copy()
+    found, turn = q.copy(), 2.0 * math.pi
     for i in range(len(q)):
-        turn = 2.0 * math.pi
-        if not first:
+        low, high = limits[0, i] - _NOISY, limits[1, i] + _NOISY
+        if first:
+            turns = int(q[i] < low and q[i] + turn <= limits[1, i])
+            turns -= int(q[i] > high and q[i] - turn >= limits[0, i])
+        else:
             turns = round((last[i] - q[i]) / turn)
-            unwrapped = q[i] + turns * turn
-            within = limits[0, i] - _NOISY <= unwrapped <= limits[1, i] + _NOISY
-            if turns != 0 and abs(q[i]) <= turn and within:
-                found[i] = unwrapped
-        elif q[i] < limits[0, i] - _NOISY and q[i] + turn <= limits[1, i]:
-            found[i] += turn
-        elif q[i] > limits[1, i] + _NOISY and q[i] - turn >= limits[0, i]:
-            found[i] -= turn
+            turns = turns if abs(q[i]) <= turn and low <= q[i] + turns * turn <= high else 0
+        found[i] += turns * turn
     return found
 
 
@@ -174,23 +166,34 @@ def _same(a: Array, b: Array) -> bool:
 
 
 @compiled()
-def _repeated_joints(w: Any, q: Array, qd: Array, stamp: float, dt: float) -> Array:
-    """(n_m,) whether each joint's reading is a repetition; joints can have different drivers.
+def _compare_joints(
+    w: Any, q: Array, qd: Array, stamp: float, dt: float
+) -> tuple[Array, float, Array]:
+    """Compare the readings q, qd (n_m,) of each joint with its last ones, which they can repeat.
 
-    All are repetitions if the readings have the last time stamp [s]. Otherwise a joint's reading is
-    one if it equals the last one although the joint moves; without a velocity, the motion must
-    exceed the resolution of its encoder. If no reading has changed, one repetition shows that all
-    are repetitions, also by a smaller motion if the last readings were rare; after 0.1 s without a
-    predicted motion the arm is at rest. If other readings have changed, repetitions count up to
-    0.1 s. The fault is reported if a motion exceeds the resolution clearly.
+    All readings with the last time stamp [s] are repetitions, and equal readings of a joint that
+    moves; without a velocity, the motion must exceed the encoder's resolution. If no reading has
+    changed, one repetition shows that all are repetitions; otherwise a joint's repetitions count up
+    to 0.1 s. Without time stamps, a new reading that is farther away than a joint moves in two
+    control periods at its new velocity shows that the equal readings before it, at rest, were
+    repetitions too.
+
+    Returns:
+        (n_m,) whether each reading is a repetition; the number of such earlier repetitions of all
+        joints; (n_m,) the further number of each single joint.
     """
-    found, sure = np.zeros(len(q), np.bool_), np.zeros(len(q), np.bool_)
-    alike, clear, farthest = True, False, 0.0
-    for i in range(len(q)):
+    n, alike, clear, farthest = len(q), True, False, 0.0
+    found, sure, equal = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    rested, waited, stamped = w.rested.min(), np.zeros(n), not math.isnan(stamp)
+    for i in range(n):
         change, known = abs(q[i] - w.reading[0, i]), w.no_velocity[()] == 0.0 and qd[i] == qd[i]
-        if change > 0.0 or not _alike(qd[i], w.reading[1, i]):
+        equal[i] = change == 0.0 and _alike(qd[i], w.reading[1, i])
+        if not equal[i]:
             alike = False
             _learn_grain(w, i, change)
+            speed = 0.0 if math.isnan(qd[i]) else abs(qd[i])
+            far = change - 2.0 * dt * speed > _STILL and not stamped
+            waited[i] = w.rested[i] if far else 0.0
         elif not (known and qd[i] == 0.0):
             waits, speed = w.age[()] + w.q_last[3, i] > 0.0, w.x_est[1, i]
             way = abs(w.x_est[0, i] - w.lag[()] * dt * speed - q[i]) + dt * abs(speed)
@@ -203,12 +206,18 @@ def _repeated_joints(w: Any, q: Array, qd: Array, stamp: float, dt: float) -> Ar
     ends = (w.q_last[3].max() + w.age[()] + 1.0) * dt > MAX_AGE
     if stamp == w.stamp[()]:
         found[:], clear = True, True
-    elif alike and math.isnan(stamp):
+    elif alike and not stamped:
         fill(found, bool(found.any()) and not (ends and farthest < _LEAST_WAY))
     else:
         found &= sure & (not ends)
     w.faults[REPEATED] = 1.0 if clear and found.any() else 0.0
-    return found
+    rested = rested if waited.any() else 0.0
+    for i in range(n):
+        waited[i] = waited[i] - rested if 0.0 < (waited[i] - rested) * dt <= MAX_AGE else 0.0
+        if not found.all():
+            at_rest = equal[i] and not (found[i] or stamped)
+            w.rested[i] = w.rested[i] + 1.0 if at_rest else 0.0
+    return found, rested, waited
 
 
 @compiled()
@@ -220,39 +229,10 @@ def _learn_grain(w: Any, i: int, change: float) -> None:
 
 
 @compiled()
-def _base_is_repeated(w: Any, pose: Array, velocity: Array) -> bool:
-    """Whether the readings of the base equal the last ones although the base moves."""
-    same = _same(pose, w.pose_read) and _same(velocity, w.v_read)
-    return same and bool(np.any(velocity != 0.0))  # NaN too
-
-
-@compiled()
-def _rested(w: Any, q: Array, qd: Array, old: Array, dt: float, first: bool) -> tuple[float, Array]:
-    """Number of repetitions before a new reading; 0 without a new one, or for a robot at rest.
-
-    Equal readings of a robot at rest do not show whether the driver repeats them. The driver has
-    repeated them if the new reading is farther away than a joint moves in two control periods at
-    its new velocity. The second result (n_m,) is the further number of each single joint.
-    """
-    rested = 0.0 if first else w.rested.min()
-    far, further = np.zeros(len(q), np.bool_), np.zeros(len(q))
-    for i in range(len(q)):
-        speed, change = 0.0 if math.isnan(qd[i]) else abs(qd[i]), abs(q[i] - w.reading[0, i])
-        far[i] = change - 2.0 * dt * speed > _STILL and not old[i]
-    rested = rested if far.any() else 0.0
-    for i in range(len(q)):
-        more = w.rested[i] - rested
-        further[i] = more if far[i] and not first and 0.0 < more * dt <= MAX_AGE else 0.0
-        equal = q[i] == w.reading[0, i] and _alike(qd[i], w.reading[1, i])
-        w.rested[i] = w.rested[i] + 1.0 if equal and not first else 0.0
-    return rested, further
-
-
-@compiled()
 def _usable_velocity(robot: Any, w: Any, read: Array, fresh: bool, first: bool) -> Array:
     """The base's velocity: the reading `read` (n_b,), or the prediction by its drive's model.
 
-    A reading is not used if it is not `fresh`, missing, or larger than twice the limit of its axis.
+    A reading is not used if it is not `fresh`, is missing, or exceeds twice the limit of its axis.
     The prediction does not pass the command; after a gap it is the command, at the first reading 0.
     """
     found = read.copy()
@@ -267,16 +247,6 @@ def _usable_velocity(robot: Any, w: Any, read: Array, fresh: bool, first: bool) 
             if fresh:
                 w.faults[VELOCITY] = 1.0
     return found
-
-
-@compiled()
-def _implausible(q: Array, limits: Array) -> bool:
-    """Whether a joint is beyond its position limits (2, n_m) by more than half its range."""
-    for i in range(len(q)):
-        half = 0.5 * (limits[1, i] - limits[0, i])
-        if q[i] < limits[0, i] - half or q[i] > limits[1, i] + half:
-            return True
-    return False
 
 
 @compiled()
@@ -307,10 +277,9 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
 
 @compiled()
 def _catch_up(w: Any, missed: float, dt: float) -> None:
-    """Predict the motion in the periods that the loop has missed; `HISTORY` or more are a gap.
+    """Predict the motion by the last commands in the `missed` periods; `HISTORY` or more are a gap.
 
-    The last commands are assumed to act in these periods. The law has used no velocity in them;
-    `w.qd_used` gets the predicted velocities.
+    The law has used no velocity in these periods; `w.qd_used` gets the predicted ones.
     """
     if missed >= HISTORY:
         w.known[()] = 0.0
@@ -330,10 +299,7 @@ def _catch_up(w: Any, missed: float, dt: float) -> None:
 
 @compiled()
 def _explained(w: Any, dt: float, count: int) -> Array:
-    """(n_m, count) [rad] motion by the stored accelerations, since the oldest of `count` periods.
-
-    Column k is the motion until k periods ago.
-    """
+    """(n_m, count) [rad] motion by the stored accelerations, from `count` until k periods ago."""
     n_m = w.history.shape[1]
     found, speed, way = np.zeros((n_m, count)), np.zeros(n_m), np.zeros(n_m)
     for k in range(count - 2, -1, -1):
@@ -363,9 +329,7 @@ def _polynomials(ages: Array, count: int) -> Array:
 def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
     """Estimate `w.lag` if the newest group of readings is full; add the positions q to a group.
 
-    Each possible lag predicts the motion of the last groups' mean positions, which have little
-    noise, up to a polynomial of time for the motion by external forces (`_weigh_lags`). `age` + 1
-    periods have passed since the last reading.
+    `age` + 1 periods have passed since the last reading.
     """
     ages = w.group_age
     for k in range(len(ages)):
@@ -387,9 +351,9 @@ def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
 def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> Array:
     """(lags + 1,) [rad²] sums of squared residuals of one joint: each lag, then no prediction.
 
-    q (n,) [rad] and `ages` (n,) are the mean positions and ages [control periods] of the groups.
-    `ways` (count,) [rad] is the predicted motion from a fixed start until 0, 1, ... control periods
-    ago. The best fit of `basis` (m, n), orthonormal polynomials, is subtracted.
+    q (n,) [rad] and `ages` (n,) are the mean positions and ages [control periods] of the groups,
+    `ways` (count,) [rad] the predicted motion until 0, 1, ... control periods ago. The best fit of
+    `basis` (m, n), orthonormal polynomials, is subtracted.
     """
     found, fitted, rest = np.zeros(lags + 1), np.zeros((len(basis), lags + 1)), np.empty(lags + 1)
     for k in range(len(q)):
@@ -413,10 +377,9 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
 
 @compiled()
 def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
-    """(n_m,) [rad] error of the motion predicted for n groups, because of unmodelled friction.
+    """(n_m,) [rad] error of the motion predicted for n groups where joints turn back.
 
-    Friction is part of the external forces. A polynomial describes the motion by these forces, but
-    not where a joint turns back, because the friction torque changes there at once.
+    Dry friction changes there at once; the polynomial for external forces does not describe this.
     """
     found, torque = np.zeros(len(w.q_m)), np.zeros(len(w.q_m))
     for i in range(len(w.q_m)):
@@ -447,13 +410,15 @@ def _compare_lags(
 ) -> tuple[Array, Array, float, float]:
     """Compare the possible lags by the newest n groups; dt [s] is the control period.
 
+    A lag predicts the motion, up to a polynomial of time for the motion by external forces. The
+    noise of each joint is unknown. "The present" is the better one of the present lag and of no
+    prediction.
+
     Returns:
-        (lags,) logarithm of the likelihood ratio of each lag to the better one of the present lag
-        and of no prediction, with an unknown noise of each joint; (lags,) [rad²] sum of the squared
-        residuals of each lag; the sum [rad²] below which a lag is clearly better than the present
-        lag and no prediction; and the evidence of a contradiction. This evidence is the logarithm
-        of the likelihood ratio of no prediction to the best lag up to 24 periods, for the joints
-        that have just been faster than `_VIOLENT` times their speed limit.
+        (lags,) logarithm of the likelihood ratio of each lag to the present. (lags,) [rad²] sum of
+        the squared residuals of each lag. The sum [rad²] below which a lag is clearly better than
+        the present. For the joints that have just been faster than `_VIOLENT` times their speed
+        limit, the logarithm of the likelihood ratio of no prediction to the best lag.
     """
     lags, present = len(w.evidence), int(w.lag[()])
     basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
@@ -479,16 +444,10 @@ def _compare_lags(
 def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     """Update the evidence with a new group, and change the lag if the evidence is sufficient.
 
-    If `w.ratio` is 1, without the faults `base` and `localisation`, the evidence of a contradiction
-    (`_compare_lags`), within ±`_LARGEST_GAIN`, is added to `w.contradiction`.
-
-    The evidence for each lag is a sum that never becomes negative (a CUSUM test): each new group
-    adds the gain of the lag minus `_DOUBT`. The gain is the logarithm of a likelihood ratio, with
-    an upper bound, so no single event can decide. It is 0 if the residuals of the lag are not
-    clearly smaller than those of the present lag and of no prediction. Evidence above `_CONVINCING`
-    changes the lag, to at most 24 periods, if the residuals of the newest two thirds of the groups
-    are clearly smaller too, or if the evidence has grown for longer than the span of all groups.
-    Otherwise, a person's sudden force within the oldest groups would look like a delay.
+    The evidence for each lag is a CUSUM test: each group adds a logarithm of a likelihood ratio,
+    with an upper bound, minus `_DOUBT`. Sufficient evidence must come from the newest two thirds of
+    the groups too, or last for longer than all groups. Otherwise a force that begins within the
+    oldest groups would look like a delay.
     """
     ages, lags, n = w.group_age, len(w.evidence), 0
     oldest = min(int(w.known[()]), HISTORY) - lags - 1
@@ -502,13 +461,9 @@ def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
     right = w.ratio[()] == 1.0 and w.faults[LOCALISATION] == w.faults[BASE] == 0.0
     if right and math.isfinite(against):
         w.contradiction[()] += min(max(against, -_LARGEST_GAIN), _LARGEST_GAIN)
-    excess, lasting = 0.0, len(ages) * (_LARGEST_GAIN - _DOUBT)
-    for lag in range(lags):
-        if totals[lag] < clear:
-            excess = max(excess, gain[lag] - _LARGEST_GAIN)
-    for lag in range(lags):
-        more = gain[lag] - excess if totals[lag] < clear else 0.0
-        w.evidence[lag] = min(max(w.evidence[lag] + more - _DOUBT, 0.0), 2.0 * lasting)
+    lasting, gain = len(ages) * (_LARGEST_GAIN - _DOUBT), np.where(totals < clear, gain, 0.0)
+    gain = np.where(totals < clear, gain - max(gain.max() - _LARGEST_GAIN, 0.0), 0.0)
+    put(w.evidence, np.minimum(np.maximum(w.evidence + gain - _DOUBT, 0.0), 2.0 * lasting))
     best = int(np.argmax(w.evidence))
     known = np.argmin(totals) <= _MOST_LAG  # the residuals of longer lags are larger
     if not known or best > _MOST_LAG or w.evidence[best] <= _CONVINCING:
@@ -533,23 +488,14 @@ def _measure_from(w: Any, q: Array, qd: Array) -> None:
 
 
 @compiled()
-def _divided(way: float, integral: float) -> float:
-    """The ratio of a motion `way` to the `integral` of its velocity; infinite if that is 0."""
-    return way / integral if integral != 0.0 else math.inf
-
-
-@compiled()
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
-    The joint with the largest displacement, relative to its noise, is used. A driver's filter can
-    delay velocities by up to 0.01 s, and rare readings seem to delay them by half an interval. Each
-    possible delay implies a ratio. If the range of these ratios comes within 10 % of 1, or contains
-    0, `w.ratio` becomes 1, otherwise the geometric mean of the range's ends. A mean outside of 1/8
-    to 10 is not plausible: `w.no_velocity` and `w.ratio` become 1. At least two successive ratios
-    other than 1 that agree within 15 % for 0.05 s set the fault `period`; the first one can also
-    agree with a 1 before it. If a clock confirms the period, they set `w.no_velocity` instead; if
-    it shows a different one, neither. After the fault, 2 % replaces 10 %, for larger motions.
+    A driver's filter delays velocities by up to 0.01 s, and rare readings seem to delay them by
+    half an interval; thus the ratio has a range. It counts as 1 if the range comes within 10 % of
+    1, or contains 0. A ratio outside of 1/8 to 10 sets `w.no_velocity`. Successive ratios other
+    than 1 that agree within 15 % for 0.05 s set the fault `period`, or `w.no_velocity` if a clock
+    confirms the period. After the fault, 2 % replaces 10 %.
     """
     gap = steps > HISTORY or (steps == 1 and w.known[()] == 0.0)  # of unknown duration
     if gap or w.elapsed[()] > gains.dt or w.faults[PERIOD] != 0.0:
@@ -571,8 +517,9 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         return
     way, integral = q[far] - w.travel[0, far], w.travel[1, far]
     change = qd[far] - w.travel[2, far]
-    delay = _FILTER + 0.5 * steps * gains.dt
-    ratio, late = _divided(way, integral), _divided(way, integral + delay * change)
+    later = integral + (_FILTER + 0.5 * steps * gains.dt) * change
+    ratio = way / integral if integral != 0.0 else math.inf
+    late = way / later if later != 0.0 else math.inf
     low, high = min(ratio, late), max(ratio, late)
     unclear = low < 0.0 < high  # the readings show neither a right nor a wrong ratio
     if unclear or (low < right and high > 1.0 / right):
@@ -602,93 +549,81 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
 
 @compiled()
-def _count_periods(w: Any, now: float, dt: float) -> float:
-    """Number of control periods dt [s] that the loop has missed before this step at `now` [s].
+def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
+    """Number of control periods dt [s] since the last step, and the lead of the clock over all.
 
-    It is 0 without a clock, infinite after a pause of more than 0.1 s, and −1 for a second step in
-    the same period: after a stall, some loops catch up. Delays of up to 0.9 periods do not count;
-    if a coarse clock has not changed for some steps, 0.9 periods for each of these steps.
+    `now` [s] is the time of this step. The number is 1 without a clock, infinite after a pause of
+    more than 0.1 s, and 0 for a second step in the same period, because some loops catch up after a
+    stall. A step that is up to 0.9 periods late, or up to half a period early, counts as one
+    period; if a coarse clock has not changed for some steps, these bounds count for each of them.
+    The lead, for `w.clock_ahead`, is the clock's time minus that of all counted periods; thus the
+    numbers add up to the true time. The lead decays by up to 5 % of a period in each period,
+    because the true control period can differ from dt by 5 %. It is 0 for a coarse clock.
     """
-    interval, steps = now - w.clock[()], 1.0 + w.clock_rest[()]
-    w.clock_rest[()] = steps if interval == 0.0 else 0.0
-    if interval >= steps * dt + MAX_AGE:
-        w.clock_ahead[()] = 0.0
-        return math.inf
+    interval, steps, missed = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()], 0.0
     if not interval > 0.0:  # NaN too
-        return 0.0
-    ahead = _KEPT * w.clock_ahead[()] + interval / dt - steps
-    missed = 1.0 * max(round(ahead), -1) if abs(ahead) > _JITTER * steps else 0.0
-    w.clock_ahead[()] = ahead - missed
-    return missed
+        return 1.0, 0.0
+    ahead, drift = w.clock_ahead[()] + interval - steps, _DRIFT * min(interval, 1.0)
+    if ahead * dt >= MAX_AGE:
+        return math.inf, 0.0
+    if ahead > _LATE_BY * steps or ahead < -_EARLY_BY * steps:
+        missed = 1.0 * max(round(ahead), -1)
+    ahead -= missed
+    return 1.0 + missed, ahead - min(max(ahead, -drift), drift) if steps == 1.0 else 0.0
 
 
 @compiled()
 def _watch_clock(w: Any, now: float, dt: float) -> float:
-    """Compare the control period dt [s] with the caller's clock; `now` [s] is NaN without one.
+    """Compare the control period dt [s] with the caller's clock `now` [s]; NaN without one.
 
     A step after missed periods sets the fault `stall` if the clock has confirmed the period, or
-    after a pause of more than 0.1 s. Returns the result of `_count_periods`.
+    after a pause of more than 0.1 s. Returns the number of missed periods.
     """
-    interval, missed = now - w.clock[()], _count_periods(w, now, dt)
-    w.clock[()], usual = now, missed == 0.0
-    late = missed > 0.0 and (w.clock_ratio[()] == 1.0 or missed == math.inf)
+    interval, steps = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()]
+    periods, w.clock_ahead[()] = count_periods(w, now, dt)
+    w.clock[()], w.clock_rest[()] = now, steps if interval == 0.0 else 0.0
+    late = periods > 1.0 and (w.clock_ratio[()] == 1.0 or periods == math.inf)
     w.faults[STALL] = 1.0 if late else 0.0
-    if not (interval >= 0.0 and missed < math.inf):  # NaN too
-        w.clock_owed[()] = 0.0
-        for row in w.clock_span:
-            fill(row, 0.0)
-        if math.isnan(now):
-            w.clock_ratio[()] = 0.0
-        return missed
-    owed = w.clock_owed[()] if interval < 0.5 * dt else 0.0
-    w.clock_owed[()] = max(owed + missed, 0.0)
-    if owed > 0.0:  # the loop catches up
-        return missed
-    near = abs(interval - dt) < (_RIGHT_BY_CLOCK - 1.0) * dt
-    counted = True, usual, near
-    for k in range(3):
-        w.clock_span[k, 0] += interval if counted[k] else 0.0
-        w.clock_span[k, 1] += 1.0 if counted[k] else 0.0
-    if w.clock_span[0, 0] >= _MEASURED and w.clock_span[0, 1] >= _FEWEST_PERIODS:
-        _measure_period(w, dt)
-    return missed
+    if not (interval >= 0.0 and periods < math.inf):  # NaN too
+        fill(w.clock_span, 0.0)
+        w.clock_ratio[()] = 0.0 if math.isnan(now) else w.clock_ratio[()]
+    elif interval > 0.0:
+        w.clock_span[0] += steps
+        w.clock_span[1] += interval
+        w.clock_span[2] += interval**2 / steps
+        if w.clock_span[1] * dt >= _MEASURED and w.clock_span[0] >= _FEWEST_PERIODS:
+            _measure_period(w)
+    return periods - 1.0
 
 
 @compiled()
-def _measure_period(w: Any, dt: float) -> None:
-    """Measure the ratio `w.clock_ratio` of the true control period to dt [s], by the clock.
+def _measure_period(w: Any) -> None:
+    """Measure the ratio `w.clock_ratio` of the true control period to dt, by the clock.
 
-    The ratio is 1 if, within 5 %, dt is the mean of all intervals of the clock, the mean of those
-    without a stall, or the length of most of them. Steps that catch up after a stall do not count.
-    Two successive ratios that differ from 1, and agree, set the fault `period`.
+    The ratio is the mean interval in periods dt, or 1 if the mean differs from 1 by less than 5 %
+    or 0.75 standard deviations of the intervals: stalls and jitter do not show a wrong period. Two
+    successive ratios that differ from 1, and agree, set the fault `period`.
     """
-    time, number = w.clock_span[0]
-    usual_time, usual = w.clock_span[1]
-    mean = found = time / (number * dt)
-    if 2.0 * usual > number:
-        found = usual_time / (usual * dt)
-    right = min(abs(mean - 1.0), abs(found - 1.0)) < _RIGHT_BY_CLOCK - 1.0
-    if right or 2.0 * w.clock_span[2, 1] > number:
-        found = 1.0
-    elif abs(found - w.clock_ratio[()]) < _ALIKE_PERIODS * found:
+    number, total, squares = w.clock_span
+    mean = total / number
+    deviation = math.sqrt(max(squares / number - mean**2, 0.0))
+    if abs(mean - 1.0) < max(_RIGHT_BY_CLOCK - 1.0, _SPREAD * deviation):
+        mean = 1.0
+    elif abs(mean - w.clock_ratio[()]) < _ALIKE_PERIODS * mean:
         w.faults[PERIOD] = 1.0
-    w.clock_ratio[()] = found
-    for row in w.clock_span:
-        fill(row, 0.0)
+    w.clock_ratio[()] = mean
+    fill(w.clock_span, 0.0)
 
 
 @compiled()
 def _is_too_old(w: Any, age: float, dt: float) -> bool:
-    """Whether an age [s] by a time stamp is too long for a prediction, or clearly negative.
+    """Whether an age [s] by a time stamp, or NaN, is clearly negative or too long for a prediction.
 
-    The age is NaN without a time stamp. A too long age sets the fault `lag`. A clearly negative age
-    means that the clocks differ, and sets the fault `invalid`.
+    The first sets the fault `invalid`, because the clocks differ, the second the fault `lag`.
     """
     future, old = age < -EARLY, age > min(MAX_AGE, (HISTORY - 1) * dt)
-    if future:
-        w.faults[INVALID] = 1.0
-    if old:
-        w.faults[LAG] = 1.0
+    w.faults[INVALID] = 1.0 if future else w.faults[INVALID]
+    w.faults[LAG] = 1.0 if old else w.faults[LAG]
     return future or old
 
 
@@ -696,12 +631,9 @@ def _is_too_old(w: Any, age: float, dt: float) -> bool:
 def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
     """Set `w.lag` to the age [s] of a new reading plus the delay that time stamps do not show.
 
-    The lag is this sum, rounded to control periods. A sum within 0.9 periods of the present lag
-    does not change it: jitter of the clock must not change the number of periods between two
-    readings. A change of the lag is subtracted from `w.age`, except at the first reading.
-
-    Returns:
-        Whether the reading is older than the last one: then `w.age` is negative.
+    A difference below 0.9 periods does not change the lag: jitter of the clock must not change the
+    number of periods between two readings. `w.age` follows, except at the `first` reading. Returns
+    whether the reading is older than the last one; `w.age` is then negative.
     """
     lag, periods = w.lag[()], age / dt + w.hidden_lag[()]
     if first or abs(periods - lag) > _JITTER:
@@ -735,32 +667,12 @@ def _use_stated_lag(gains: Any, w: Any) -> None:
 
 
 @compiled()
-def _begin(w: Any, q: Array, qd: Array) -> None:
-    """Initialise the memory with the first valid reading."""
-    put(w.q_posture, q)
-    w.ratio[()] = 0.0
-    _measure_from(w, q, qd)
-    _forget_groups(w)
-
-
-@compiled()
-def _motion_of_base(robot: Any, w: Any, time: float) -> tuple[float, float, float]:
-    """Motion x, y, φ of the base in the world by its present velocity in a time [s]."""
-    twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
-    c, s = math.cos(w.pose_last[2]), math.sin(w.pose_last[2])
-    return (
-        time * (c * twist[0] - s * twist[1]),
-        time * (s * twist[0] + c * twist[1]),
-        time * twist[2],
-    )
-
-
-@compiled()
-def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
-    """Move a pose (3,) of the base by its present velocity for a time [s]."""
-    moved = _motion_of_base(robot, w, time)
-    for i in range(3):
-        pose[i] += moved[i]
+def _motion(robot: Any, heading: float, velocity: Array, time: float) -> Array:
+    """(3,) motion x, y, φ in the world of a base with a heading [rad], in a time [s]."""
+    twist = times(robot.T_J_m, times(robot.J_m_inv, velocity))
+    c, s = math.cos(heading), math.sin(heading)
+    x, y = c * twist[0] - s * twist[1], s * twist[0] + c * twist[1]
+    return time * np.array([x, y, twist[2]])
 
 
 _READING = types.Array(types.f8, 1, "A")
@@ -778,9 +690,9 @@ def later_base(
 ) -> tuple[Array, Array]:
     """The pose (3,) and the velocity (n_b,) of the base, `age` [s] after their readings.
 
-    The velocity changes by the assumed accelerations of the last control periods. If an entry of
-    the velocity is NaN, the pose moves at the present velocity, and the entry remains NaN. With an
-    age above `_SELDOM`, all results are NaN. If the age is negative, the velocity is constant.
+    The velocity changes by the assumed accelerations of the last control periods; if the age is
+    negative, it is constant. If an entry of the velocity is NaN, the pose moves at the present
+    velocity, and the entry remains NaN. With an age above `_SELDOM`, all results are NaN.
     """
     w.base_late[()] = 1.0
     if not age <= _SELDOM:
@@ -791,10 +703,7 @@ def later_base(
     known, newest = int(max(min(round(age / dt), w.known[()]), 0.0)), int(w.periods[()])
     time = age - known * dt
     for k in range(known, -1, -1):  # k further periods
-        twist, c, s = times(robot.T_J_m, times(robot.J_m_inv, v)), math.cos(x[2]), math.sin(x[2])
-        x[0] += time * (c * twist[0] - s * twist[1])
-        x[1] += time * (s * twist[0] + c * twist[1])
-        x[2] += time * twist[2]
+        x += _motion(robot, x[2], v, time)
         time = dt
         if k == 1:
             v += dt * w.a_base_meas
@@ -814,24 +723,19 @@ def _differs(error: Array, way: float, turn: float) -> bool:
 def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
     """Update `w.pose_last` by a reading (3,) of the base's pose, `time` [s] after the last one.
 
-    Odometry is often slower than the joints' readings: an equal reading is a repetition, and the
-    pose then moves by the base's velocity. A reading that contradicts the velocity sets the fault
-    `localisation`: a jump, or recent changes of the pose that differ from the integral of the
-    velocity by more than `_NEAR` plus half of the path. Without a new reading for `_SELDOM`, the
-    motion since the last one is compared too. `w.pose_jump` becomes the difference from the
-    expected pose, for `shift_reference`.
+    The base's velocity replaces an equal or invalid reading. The fault `localisation` shows a jump,
+    or recent changes of the pose that differ from the integral of the velocity by more than `_NEAR`
+    plus half of the path, also if no new reading has come for `_SELDOM`.
     """
-    moved, decay = _motion_of_base(robot, w, time), math.exp(-time / _RECENT)
-    for i in range(3):
-        w.pose_last[i] += moved[i]
-        w.pose_moved[i] += moved[i]
-        w.pose_error[i] = decay * (w.pose_error[i] - moved[i])
+    moved, decay = _motion(robot, w.pose_last[2], w.base_velocity, time), math.exp(-time / _RECENT)
+    w.pose_last += moved
+    w.pose_moved += moved
+    put(w.pose_error, decay * (w.pose_error - moved))
     w.pose_way[0] = decay * (w.pose_way[0] + math.hypot(moved[0], moved[1]))
     w.pose_way[1] = decay * (w.pose_way[1] + abs(moved[2]))
     w.pose_age[()] += time
     if not math.isfinite(pose.sum()):
-        for i in range(3):
-            w.pose_error[i] = -w.pose_moved[i]
+        put(w.pose_error, -w.pose_moved)
         return
     jumped, compared = False, w.pose_age[()] > _SELDOM
     if not _same(pose, w.pose_read):
@@ -839,8 +743,7 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
         jump[2] = (jump[2] + math.pi) % (2.0 * math.pi) - math.pi
         way, turn = math.hypot(w.pose_moved[0], w.pose_moved[1]), abs(w.pose_moved[2])
         jumped, compared = _differs(jump, way, turn), True
-        for i in range(3):
-            w.pose_error[i] += jump[i] + w.pose_moved[i]
+        w.pose_error += jump + w.pose_moved
         fill(w.pose_moved, 0.0)
         w.pose_age[()] = 0.0
         put(w.pose_jump, jump)
@@ -850,26 +753,13 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 
 @compiled()
-def _begin_pose(w: Any, pose: Array, known: bool) -> None:
-    """Use a reading (3,) of the base's pose without a comparison; if not `known`, await one."""
-    if known:
-        put(w.pose_last, pose)
-    fill(w.pose_moved, 0.0)
-    fill(w.pose_error, 0.0)
-    fill(w.pose_way, 0.0 if known else math.inf)
-    w.pose_age[()] = 0.0
-
-
-@compiled()
 def _take_base(
     robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fresh: bool, first: bool
 ) -> None:
     """Store the base's readings, and compare them with each other and with the drive's model.
 
-    `velocity` (n_b,) is the one in use. If the readings are not `fresh`, the last pose remains.
-
-    `w.astray` is a decaying sum of the changes of velocity that the assumed acceleration of the
-    base does not explain. A large sum sets the fault `base`.
+    `velocity` (n_b,) is the one in use. If the readings are not `fresh`, the last pose remains. The
+    fault `base` shows changes of velocity that the assumed acceleration does not explain.
     """
     time = w.elapsed[()]
     begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
@@ -877,7 +767,12 @@ def _take_base(
         put(pose, w.pose_read)
     moved = math.isfinite(pose.sum()) and (first or not _same(pose, w.pose_read))
     if begins or (moved and math.isinf(w.pose_way[0])):
-        _begin_pose(w, pose, moved)
+        if moved:
+            put(w.pose_last, pose)
+        fill(w.pose_moved, 0.0)
+        fill(w.pose_error, 0.0)
+        fill(w.pose_way, 0.0 if moved else math.inf)
+        w.pose_age[()] = 0.0
     else:
         _take_pose(robot, w, pose, time)
     if not math.isnan(w.v_last[0]):
@@ -918,13 +813,10 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
 def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
     """Change the lag if a different one explains a new reading q, qd (n_m,) far better.
 
-    The positions are compared with those predicted for the last control periods. Thus a delay that
-    begins or ends during a motion is known at once; `_find_lag` finds the other delays. A robot
-    that stops is not mistaken for a delay, because its velocities differ from the past velocities.
-    The lag changes only with velocities, `FEWEST` samples of the noise and a `w.ratio` of 1.
-
-    Returns:
-        Whether the reading is older than the last one; then `w.age` is negative.
+    The positions are compared with those predicted for the last control periods. The velocities
+    must agree too: a robot that stops is no delay. The lag changes only after `FEWEST` samples of
+    the noise and with a `w.ratio` of 1. Returns whether the reading is older than the last one;
+    `w.age` is then negative.
     """
     count, lag = int(min(w.known[()], _MOST_LAG + 1.0)), int(w.lag[()])
     if w.samples[()] < FEWEST or lag >= count or w.ratio[()] != 1.0:
@@ -959,12 +851,10 @@ def _learn_errors(
 ) -> None:
     """Update `w.v_error` and `w.blind_time` after a new reading.
 
-    `w.v_error` is the largest recent error of the velocities that the law used for the time of the
-    reading: `predicted` (n_m,), or `w.qd_used` if the reading has a lag. `periods` (n_m,) is the
-    number of control periods from each joint's last reading until now; an error counts if it is
-    above 1. `w.v_error` decays with the time constant of the noise estimate. After a large error or
-    a jump of the arm, the readings can be older than assumed: `w.blind_time` then includes `_LATE`,
-    unless a time stamp has shown that the readings are old.
+    The error is that of the velocities that the law used for the time of the reading: `predicted`
+    (n_m,), or `w.qd_used` if the reading has a lag. It counts if a joint's last reading is more
+    than one of the `periods` (n_m,) ago. After a large error or a jump of the arm, the readings can
+    be older than assumed, unless a time stamp has shown their age.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, stamped = math.exp(-steps * gains.dt / gains.noise_window), not math.isnan(w.stamp[()])
@@ -989,8 +879,8 @@ def _use_estimate(robot: Any, gains: Any, w: Any) -> None:
     periods = w.age[()] + w.lag[()] + w.q_last[3].max() + 1.0
     w.blind_time[()] = max(periods * gains.dt, decayed)
     put(w.qd_used[int(w.periods[()]) % len(w.qd_used)], w.qd_m)
-    put(w.base_pose, w.pose_last)
-    _drive_on(robot, w, w.base_pose, w.lag[()] * gains.dt)
+    moved = _motion(robot, w.pose_last[2], w.base_velocity, w.lag[()] * gains.dt)
+    put(w.base_pose, w.pose_last + moved)
 
 
 @compiled()
@@ -999,14 +889,16 @@ def _checked_positions(
 ) -> tuple[Array, bool]:
     """The positions (n_m,) without jumps by full turns, and whether the reading is unusable.
 
-    The faults of the last step are cleared; the faults `invalid` and `implausible` can be set.
+    Clears the faults of the last step, and sets `invalid` and `implausible`.
     """
     fill(w.faults, 0.0)
     q, lost = q_m.copy(), not math.isfinite(q_m.sum() + drive.sum())
     w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
     if not lost:
         q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
-        lost = _implausible(q, robot.q_limits)
+        low, high = robot.q_limits
+        half = 0.5 * (high - low)
+        lost = bool(np.any((q < low - half) | (q > high + half)))
         w.faults[IMPLAUSIBLE] = 1.0 if lost else 0.0
     return q, lost
 
@@ -1037,19 +929,18 @@ def take_readings(
     """Check the readings, and estimate the present state of the robot (Algorithm 2, line 2).
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
-    the first usable reading, if there has been no usable reading for 0.1 s, and from the fault
-    `contradictory` until `reset`.
-
-    The arguments after `w`, a `STEP`, are the fields of a `Measurement` without `base_time`.
+    the first usable reading, after 0.1 s without one, and from the fault `contradictory` until
+    `reset`. The arguments after `w`, a `STEP`, are those of a `Measurement` without `base_time`.
     """
     _use_stated_lag(gains, w)
     first, qd, v, stamped = math.isnan(w.q_posture[0]), qd_m.copy(), base_velocity, time == time
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
     missed = _watch_clock(w, now, gains.dt)
     before, w.elapsed[()] = w.elapsed[()], (1.0 + missed if missed < HISTORY else 1.0) * gains.dt
-    age, older, old = now - time, False, np.zeros(len(q), np.bool_)
+    age, older = now - time, False
+    old, rested, waited = np.zeros(len(q), np.bool_), 0.0, np.zeros(len(q))
     if not (lost or first):
-        old = _repeated_joints(w, q, qd, time, gains.dt)
+        old, rested, waited = _compare_joints(w, q, qd, time, gains.dt)
     w.age[()] += 0.0 if first else min(missed, 1.0 * HISTORY)
     not_new = bool(old.all()) or _is_too_old(w, age, gains.dt)
     lost = lost or not_new
@@ -1058,7 +949,8 @@ def take_readings(
         return
     # Without a time stamp of its own, the base's reading is as old as that of the joints.
     base_new = w.base_late[()] != 0.0 or not (stamped and not_new)
-    base_new = base_new and not _base_is_repeated(w, base_pose, v)
+    moves = bool(np.any(v != 0.0))  # NaN too
+    base_new = base_new and not (moves and _same(base_pose, w.pose_read) and _same(v, w.v_read))
     velocity = _usable_velocity(robot, w, v, base_new, first)
     if missed >= 0.0:
         _remember(robot, gains, w, velocity, base_new)
@@ -1073,7 +965,7 @@ def take_readings(
     if lost or older:
         w.age[()] += 1.0
     else:
-        _take_new(robot, gains, w, q, qd, old, first, stamped)
+        _take_new(robot, gains, w, q, qd, old, rested, waited)
     if not lost:
         w.stamp[()] = time
         put_rows(w.reading, shown)
@@ -1087,15 +979,22 @@ def take_readings(
 def _is_older(gains: Any, w: Any, q: Array, qd: Array, old: Array, age: float, first: bool) -> bool:
     """Whether new readings are older than the last ones; predictions replace those of `old` joints.
 
-    `age` [s] is NaN without a time stamp.
+    The `age` by the time stamp is in seconds, or NaN. A reading can be later by a part of a period
+    than the counted periods and the lag assume. The motion in the smaller part that clock and time
+    stamp show is subtracted from the positions; it is 0 if they contradict each other.
     """
+    stamped, later = not math.isnan(age), 0.0
+    older = stamped and _use_stamp(w, age, gains.dt, first)
+    if stamped:
+        by_clock = w.clock_ahead[()]
+        by_stamp = by_clock + w.lag[()] - w.hidden_lag[()] - age / gains.dt
+        later = max(min(by_clock, by_stamp), 0.0) + min(max(by_clock, by_stamp), 0.0)
     for i in range(len(q)):
+        q[i] -= later * gains.dt * w.x_est[1, i]
         if old[i]:
             q[i] = w.x_est[0, i] - w.lag[()] * gains.dt * w.x_est[1, i]
             qd[i] = w.x_est[1, i]
-    if not math.isnan(age):
-        return _use_stamp(w, age, gains.dt, first)
-    return not first and _match_lag(w, q, qd, gains)
+    return older if stamped else not first and _match_lag(w, q, qd, gains)
 
 
 @compiled()
@@ -1111,17 +1010,16 @@ def _mark_unknown(robot: Any, w: Any, read: Array, old: Array) -> None:
 
 @compiled()
 def _take_new(
-    robot: Any, gains: Any, w: Any, q: Array, qd: Array, old: Array, first: bool, stamped: bool
+    robot: Any, gains: Any, w: Any, q: Array, qd: Array, old: Array, rested: float, waited: Array
 ) -> None:
     """Update the estimate of the arm's motion by new readings q and qd (n_m,).
 
-    The readings of `old` joints (n_m,) are predictions. An unusable velocity counts as missing.
-    Without time stamps, equal readings at rest can be repetitions (`_rested`). More than 0.1 s of
-    repetitions are a gap of unknown duration; after it, a reading that the arm cannot reach within
-    0.1 s is a jump.
+    The readings of `old` joints (n_m,) are predictions. `rested` and `waited` (n_m,) are results of
+    `_compare_joints`. More than 0.1 s of repetitions are a gap of unknown duration; after it, a
+    reading that the arm cannot reach within 0.1 s is a jump.
     """
-    rested, further = _rested(w, q, qd, old, gains.dt, first or stamped)
-    w.q_last[3] += further
+    first = math.isnan(w.q_posture[0])
+    w.q_last[3] += waited
     if rested > 0.0:
         _forget_groups(w)
     w.age[()] += rested
@@ -1129,7 +1027,10 @@ def _take_new(
     leapt = gap and has_jumped(w.x_read, q, robot.qd_max, longest, gains.dt, 0.0 * q)
     age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
     if first:
-        _begin(w, q, qd)
+        put(w.q_posture, q)
+        w.ratio[()] = 0.0
+        _measure_from(w, q, qd)
+        _forget_groups(w)
     elif gap:
         _measure_from(w, q, qd)
     else:
@@ -1141,11 +1042,10 @@ def _take_new(
     _mark_unknown(robot, w, read, old & (steps > 0))
     if leapt:
         fill(w.x_read[2], 0.0)
-    memory = w.x_read, w.P_est, w.noise_var, w.q_last, w.samples
-    drift = process_noise(w.v_error, w.noise_var[0], robot.qd_max, periods, w.blind_time[()], gains)
+    drift = process_noise(w, robot.qd_max, periods, gains)
     for i in range(len(qd)):
-        grow(w.P_est[i], drift[i], int(further[i]), gains.dt)
-    jumped = estimate_arm(*memory, known, read, robot.qd_max, drift, gains) or leapt
+        grow(w.P_est[i], drift[i], int(waited[i]), gains.dt)
+    jumped = estimate_arm(w, known, read, robot.qd_max, drift, gains) or leapt
     w.faults[JUMP] = 1.0 if jumped else 0.0
     forgotten = min(age + 1.0, _GROUP) * _DOUBT / _GROUP
     w.contradiction[()] = max(w.contradiction[()] + _JUMPS * jumped - forgotten, 0.0)

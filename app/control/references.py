@@ -2,23 +2,20 @@
 
 The references of a planner arrive in steps, for example at 10 or 30 Hz with jitter. A reference is
 a sample if its pose jumps, which means that its own velocity does not explain the change of the
-pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
-acceleration of the reference. It ends at the sample after two mean intervals, with the sample's own
-velocity. If the own velocity is 0 or does not match the poses, the mean velocity since the previous
-sample replaces it. If the acceleration of the polynomial would exceed about `_LEAP`, the polynomial
-ends later, and beyond the sample along this velocity. Thus a steady motion stays steady, and jitter
-has no effect. Without a further sample the reference comes to rest at the last sample.
+pose. At each sample a polynomial of fifth degree starts from the present motion of the reference.
+It ends at the sample after two mean intervals, with the sample's own velocity, or with the mean
+velocity since the previous sample if the own velocity is 0 or does not match the poses. If its
+acceleration would exceed about `_LEAP`, the polynomial ends later, and beyond the sample along this
+velocity. Without a further sample the reference comes to rest at the last sample.
 
 The first sample after a pause, an outlier or noise can require more than the correction speed
 (`task.ee_speed`). The reference then approaches the sample within this speed and about `_LEAP`:
 each polynomial ends at rest, at the sample or on the way to it; in the second case each step starts
 a new polynomial. The first reference, and references without jumps while no polynomial lasts, are
-used unchanged: the law itself limits the correction speed. A repeated reference is no sample, and
-counts as a reference at rest: a velocity is valid only while the poses move.
+used unchanged. A repeated reference is no sample, and counts as a reference at rest.
 
-If a reading of the base's pose jumps, the end-effector jumps in the world, but the caller's
-reference does not. Therefore the reference in use is shifted with the end-effector, and the shift
-returns to 0 on a polynomial (`shift_reference`).
+If a reading of the base's pose jumps, the reference in use is shifted with the end-effector, and
+the shift returns to 0 on a polynomial (`shift_reference`).
 """
 
 import math
@@ -32,14 +29,13 @@ from app.compiled import compiled
 from app.control.inputs import GAINS
 from app.control.qp import fill, put, put_rows
 from app.control.quantities import STEP
-from app.control.readings import MAX_AGE
+from app.control.readings import MAX_AGE, count_periods
 from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
 
 FASTEST, HARDEST = 20.0, 1000.0
 """[m/s, rad/s; m/s², rad/s²] largest components of a reference; no arm reaches them."""
 _LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
-_LEAST_INTERVAL = 0.1  # [periods] shortest interval of steps, in a loop that catches up
 _RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
 _OVERDUE = 1.75  # [-] mean intervals after which no further sample is expected
@@ -75,27 +71,9 @@ def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
 
 
 @compiled()
-def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether a reference, as in `take_reference`, differs from the last one of the caller."""
-    for i in range(3):
-        if p[i] != w.x_sent[3, i]:
-            return True
-        for j in range(3):
-            if R[j, i] != w.x_sent[i, j]:
-                return True
-    differs = False
-    for i in range(6):
-        differs = differs or v[i] != w.v_sent[i] or a[i] != w.a_sent[i]
-    return differs
-
-
-@compiled()
 def _leaps(way: Array, v: Array, time: float, dt: float) -> bool:
     """Whether the velocity v (6,) does not explain the motion `way` (6,) in `time` [s]."""
-    leaps = False
-    for i in range(6):
-        leaps = leaps or abs(way[i] - time * v[i]) > _LEAP * max(time, dt) ** 2
-    return leaps
+    return bool((np.abs(way - time * v) > _LEAP * max(time, dt) ** 2).any())
 
 
 @compiled()
@@ -107,7 +85,7 @@ def _largest(motion: Array) -> float:
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
     """Start a polynomial to the newest sample; `way` (6,) leads to it from the last reference."""
-    between = w.since_sample[()]
+    between = max(w.since_sample[()], gains.dt)
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion
         w.sample_interval[()] = 0.0
@@ -125,8 +103,8 @@ def _take_sample(gains: Any, w: Any, way: Array) -> None:
 def _aim(gains: Any, w: Any, v_end: Array) -> None:
     """Start a polynomial from the present reference to the newest sample, with v_end (6,) there.
 
-    The polynomial ends at rest if v_end is 0, or if the correction speed is too low for v_end or
-    for the distance of the sample; for a distant sample it ends on the way (`w.way_capped`).
+    It ends at rest if v_end is 0, or if the correction speed is too low for v_end or the distance
+    of the sample; for a distant sample it ends on the way (`w.way_capped`).
     """
     at, v, a = _state(w.way, w.way_time[()])
     _put_moved(w.x_origin, w.x_origin.copy(), at)
@@ -158,8 +136,8 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
 def _continue_way(gains: Any, w: Any, time: float) -> None:
     """Evaluate the polynomial `time` [s] later, and write the result as the reference.
 
-    If no further sample arrives in time, or if the polynomial ends on the way to the sample, a new
-    polynomial replaces it. After its end, the duration becomes 0, and no reference is written.
+    A new polynomial replaces it if no sample arrives in time, or if it ends on the way to the
+    sample. After its end, the duration becomes 0, and no reference is written.
     """
     late = w.since_sample[()] > _OVERDUE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
@@ -219,8 +197,7 @@ def shift_reference(gains: Any, w: Any) -> None:
     """Shift the reference of this step by the end-effector's motion at jumps of the base's pose.
 
     The shift returns to 0, not faster than the correction speed. The first reference after guiding
-    has no shift: here `w.tracking` is still that of the last step. `w.pose_jump` has the jump; the
-    kinematics are still those before the jump.
+    has no shift. `w.tracking` and the kinematics are still those of the last step.
     """
     x, y, turn = w.p_ee[0] - w.p_o[0], w.p_ee[1] - w.p_o[1], w.pose_jump[2]
     c, s, moved = math.cos(turn), math.sin(turn), np.zeros(6)
@@ -232,8 +209,16 @@ def shift_reference(gains: Any, w: Any) -> None:
         w.shift_duration[()] = 0.0
     elif _largest(moved) > _LEAST_SHIFT:
         _return_from(gains, w, moved)
-    if w.shift_duration[()] > 0.0:
-        _add_shift(gains, w)
+    if w.shift_duration[()] == 0.0:
+        return
+    w.shift_time[()] += gains.dt
+    if w.shift_time[()] > w.shift_duration[()]:
+        w.shift_duration[()] = 0.0
+        return
+    at, v, a = _state(w.shift, w.shift_time[()])
+    _put_moved(w.x_ref, w.x_ref.copy(), at)
+    w.v_ref += v
+    w.a_ref += a
 
 
 @compiled()
@@ -251,19 +236,6 @@ def _return_from(gains: Any, w: Any, moved: Array) -> None:
     put(w.shift[0], at)
 
 
-@compiled()
-def _add_shift(gains: Any, w: Any) -> None:
-    """Add the present shift to the reference of this step."""
-    w.shift_time[()] += gains.dt
-    if w.shift_time[()] > w.shift_duration[()]:
-        w.shift_duration[()] = 0.0
-        return
-    at, v, a = _state(w.shift, w.shift_time[()])
-    _put_moved(w.x_ref, w.x_ref.copy(), at)
-    w.v_ref += v
-    w.a_ref += a
-
-
 @compiled(
     Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.f8, types.b1), None)
 )
@@ -274,17 +246,18 @@ def take_reference(
 
     The fields of the caller's `Reference` are R (3, 3) and p (3,) [m], v (6,) [m/s, rad/s] and
     a (6,) [m/s², rad/s²], linear above angular, in the world. `now` [s] is the time of the step, or
-    NaN. `interpolate` states whether to interpolate references that jump. Returns whether the
-    reference is a possible motion (`_is_motion`); if it is not, nothing is written.
+    NaN. If `interpolate`, references that jump are interpolated. Returns whether the reference is a
+    possible motion (`_is_motion`); if it is not, nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False
     way, is_sample, interval, dt = np.zeros(6), False, now - w.clock[()], gains.dt
-    time = max(interval - w.clock_rest[()] * dt, _LEAST_INTERVAL * dt)
+    time = count_periods(w, now, dt)[0] * dt
     if not 0.0 < interval < MAX_AGE:  # NaN too
         time = interval = dt
     follows = interpolate and not math.isnan(w.x_sent[3, 0])
-    rests = follows and not _differs(w, R, p, v, a)
+    moved = (w.x_sent[:3] != R.T).any() or (w.x_sent[3] != p).any()
+    rests = follows and not (moved or (w.v_sent != v).any() or (w.a_sent != a).any())
     if follows and not rests:
         way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
         is_sample = _leaps(way, v, dt, dt) and _leaps(way, v, interval, dt)
