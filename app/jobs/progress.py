@@ -45,9 +45,9 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """A function that takes the finished share of a part of some work, and reports the whole share.
+    """A function that takes the finished share of a part of some work.
 
-    The part is from `begin` to `end`, which are shares of the whole work.
+    `on_progress` then gets the share of the whole work. The part is from share `begin` to `end`.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 

@@ -44,7 +44,7 @@ def rounded(value: object) -> object:
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of equal length as CSV or Parquet file, with empty cells for None and NaN."""
+    """Write columns as CSV or Parquet, completely or not at all; None and NaN are empty cells."""
     import pyarrow as pa
 
     from app.simulation.trace.arrow import write_arrow
@@ -61,7 +61,7 @@ def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> No
 
 
 def plain(content: object) -> Any:
-    """Content for JSON: lists replace arrays, and None replaces numbers that are not finite."""
+    """Content for JSON: lists replace arrays and tuples, None replaces NaN and infinite numbers."""
     return to_jsonable_python(content, inf_nan_mode="null", fallback=lambda x: x.tolist())
 
 
@@ -71,5 +71,5 @@ def json_text(content: object) -> str:
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write the `json_text` of content."""
+    """Write the `json_text` of content by `write_whole`."""
     write_whole(path, json_text(content) + "\n")
