@@ -396,7 +396,7 @@ class Config(Strict):
         return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
-        """A copy with new values, by path; raises a ConfigError if a path or value is invalid."""
+        """A copy with the `values` by path; raises a ConfigError if a path or value is invalid."""
         data = self.model_dump()
         for path, value in values.items():
             section, _, name = tunable(path).path.partition(".")
@@ -456,7 +456,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
 
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of `data[section][name]` with present names; both names of one are a ValueError."""
+    """A copy of `data[section][name]` with present names; a value under both is a ValueError."""
     found = {name: dict(s) if isinstance(s, Mapping) else s for name, s in data.items()}
     for former, path in FORMER_NAMES.items():
         (old_section, old), (section, name) = former.split("."), path.split(".")
@@ -508,7 +508,7 @@ def tunable(path: str) -> Parameter:
 
 
 def parameter(path: str) -> Parameter:
-    """A number, as by `tunable`; raises a ConfigError also if the path is that of a choice."""
+    """The number with a path; raises a ConfigError if the path is unknown or that of a choice."""
     found = tunable(path)
     if found.choices:
         raise ConfigError(f"{path} is not a number but {found.allowed}")
@@ -516,7 +516,7 @@ def parameter(path: str) -> Parameter:
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """The text on valid values at a place of a `Config`, or None: `valid_text` of `explain`."""
+    """`valid_text` of `explain` for a `Config`: the valid values, or None at an unknown place."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

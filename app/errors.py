@@ -1,4 +1,4 @@
-"""The exceptions, and texts for them; a user can cause only a `DbbError`, with a one-line text."""
+"""The exceptions below `DbbError`, each with a one-line text, and functions for these texts."""
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping

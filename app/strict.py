@@ -45,7 +45,7 @@ class Strict(BaseModel):
 
 
 def field_docs(cls: type) -> Iterator[tuple[str, str]]:
-    """Names and docstrings (one line each) of the documented fields that a dataclass itself has."""
+    """Name and docstring, as one line, of each documented field that a dataclass itself adds."""
     if "__dataclass_fields__" not in vars(cls):
         return
     body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
@@ -187,8 +187,8 @@ def file_text(path: Path) -> str:
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
     """Parse an untrusted text with `loads` (TOML or JSON), by `within_budget`.
 
-    If `heavy`, a short text also has a budget. A ValueError means that the text is invalid, longer
-    than a million characters or too deeply nested, or that parsing exceeds the budget.
+    With `heavy`, even a short text has a budget. A ValueError means that the text is invalid, too
+    deeply nested or longer than a million characters, or that parsing exceeds the budget.
     """
     if len(text) > LARGEST_DATA:
         raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")

@@ -99,7 +99,7 @@ ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Block Ctrl-C in this thread during the `with`; processes started in it keep the block."""
+    """Block Ctrl-C in this thread during the `with`; a process that starts then keeps the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

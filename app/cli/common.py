@@ -121,7 +121,7 @@ def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: objec
 
 
 def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
-    """Execute a run with a progress bar; result, errors and `drawn` as for `run_from_spec`."""
+    """Execute a run with a progress bar; `drawn` and the result are those of `run_from_spec`."""
     from app.simulation.run import run_from_spec
 
     duration = run.scenario.duration
@@ -132,7 +132,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
 def filmed(
     run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Execute a run with a progress bar; results and errors of `app.simulation.run.filmed`."""
+    """Execute a run with a progress bar; the result is that of `app.simulation.run.filmed`."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:

@@ -115,8 +115,8 @@ def from_record(
     The command gets a dictionary with the values of only the options that the user set. `record`
     is a dataclass or pydantic record, or a dataclass instance with the defaults. `only` has the
     names of the included fields (None: all fields), `leave` those of the excluded fields. `names`
-    has the names of options that differ from the field's name, by this name. The field `positional`
-    becomes a positional argument.
+    maps a field to its option if their names differ. The field `positional` becomes a positional
+    argument.
     """
     found = {name: about for name, about in fields_of(record) if name not in leave}
     chosen = found if only is None else {name: found[name] for name in found if name in only}

@@ -49,9 +49,9 @@ class EndedError(LoopError):
 class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
-    The arguments are connections from and to `sender` and `receiver` of this object. `work` must be
-    a function of a module, and `args` must be picklable. The child never imports the parent's main
-    module, and ignores SIGINT (Ctrl-C), which the parent handles.
+    The connection `receiver` of `work` is the other end of this object's `sender`, and vice versa.
+    `work` must be a function of a module, and `args` must be picklable. The child never imports the
+    parent's main module, and ignores SIGINT (Ctrl-C), which the parent handles.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status (−N after signal N), or None if the process runs after `patience` [s]."""
+        """The exit status (−N after signal N), or None if it still runs after `patience` [s]."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:

@@ -47,7 +47,8 @@ def progress_bar(
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
     """A function that takes the finished share of a part of some work.
 
-    `on_progress` then gets the share of the whole work. The part is from share `begin` to `end`.
+    `on_progress` then gets the finished share of the whole work. In these shares, the part begins
+    at `begin` and ends at `end`.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 

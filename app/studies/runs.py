@@ -25,7 +25,10 @@ def thinned(result: RunResult) -> RunResult:
 
 
 def flattened(results: Mapping[str, Any]) -> Row:
-    """Results with one key for each number: `a` in `distance_m` has the key `distance_a_m`."""
+    """Results with one key for each number: the number `a` of `jump` has the key `jump_a`.
+
+    An ending `_m` or `_s` stays at the end: `a` of `distance_m` has the key `distance_a_m`.
+    """
     row: Row = {}
     for key, value in results.items():
         if isinstance(value, Mapping):
@@ -37,7 +40,7 @@ def flattened(results: Mapping[str, Any]) -> Row:
 
 
 def rounded(value: object) -> object:
-    """A number rounded to nine decimals; other values do not change."""
+    """A float rounded to nine decimals; other values do not change."""
     # The last digits of the QP solver's solutions depend on memory addresses, so without rounding
     # the results would depend on the number of processes.
     return round(value, 9) if isinstance(value, float) else value

@@ -116,7 +116,7 @@ class Claim(NamedTuple):
 def claim(
     section: str, figure: str, *needs: Experiment
 ) -> Callable[[Callable[..., Findings]], Claim]:
-    """Decorator: the `Claim` that a function measures; the function's docstring is its text."""
+    """Decorator that makes a `Claim`: a function measures it, and the docstring is its text."""
     return lambda measure: Claim(section, figure, docstring_of(measure), needs, measure)
 
 

@@ -197,9 +197,9 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table by times t (N,) [s]: p_b, p_act, its distance from the last row's, and ẍ_m of (16).
+    """A table by times t (N,) [s]: p_b, p_act, ẍ_m of (16), and the last step of p_act.
 
-    The first row has no last row: its distance is NaN.
+    The step is the distance from p_act of the row before, NaN in the first row.
     """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]

@@ -301,7 +301,7 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
     `nan` is true if a torque, a pose of the base or a result is not finite. If the run stops with
-    an error, `error` is the reason, and the row has no results. Only an AssetError is raised.
+    an error, `error` is the reason, and the row has no results; but an AssetError is raised.
     """
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)

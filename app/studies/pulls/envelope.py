@@ -26,9 +26,9 @@ _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name !
 
 
 class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
-    """A set of cases: their force (`exerted`) is limited, and some quantities are in intervals.
+    """A set of cases: their force (`exerted`) is at most F*, and some quantities are in intervals.
 
-    The intervals have the names of the quantities in `StudyRange`; the others are not limited.
+    An interval has the name of its quantity in `StudyRange`; other quantities are not limited.
     """
 
     force: NonNegative  # [N] largest force F* of a case inside; with 0, no case is inside
@@ -72,7 +72,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
 
 
 def exerted(row: Row) -> float:
-    """[N] the force `FORCE` of a case; if a row lacks it, as after an error, the hand's limit."""
+    """[N] the force `FORCE` of a case; if it is missing, as after an error, `hand_f_max_n`."""
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 
