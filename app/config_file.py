@@ -66,7 +66,8 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """The content of a file from its bytes; missing parameters come from `usual` or the defaults.
+    """The content of a file from its bytes; missing parameters have the values of `usual`, by
+    default those of `Config()`.
 
     Raises:
         ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value, the
@@ -92,7 +93,7 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """Read a file as `decode_config` does; missing parameters come from `usual` or the defaults.
+    """Read a file as `decode_config` does; missing parameters have the values of `usual`.
 
     If the file is not readable or not valid, this raises a ConfigError that names the file.
     """

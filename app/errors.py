@@ -122,10 +122,10 @@ extra other than `sim` also installs `sim`, and serves the package of its name i
 
 @contextmanager
 def extras_named() -> Iterator[None]:
-    """In the `with`, replace the error of a missing module if an extra installs this module.
+    """In the `with`, a MissingExtraError replaces the error of a missing module of an extra.
 
-    The MissingExtraError names the extra of the package of `app` that imports the module. If that
-    extra does not install the module, it names the first extra that does.
+    The message names the extra of the package of `app` that imports the module or, if that extra
+    does not install the module, the first extra that does.
     """
     try:
         yield

@@ -203,7 +203,7 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The file descriptor that locks a folder; None if another process or user has the folder.
+    """The descriptor that locks a folder; None if another has the folder or has replaced it.
 
     If the file system has no locks, the descriptor locks nothing; with `surely` it is None.
     """

@@ -106,7 +106,7 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load a robot's data, cached in each process; errors of `load_robot` and `check_avoidance`."""
+    """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`."""
     model = RobotModel(load_robot(robot))
     body = MobileBody(model)
     lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)

@@ -56,7 +56,7 @@ _BOUNDS = {
 class StudyRange(Strict):
     """The distributions of the random quantities.
 
-    An interval has a uniform distribution, and for `LOGARITHMIC` the logarithm has one. `height`
+    The distribution in an interval is uniform, for `LOGARITHMIC` on a logarithmic scale. `height`
     only bounds the random starts. A single number is a probability or, for `duration`, a limit.
     """
 

@@ -91,7 +91,7 @@ class StartFinder:
     """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
-        """Prepare the search for a buffer distance d_b [m], if `check_avoidance` has no error."""
+        """Prepare the search for buffers of d_b [m]; raises the error of `check_avoidance`."""
         check_avoidance(model, data)
         self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
