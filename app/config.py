@@ -1,6 +1,7 @@
-"""All parameters of a run, as frozen records; a number has a range, a unit and a meaning.
+"""All parameters of a run, as frozen records: numbers with a range, and choices among words.
 
-The command line, the dashboard's sliders and the checks of values are derived from these records.
+The docstring of a parameter starts with its unit in brackets, and then states the meaning. The
+command line, the dashboard's sliders and the checks of values are derived from these records.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ def number(
     advanced: bool = False,
     source: str = "",
 ) -> Any:
-    """A field of a section: a number from `low` to `high`, displayed as `label` or by its name.
+    """A field of a section: a number from `low` to `high`.
 
-    The dashboard hides an `advanced` parameter until the user displays all parameters. `source` is
-    as in `Parameter`.
+    It is displayed as `label` or, without a label, by its name. The dashboard hides an `advanced`
+    parameter until the user displays all parameters. `source` is the source of the default, or a
+    reason for it.
     """
     extra: dict[str, Any] = {"advanced": advanced, "source": source}
     return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
@@ -45,11 +47,11 @@ class Parameter(NamedTuple):
     help: str
     label: str
     """Displayed name, followed by the symbol if there is one, without the unit."""
-    advanced: bool
+    advanced: bool  # whether the dashboard hides the parameter at first
     source: str
-    """Source of the default, or a reason for it; empty if it is this project's choice."""
-    unit: str
-    low: float = math.nan
+    """Source of the default, or a reason for it; empty if the default is this project's choice."""
+    unit: str  # `-` for a number without a unit, and for a choice
+    low: float = math.nan  # NaN for a choice
     high: float = math.nan
     choices: tuple[str, ...] = ()
     """The words; empty for a number."""
@@ -68,7 +70,7 @@ class Parameter(NamedTuple):
 
     @property
     def log(self) -> bool:
-        """Whether a slider is logarithmic: the range is above 0 and spans three decades or more."""
+        """Whether the slider is logarithmic: `low` is above 0, and `high` at least 1000 `low`."""
         return self.low > 0 and self.high / self.low >= 1000
 
 
@@ -84,7 +86,7 @@ class Section(NamedTuple):
 
 
 def _read(section: str, name: str, field: FieldInfo) -> Parameter:
-    """The parameter of a section's field, whose docstring starts with the unit in brackets."""
+    """The parameter that the field `name` of a section describes."""
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     bounds: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
@@ -134,7 +136,7 @@ class BorderConfig(Strict):
     """[m] ε of (3): largest difference between d_b and a border point's distance to the base."""
     kind: Literal["surface", "points"] = Field(default="surface", title="Acting point on")
     """[-] surface: the acting point moves on the border's continuous surface. points: it jumps
-    between the paper's sampled points, where there are any at its height."""
+    between the paper's sampled points; at heights without such points, it moves on the surface."""
 
 
 class ForceConfig(Strict):
@@ -222,7 +224,7 @@ class EeHoldConfig(Strict):
     below v_h, almost all of it counts, at 2 v_h one seventeenth."""
     weight: float = number(3000.0, 0.01, 1e5, "End-effector hold weight")
     """[-] weight of the end-effector's motion that the base causes and the arm cannot compensate,
-    as a multiple of the base's mass."""
+    as a multiple of the base's mass; it is also multiplied by β_m of (28)."""
 
 
 class TaskConfig(Strict):
@@ -235,7 +237,8 @@ class TaskConfig(Strict):
     ee_speed: float = number(0.5, 0.05, 2.0, "Correction speed limit")
     """[m/s] upper bound of the end-effector's correction speed; rad/s for its rotation."""
     posture_stiffness: float = number(4.0, 0.0, 100.0)
-    """[1/s²] stiffness of the arm's posture task, towards the starting posture."""
+    """[1/s²] stiffness of the arm's posture task. The task moves the arm towards its first measured
+    posture or, after the fault `jump`, towards the posture at the newest `jump`."""
     joint_centering: float = number(8.0, 0.0, 100.0, "Joint-limit stiffness")
     """[1/s²] restoring acceleration of a joint at a position limit, divided by half of its range.
     This acceleration is proportional to the fifth power of the distance from the middle."""
@@ -253,19 +256,20 @@ class TaskConfig(Strict):
     ee_weight: float = number(1e5, 1.0, 1e7, "End-effector weight", advanced=True)
     """[-] weight of the end-effector's task relative to the posture task."""
     slack_weight: float = number(1e-3, 1e-4, 0.1, "Softness ε", advanced=True)
-    """[-] ε, softness of a fully active row of T_sca. Joint limits and barriers have the softness
-    ε²; torque limits are hard."""
+    """[-] ε, softness of a fully active row of T_sca: its compliance relative to that of the tasks
+    below. Joint limits and barriers have the softness ε². Limits of torques and of the base's
+    acceleration are hard."""
 
 
 class LimitConfig(Strict):
     """Rates at which the arm may approach its limits, and at which its torques may change."""
 
     position_rate: float = number(30.0, 1.0, 100.0, "Position-limit rate", advanced=True)
-    """[1/s] approach rate of position limits: permitted joint speed divided by the remaining
-    distance."""
+    """[1/s] approach rate of position limits: largest permitted joint speed divided by the distance
+    from the limit."""
     velocity_rate: float = number(70.0, 1.0, 200.0, "Speed-limit rate", advanced=True)
-    """[1/s] approach rate of speed limits: permitted joint acceleration divided by the remaining
-    speed."""
+    """[1/s] approach rate of speed limits: largest permitted joint acceleration divided by the
+    difference of speed and limit."""
     torque_rate: float = number(
         1000.0, 50.0, 1e6, "Torque slew rate", source="limit of a Panda (Franka Emika)"
     )
@@ -293,7 +297,7 @@ class EstimateConfig(Strict):
 
 
 class PayloadConfig(Strict):
-    """Known load in the gripper, as a point mass; the controller does not include its shape."""
+    """Known load in the gripper, as a point mass; the collision model does not include the load."""
 
     mass: float = number(0.0, 0.0, 20.0, "Payload mass")
     """[kg] mass of the load."""
@@ -344,7 +348,7 @@ class DisturbanceConfig(Strict):
 
     encoder_noise: float = number(0.0, 0.0, 0.005)
     """[rad] standard deviation of the noise of each joint's measured position; m for a prismatic
-    joint."""
+    joint. With noise, the measured joint velocities are computed from the noisy positions."""
     base_delay: float = number(0.0, 0.0, 0.5)
     """[s] additional delay from a velocity command to the base's drive."""
     mass_error: float = number(0.0, -0.3, 0.3)
@@ -392,7 +396,7 @@ class Config(Strict):
         return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
-        """A copy with new values, by path; raises a ConfigError if a path or value is invalid."""
+        """A copy with the `values` by path; raises a ConfigError if a path or value is invalid."""
         data = self.model_dump()
         for path, value in values.items():
             section, _, name = tunable(path).path.partition(".")
@@ -400,7 +404,7 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; errors of `changed`."""
+        """A copy with one parameter changed; raises the errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
@@ -414,9 +418,11 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """A copy for the base's QPs, whose time constants are longer by `task.base_time_scale`.
+    """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
 
-    `limit.velocity_rate` becomes `limit.position_rate` divided by this factor.
+    The stiffness of the end-effector's task and k_p are divided by the square of the factor. The
+    damping of this task, k_v, rate and separation speed of the barrier, and `limit.position_rate`
+    are divided by the factor. `limit.velocity_rate` becomes the new `limit.position_rate`.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -432,9 +438,10 @@ def slowed(config: Config) -> Config:
 
 
 def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
-    """A configuration from `data[section][name]`; missing parameters come from `usual`.
+    """A configuration from `data[section][name]`; former names of parameters are valid.
 
-    Without `usual`, they are the defaults. A ConfigError names an unknown or invalid parameter.
+    A missing parameter has the value of `usual` or, without `usual`, the default. If a parameter is
+    unknown or invalid, this raises a ConfigError that names the parameter and the valid values.
     """
     try:
         # Strict: `true` and "0.2" are not numbers.
@@ -449,7 +456,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
 
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of `data[section][name]` with present instead of former names of parameters."""
+    """A copy of `data[section][name]` with present names; a value under both is a ValueError."""
     found = {name: dict(s) if isinstance(s, Mapping) else s for name, s in data.items()}
     for former, path in FORMER_NAMES.items():
         (old_section, old), (section, name) = former.split("."), path.split(".")
@@ -501,7 +508,7 @@ def tunable(path: str) -> Parameter:
 
 
 def parameter(path: str) -> Parameter:
-    """As `tunable`; raises a ConfigError also if the parameter is a choice among words."""
+    """The number with a path; raises a ConfigError if the path is unknown or that of a choice."""
     found = tunable(path)
     if found.choices:
         raise ConfigError(f"{path} is not a number but {found.allowed}")
@@ -509,7 +516,7 @@ def parameter(path: str) -> Parameter:
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """The argument `valid_text` of `explain` for a `Config`."""
+    """`valid_text` of `explain` for a `Config`: the valid values, or None at an unknown place."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

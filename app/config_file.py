@@ -1,6 +1,7 @@
 """A configuration as a TOML file with comments: functions that write, read and check the file.
 
-A file can omit sections and parameters; their values come from the caller or are the defaults.
+A file can omit sections and parameters. The caller can state their values; otherwise they have the
+defaults.
 """
 
 import re
@@ -14,7 +15,7 @@ from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.strict import content_of, from_toml, text_of
 
-MAX_BYTES = 64_000  # [bytes] largest file, eight times as large as a file with all parameters
+MAX_BYTES = 64_000  # [bytes] largest file, six times as large as a file with all parameters
 LONGEST_NAME = 60  # [-] characters of the longest name
 _NAME = "name"  # key of the configuration's name, which is in no section
 _SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller
@@ -35,7 +36,7 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
     """The text of a file: value, range (or choices), unit and meaning of each parameter.
 
     A comment marks each parameter that differs from the program's default. `hosts` are the names
-    for `[server] allow_host`. Errors: those of `checked_name`.
+    for `[server] allow_host`. This raises the error of `checked_name`.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
@@ -65,7 +66,8 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """The content of a file's bytes; missing parameters come from `usual` or are the defaults.
+    """The content of a file from its bytes; missing parameters have the values of `usual`, by
+    default those of `Config()`.
 
     Raises:
         ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value, the
@@ -91,7 +93,10 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """Read a file by `decode_config`; the message of a ConfigError names the file."""
+    """Read a file as `decode_config` does; missing parameters have the values of `usual`.
+
+    If the file is not readable or not valid, this raises a ConfigError that names the file.
+    """
     try:
         return decode_config(content_of(path), usual)
     except OSError as error:
@@ -101,9 +106,9 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """The name of a configuration without blanks around it.
+    """The name of a configuration without leading and trailing blanks.
 
-    A ConfigError means that it is longer than 60 characters or has unprintable characters.
+    A name with more than 60 characters or with unprintable characters raises a ConfigError.
     """
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
@@ -116,7 +121,7 @@ def checked_name(name: str) -> str:
 def checked_host(name: str) -> str:
     """The name of a host in the form that browsers send.
 
-    A ConfigError means that the text is not a host name, or has more than it, such as a port.
+    If the text is not a host name, or has further parts such as a port, this raises a ConfigError.
     """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()

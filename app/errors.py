@@ -1,4 +1,4 @@
-"""The tree of exceptions: each error that a user can cause is a `DbbError` with a one-line text."""
+"""The exceptions below `DbbError`, each with a one-line text, and functions for these texts."""
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
@@ -107,7 +107,7 @@ class BrowserError(DbbError):
 
 
 class LoopError(DbbError):
-    """The simulation or a child process has ended or failed, or its queue of commands is full."""
+    """The simulation or a child process ended or failed, or the queue of its commands is full."""
 
 
 EXTRAS = {
@@ -122,10 +122,10 @@ extra other than `sim` also installs `sim`, and serves the package of its name i
 
 @contextmanager
 def extras_named() -> Iterator[None]:
-    """Raise a MissingExtraError instead of the error of a missing module, if an extra has it.
+    """In the `with`, a MissingExtraError replaces the error of a missing module of an extra.
 
-    The message names an extra that installs the module: the extra of the package of `app` that
-    imports the module, or else the first extra with the module.
+    The message names the extra of the package of `app` that imports the module or, if that extra
+    does not install the module, the first extra that does.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Validated, frozen records, explanations of their errors, and readers of untrusted text."""
+"""Validated, frozen records, explanations of errors, readers of untrusted text, check of ranges."""
 
 import ast
 import codecs
@@ -45,7 +45,7 @@ class Strict(BaseModel):
 
 
 def field_docs(cls: type) -> Iterator[tuple[str, str]]:
-    """Names and docstrings (as one line) of the documented fields of the dataclass `cls` itself."""
+    """Name and docstring, as one line, of each documented field that a dataclass itself adds."""
     if "__dataclass_fields__" not in vars(cls):
         return
     body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
@@ -88,8 +88,8 @@ def explain(
 ) -> str:
     """The error of a record `model` as one line: field and valid value of the first eight problems.
 
-    `valid_text` returns the valid values for the place and kind of a problem, or None for
-    pydantic's text. With more than 1000 problems, the line has only their number.
+    `valid_text` returns the valid values for the place and kind of a problem; if it returns None,
+    the line has pydantic's text. With more than 1000 problems, the line has only their number.
     """
     texts = [_explain(each, model, valid_text) for each in problems_of(error)[:8]]
     if more := error.error_count() - len(texts):
@@ -185,10 +185,10 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text with `loads` (TOML or JSON); if `heavy`, always in a child process.
+    """Parse an untrusted text with `loads` (TOML or JSON), by `within_budget`.
 
-    A ValueError means that the text is invalid, longer than a million characters or too deeply
-    nested, or exceeds the budget of `within_budget`.
+    With `heavy`, even a short text has a budget. A ValueError means that the text is invalid, too
+    deeply nested or longer than a million characters, or that parsing exceeds the budget.
     """
     if len(text) > LARGEST_DATA:
         raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
@@ -213,7 +213,7 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def _quoted(error: ValueError, text: str) -> str:
-    """The line that a reader's error names, with advice if a comma before the error is wrong."""
+    """The quoted line that an error of `loads` names, with advice on a wrong comma; or empty."""
     found = re.search(r"line (\d+),? column", str(error))
     lines = text.split("\n")
     if found is None or int(found[1]) > len(lines):

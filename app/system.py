@@ -44,9 +44,9 @@ def usable_cores() -> int:
 def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    On three or more cores, the process also gets a real-time policy if possible. It permanently
-    loses this policy if it works for 0.5 s without a pause; after 30 s, the system ends it. Call
-    this function in the main thread, before other threads start.
+    On three or more cores, the process also gets a real-time policy if possible. When it has worked
+    for 0.5 s without a pause, it leaves this policy permanently; if it cannot, the system ends it
+    after 30 s without a pause. Call this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -64,7 +64,7 @@ def _leave_real_time(*_: object) -> None:
 
 
 def lower_priority(niceness: int) -> None:
-    """Increase the niceness of this process by 0 to 19."""
+    """Lower the priority of this process: add `niceness`, 0 to 19, to its niceness."""
     with suppress(OSError):
         os.nice(niceness)
 
@@ -99,7 +99,7 @@ ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Block Ctrl-C in this thread during the `with`; processes started in it keep the block."""
+    """Block Ctrl-C in this thread during the `with`; a process that starts then keeps the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -133,7 +133,7 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End all processes of a group; with `at_once`, they cannot clean up.
+    """End all processes of a group, if it has any; with `at_once`, they cannot clean up.
 
     `leader` is the number of the process that leads the group; 0 is the group of this process.
     """
@@ -203,7 +203,7 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The file descriptor that locks a folder; None if another process or user has the folder.
+    """The descriptor that locks a folder; None if another has the folder or has replaced it.
 
     If the file system has no locks, the descriptor locks nothing; with `surely` it is None.
     """
@@ -274,8 +274,9 @@ def _is_foreign(link: Path) -> bool:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
-    Thus no reader sees an incomplete file. A link of this user at `path` remains, to the new file.
-    If the file cannot be written, an OutputError is raised, and the previous file remains.
+    Thus no reader sees an incomplete file. If `path` is a link of this user, the link remains, and
+    the new file replaces its target. If the file cannot be written, this raises an OutputError, and
+    the previous file remains.
     """
     try:
         real = own_path(path)
@@ -347,7 +348,7 @@ def return_freed_memory_early() -> None:
 
 
 def return_freed_memory() -> None:
-    """Make glibc return the freed small blocks, which it otherwise keeps between used ones."""
+    """Make glibc return freed small blocks of memory to the system; otherwise it keeps them."""
     _call_c("malloc_trim", 0)
 
 
@@ -365,10 +366,10 @@ def home_expanded(path: str) -> Path:
 
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
-    """Folders of this user for files that can be made again: the standard and a temporary folder.
+    """This user's cache folders: the standard one, then one in the folder for temporary files.
 
-    A user without a home directory has only the temporary folder. With `make`, it is created when
-    the iteration arrives at it. It is left out if it cannot be used.
+    A user without a home directory has only the temporary one. With `make`, the temporary one is
+    created when the iteration arrives at it. If it cannot be used, it is left out.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -384,7 +385,7 @@ def is_writable(folder: Path) -> bool:
 
 
 def _private_folder(shared: Path, *, make: bool = True) -> Path:
-    """This user's own folder in a shared folder; raises an OSError if others can write into it."""
+    """This user's own folder in a shared one; an OSError if it is missing or others can write."""
     folder = shared / f"dbb-{os.getuid()}"
     if make:
         with suppress(FileExistsError):

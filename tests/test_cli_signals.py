@@ -177,7 +177,7 @@ def test_a_command_that_hangs_with_pythons_global_lock_is_killed(number, tmp_pat
     process.send_signal(number)
     _, said = process.communicate(timeout=30)
     assert process.returncode == -signal.SIGKILL
-    assert said == b"killed: it had not ended 1 s after its signal\n"
+    assert said == b"dbb: killed: still running 1 s after the signal\n"
 
 
 LATE = r"""

@@ -109,7 +109,8 @@ def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: objec
     """The run of a case; prints changes of version and parameters since the case was written.
 
     `setup` can replace controller and plant. `check_no_others` refuses a robot and a seed in
-    `setup`, and the user's `others` options; `word` names the case in its message.
+    `setup`, and the user's `others` options; `word` names the case in its message. An unreadable
+    or invalid file raises a CaseError.
     """
     check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
     case = read_case(file)
@@ -120,7 +121,7 @@ def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: objec
 
 
 def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
-    """Execute a run with a progress bar; see `run_from_spec`."""
+    """Execute a run with a progress bar; `drawn` and the result are those of `run_from_spec`."""
     from app.simulation.run import run_from_spec
 
     duration = run.scenario.duration
@@ -131,7 +132,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
 def filmed(
     run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Execute a run up to the last of `times` [s]; see `filmed` of `app.simulation.run`."""
+    """Execute a run with a progress bar; the result is that of `app.simulation.run.filmed`."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:

@@ -135,7 +135,7 @@ def _run_command(name: str, *words: str) -> None:
 
 
 def _help_texts(doc: str) -> tuple[str, str]:
-    """`doc` with the text of each argument on one line; its description, filled to the terminal.
+    """`doc` with each argument's text on one line; its description, filled to the terminal's width.
 
     tyro joins lines that begin with a letter; therefore all lines after the first are indented.
     """

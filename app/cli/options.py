@@ -113,9 +113,10 @@ def from_record(
     """The second argument of `Annotated[Given, …]`: a command's options, one for each field.
 
     The command gets a dictionary with the values of only the options that the user set. `record`
-    is a dataclass or pydantic record, or a dataclass instance with the defaults. `only` and `leave`
-    are the names of the included (None: all) and of the excluded fields, `names` has the option's
-    name for a field if they differ, and `positional` is the field that is a positional argument.
+    is a dataclass or pydantic record, or a dataclass instance with the defaults. `only` has the
+    names of the included fields (None: all fields), `leave` those of the excluded fields. `names`
+    maps a field to its option if their names differ. The field `positional` becomes a positional
+    argument.
     """
     found = {name: about for name, about in fields_of(record) if name not in leave}
     chosen = found if only is None else {name: found[name] for name in found if name in only}
@@ -204,7 +205,7 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
         about = tunable(path)
         if about.choices:
             kind, usual = str, about.default
-            text = f"{about.allowed}: {about.help.rstrip('.')}"
+            text = f"[{about.allowed}] {about.help}"
         else:
             kind, usual, text = float, f"{about.default:g}", f"[{about.unit}] {about.help}"
         found[name] = Field(kind, f"{usual}, unless robot.toml sets another value", text)
@@ -220,8 +221,8 @@ def configured(
 ) -> Config:
     """The robot's defaults, overridden by the file of `--config`, and then by the options `given`.
 
-    `paths` has the path of the parameter that each option sets, such as `border.d_b`. A
-    `hidden_robot` causes a warning in the log.
+    `paths` has the path of the parameter that each option sets, such as `border.d_b`. A second
+    robot of the same name (`hidden_robot`) causes a warning in the log.
     """
 
     def override(usual: Config) -> Config:
@@ -315,7 +316,7 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
 
 
 def make_folder(out: Path | None, option: str = "--out") -> None:
-    """Make the folder of an option, if it has one; an `OutputError` if it is not writable."""
+    """Make the folder of an option, if `out` is not None; raises an OutputError if this fails."""
     if out is None:
         return
     try:

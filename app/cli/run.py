@@ -52,7 +52,7 @@ ContactOption = Annotated[
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """Name of the scenario or empty, command, and remaining words, of the words after `dbb run`."""
+    """Split the words after `dbb run`: scenario's name (can be empty), command, remaining words."""
     if any(word.partition("=")[0] == "--case" for word in words):
         own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
         given = {"scenario" if word in SCENARIOS else _field(word) for word in words}

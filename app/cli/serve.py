@@ -104,7 +104,7 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation at `q_start` or else the free start, in `waiting` or a new process."""
+        """Begin a simulation at `q_start` (n_m,) or `free_start`, in `waiting` or a new process."""
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 

@@ -45,9 +45,10 @@ class Budget(NamedTuple):
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
-    `read` must be a function of a module; its arguments and its result must be picklable. A nested
-    call, in the reading child process, has no budget of its own. If reading exceeds the budget or
-    crashes its process, a BudgetError is raised; exceptions of `read` are raised here, too.
+    `read` must be a function of a module; its arguments and its result must be picklable. Data up
+    to `SMALL` have no budget, and a nested call in the reading child process has none of its own.
+    If reading exceeds the budget or crashes its process, this raises a BudgetError. Exceptions of
+    `read` are raised here, too.
     """
     if size <= SMALL or _limited.is_set():
         return read(*args)

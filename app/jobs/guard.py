@@ -30,10 +30,11 @@ def wake_without_parent() -> None:
 def guarded(
     heard: int, patience: float, numbers: Sequence[int] = (), *, group: bool = False
 ) -> Iterator[int]:
-    """Run a guard for this process, or its `group`, in the `with`; the module has its arguments.
+    """Run a guard for this process, or for its `group` of processes, during the `with`.
 
-    This yields the descriptor of a file to which the guard copies the bytes of `heard`; or `heard`
-    itself, if the guard cannot start.
+    The guard's arguments HEARD, PATIENCE and NUMBER, which the module's docstring explains, are
+    `heard`, `patience` [s] and `numbers`. This yields the descriptor of a file to which the guard
+    copies the bytes of `heard`; or `heard` itself, if the guard cannot start.
     """
     passed = os.dup(heard)  # not the descriptor 0, which is the guard's standard input
     lives, alive = os.pipe()
@@ -77,7 +78,7 @@ def main(heard: int, lives: int, pid: int, patience: float, numbers: Sequence[in
             break
     if not select.select([lives], [], [], patience)[0]:
         if pid > 0:  # a command
-            print(f"killed: it had not ended {patience:g} s after its signal", file=sys.stderr)
+            print(f"dbb: killed: still running {patience:g} s after the signal", file=sys.stderr)
         with suppress(OSError):
             (os.killpg if pid < 0 else os.kill)(abs(pid), signal.SIGKILL)
 

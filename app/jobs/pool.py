@@ -36,8 +36,8 @@ class Workers(AbstractContextManager["Workers"]):
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
         """Prepare a number of processes; default: one for each usable core.
 
-        With one, or if a process cannot start, this process executes the jobs. `make_context` must
-        be picklable.
+        With one, or if a process cannot start, this process executes the jobs. `make_context` makes
+        the data that all jobs of a process share; it must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
@@ -80,7 +80,7 @@ class Workers(AbstractContextManager["Workers"]):
         Args:
             function: Executes a job; must be picklable.
             jobs: The jobs; must be picklable.
-            on_progress: Called in the thread that reads the results.
+            on_progress: Gets the finished share of all jobs, in the thread that reads the results.
             tells: Whether `function` has a third argument, of the type `OnProgress`, that it calls
                 with the finished share of the job.
             lost: Makes the result of a job whose process has ended in each of three attempts.

@@ -49,8 +49,9 @@ class EndedError(LoopError):
 class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
-    `work` must be a function of a module, and its arguments must be picklable. The child never
-    imports the parent's main module, and ignores SIGINT (Ctrl-C), which the parent handles.
+    The connection `receiver` of `work` is the other end of this object's `sender`, and vice versa.
+    `work` must be a function of a module, and `args` must be picklable. The child never imports the
+    parent's main module, and ignores SIGINT (Ctrl-C), which the parent handles.
     """
 
     def __init__(
@@ -78,14 +79,17 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status, −N after signal N, or None if the process runs `patience` [s] longer."""
+        """The exit status (−N after signal N), or None if it still runs after `patience` [s]."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process and, with `leads_group`, its children; `at_once` prevents a clean-up."""
+        """End the process and, with `leads_group`, its children, after up to 2.5 s for a clean-up.
+
+        With `at_once`, they are killed without a clean-up.
+        """
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -137,8 +141,8 @@ def run_in_process(
 ) -> Any:
     """Run `work(report, *args)` in a `Child`, and return the result.
 
-    The event `cancelled` ends the child and all its children. `niceness`, 0 to 19, is added to the
-    child's niceness.
+    This process calls its own `report` with each report of `work`. The event `cancelled` ends the
+    child and all its children. `niceness`, 0 to 19, is added to the child's niceness.
 
     Raises:
         Cancelled: `cancelled` was set.

@@ -45,9 +45,10 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """A function that takes the finished share of a part of some work, and reports the whole share.
+    """A function that takes the finished share of a part of some work.
 
-    The part is from `begin` to `end`, which are shares of the whole work.
+    `on_progress` then gets the finished share of the whole work. In these shares, the part begins
+    at `begin` and ends at `end`.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 

@@ -32,7 +32,10 @@ _LISTED = 5  # [-] largest number of listed columns
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters."""
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
+
+    `on_progress` gets the finished share of the pictures, 0 to 1.
+    """
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
@@ -76,9 +79,9 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The results of `extremes`, and those of a run by the keys of `dbb run --json`.
+    """The results of `extremes` and `metrics`; the latter have the keys of `dbb run --json`.
 
-    None replaces values that are not finite, which a log that was edited can have.
+    None replaces values that are not finite, which an edited log can have.
     """
     run = _without_infinite(run)
     return plain({**extremes(run), **metrics(run)})
@@ -105,8 +108,8 @@ def _changes(run: Trace) -> Part:
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
     """The parameters that differ from the program's defaults in at least one configuration.
 
-    Each has its path, such as `border.d_b`, its default, and its value or, if the configurations
-    differ, the list of its values.
+    For each, the result has the path, such as `border.d_b`, the default, and the value or, if the
+    configurations differ in it, the list of different values.
     """
     changes = []
     for path, about in tunables().items():

@@ -25,7 +25,10 @@ def thinned(result: RunResult) -> RunResult:
 
 
 def flattened(results: Mapping[str, Any]) -> Row:
-    """Results with one key for each number: `a` in `distance_m` has the key `distance_a_m`."""
+    """Results with one key for each number: the number `a` of `jump` has the key `jump_a`.
+
+    An ending `_m` or `_s` stays at the end: `a` of `distance_m` has the key `distance_a_m`.
+    """
     row: Row = {}
     for key, value in results.items():
         if isinstance(value, Mapping):
@@ -37,14 +40,14 @@ def flattened(results: Mapping[str, Any]) -> Row:
 
 
 def rounded(value: object) -> object:
-    """A number rounded to nine decimals; other values do not change."""
+    """A float rounded to nine decimals; other values do not change."""
     # The last digits of the QP solver's solutions depend on memory addresses, so without rounding
     # the results would depend on the number of processes.
     return round(value, 9) if isinstance(value, float) else value
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of equal length as CSV or Parquet file, with empty cells for None and NaN."""
+    """Write columns as CSV or Parquet, completely or not at all; None and NaN are empty cells."""
     import pyarrow as pa
 
     from app.simulation.trace.arrow import write_arrow
@@ -61,7 +64,7 @@ def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> No
 
 
 def plain(content: object) -> Any:
-    """Content for JSON: lists replace arrays, and None replaces numbers that are not finite."""
+    """Content for JSON: lists replace arrays and tuples, None replaces NaN and infinite numbers."""
     return to_jsonable_python(content, inf_nan_mode="null", fallback=lambda x: x.tolist())
 
 
@@ -71,5 +74,5 @@ def json_text(content: object) -> str:
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write the `json_text` of content."""
+    """Write the `json_text` of content by `write_whole`."""
     write_whole(path, json_text(content) + "\n")

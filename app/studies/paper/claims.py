@@ -116,7 +116,7 @@ class Claim(NamedTuple):
 def claim(
     section: str, figure: str, *needs: Experiment
 ) -> Callable[[Callable[..., Findings]], Claim]:
-    """Decorator that makes a `Claim` of a function, which measures it, and of its docstring."""
+    """Decorator that makes a `Claim`: a function measures it, and the docstring is its text."""
     return lambda measure: Claim(section, figure, docstring_of(measure), needs, measure)
 
 

@@ -76,7 +76,7 @@ def trade_off(sources: Sources) -> drawing.Table:
 
 @cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
-    """Results of the lateral guiding with about 50,000 points, or all if fewer, in each border."""
+    """Results of the lateral guiding with thinned borders of at most about 50,000 points each."""
     experiment = GUIDING["points"]["lateral"]
     clouds = {}
     for pair in sources.data.pairs.mobile:
@@ -197,7 +197,10 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table along a path: times t (N,) [s], p_b, p_act and its last step, base acceleration."""
+    """A table by times t (N,) [s]: p_b, p_act, ẍ_m of (16), and the last step of p_act.
+
+    The step is the distance from p_act of the row before, NaN in the first row.
+    """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]

@@ -73,13 +73,15 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the controller `hqp`, which gets B (k,) in `w`; NaN if a Jacobian is not finite."""
+    """q̈ (n,) of the controller `hqp`; writes B (k,) into `w`. NaN if a Jacobian is not finite."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the project's form: base by its own rows, then arm by its QP without limits."""
+    """q̈ (n,) of the project's form: the base's own rows with the activations B (k,) determine the
+    base; then the arm's QP without limits determines the arm.
+    """
     n_b = w.n_b
     H, c = insert_rows(w.H, w.c, w.J_sca[n_b:], w.b_sca[n_b:], B[n_b:], gains.slack_weight, n_b)
     qdd_b = np.linalg.solve(w.J_sca[:n_b, :n_b], B[:n_b] * w.b_sca[:n_b])
@@ -91,7 +93,7 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B (k,): `base` for the base's rows, `link` for a pair of L_m^c, else 0."""
+    """The diagonal of B (k,): `base` in the base's rows, `link` for the `pair` of L_m^c, else 0."""
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
     return B

@@ -234,7 +234,7 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in row k of an experiment, on the border as a surface, with parameters `config`."""
+    """The force in row k of a run, on the border's surface; `config` is as in `Sources.force`."""
     run = sources.runs[experiment].trace
     q_m = run.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])

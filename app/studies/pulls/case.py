@@ -106,7 +106,7 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load the data of a robot, once in each process."""
+    """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`."""
     model = RobotModel(load_robot(robot))
     body = MobileBody(model)
     lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
@@ -174,8 +174,8 @@ def _direction(sector: str, rng: np.random.Generator) -> Array:
 def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
     """The fields `shoulder`, `near` and `far` of `StudySources`.
 
-    The distances come from random postures in which the end-effector points outwards and not far
-    upwards, as in the start solver's postures. If there is none, `near` is 0 and `far` infinite.
+    The distances are quantiles over random postures in which the end-effector points outwards and
+    not far upwards, as the start solver requires; without such a posture they are 0 and infinite.
     """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
@@ -247,8 +247,8 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
     """Displacement (3,) [m] of a pull, duration [s] of the run, and the pull's share of it.
 
-    `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
-    rest of 1 s, or of a quarter of `longest` if that is shorter; if necessary, the pull is shorter.
+    `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s]: if needed,
+    `move` is shortened. The rest after the pull takes 1 s, but at most a quarter of `longest`.
     """
     rest = min(_REST, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed
@@ -301,7 +301,7 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
     `nan` is true if a torque, a pose of the base or a result is not finite. If the run stops with
-    an error, `error` is the reason, and the row has no results; an AssetError is raised instead.
+    an error, `error` is the reason, and the row has no results; but an AssetError is raised.
     """
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)
@@ -336,8 +336,8 @@ def _met(row: Row, prefix: str) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded 1.05 of its speed limit when no torque was at its limit, and none
-    had been in the last 0.1 s.
+    """Whether a joint exceeded 1.05 times its speed limit at a time when no torque was at its limit
+    or had been there in the last 0.1 s.
     """
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
 

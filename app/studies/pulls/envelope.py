@@ -26,9 +26,9 @@ _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name !
 
 
 class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
-    """The set of cases with a limited force (`exerted`), and some quantities in intervals.
+    """A set of cases: their force (`exerted`) is at most F*, and some quantities are in intervals.
 
-    The intervals have the names of the quantities in `StudyRange`.
+    An interval has the name of its quantity in `StudyRange`; other quantities are not limited.
     """
 
     force: NonNegative  # [N] largest force F* of a case inside; with 0, no case is inside
@@ -46,9 +46,9 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             raise StudyError(f"{STATED}: the envelope cannot be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """The parts of a study's ranges inside the envelope; `hand_f_max` ends at most at F*.
+        """A study's ranges, limited to the envelope; the range of `hand_f_max` is limited to F*.
 
-        A range without such a part raises a StudyError.
+        A range that is completely outside raises a StudyError.
         """
         found = {}
         for name, (lower, upper) in (self._intervals() | {"hand_f_max": (0.0, self.force)}).items():
@@ -72,7 +72,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
 
 
 def exerted(row: Row) -> float:
-    """[N] the force `FORCE` of a case; the limit of the spring without it, as after an error."""
+    """[N] the force `FORCE` of a case; if it is missing, as after an error, `hand_f_max_n`."""
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 

@@ -54,9 +54,10 @@ _BOUNDS = {
 
 
 class StudyRange(Strict):
-    """The distributions of the random quantities: uniform, or for `LOGARITHMIC` log-uniform.
+    """The distributions of the random quantities.
 
-    `height` only bounds the random starts.
+    The distribution in an interval is uniform, for `LOGARITHMIC` on a logarithmic scale. `height`
+    only bounds the random starts. A single number is a probability or, for `duration`, a limit.
     """
 
     speed: Interval = (0.1, 1.2)
@@ -144,7 +145,7 @@ class StudyParameters(Strict):
 
 @cache
 def code_digest() -> str:
-    """A digest of the program's Python files; it must be the same in all processes of a study."""
+    """A digest of the program's Python files; all workers of a study must have the same digest."""
     root, digest = Path(__file__).parents[2], hashlib.blake2b(digest_size=8)
     for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")

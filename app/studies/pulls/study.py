@@ -143,7 +143,7 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
 class Journal(AbstractContextManager["Journal"]):
     """The stored rows of a study, one line of JSON each, on the disk before `add` returns.
 
-    An incomplete last line, after the writing process was killed, is removed: its case runs again.
+    An incomplete last line, left by a killed process, is removed, and its case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
@@ -266,7 +266,10 @@ class Cluster(AbstractContextManager["Cluster"]):
     def map(
         self, function: Callable[..., Row], jobs: Sequence[int], *, lost: Callable[[int], Row]
     ) -> Iterator[Row]:
-        """As `Workers.map`, but the results are in the order in which the jobs end."""
+        """As `Workers.map`, but yields the results in the order in which the jobs end.
+
+        `lost` makes the result of a job if its worker ended in each attempt.
+        """
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 

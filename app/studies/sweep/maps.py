@@ -116,8 +116,8 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
     """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
 
-    There is a column of panels for each controller, with a row for each of `quantities`; for a
-    single controller there is one row.
+    Each controller has a column of panels, one for each of `quantities`. The three panels of a
+    single controller are in a row.
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
@@ -155,7 +155,10 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths that lead down onto the base at one speed [m/s], each as a square in plan."""
+    """Draw the paths that lead down onto the base at one speed [m/s], each as a square in plan.
+
+    The panels are as in `polar_map`.
+    """
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
     sides = [_smallest_step([*rows, *no_start], key) for key in ("place_x_m", "place_y_m")]
@@ -221,7 +224,7 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Draw the base's outline, the wheel axis from y to y [m], and the mount of a radius [m]."""
+    """Draw the base's outline, the wheel axis from y to y in `axis` [m], and the arm's mount."""
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
     place = {"transform": style.pop("transform", ax.transData)}

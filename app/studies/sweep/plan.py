@@ -114,9 +114,9 @@ def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]
 
 
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance from a point p in a box with corners [m] to its surface, along a unit vector.
+    """[m] distance from a point p [m] in a box to the surface of the box, along a unit vector.
 
-    All arguments are (2,) or all are (3,).
+    All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
     """
     with np.errstate(divide="ignore", over="ignore"):
         distances = np.where(direction > 0.0, upper - p, lower - p) / direction
@@ -144,7 +144,7 @@ class SweepPlan:
     above: bool = False
     """Include vertical paths down onto the base, one at each point of a grid over the base."""
     above_spacing: float = 0.15
-    """[m] largest spacing of this grid, for --above."""
+    """[m] largest spacing of the grid of --above."""
     length: float = 0.2
     """[m] length of each path."""
     hold: float = 3.0

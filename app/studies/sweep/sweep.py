@@ -91,7 +91,7 @@ class StartFinder:
     """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
-        """Prepare the search for a buffer distance `d_b` [m], with the check `check_avoidance`."""
+        """Prepare the search for buffers of d_b [m]; raises the error of `check_avoidance`."""
         check_avoidance(model, data)
         self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
@@ -280,14 +280,15 @@ def _row(plan: SweepPlan, finder: StartFinder, trial: tuple[Start, str, float]) 
 
 
 def arrival(t: Array, errors: Array) -> float | None:
-    """[s] time from which all errors (N,) [m], at times t (N,) [s], are within 1 mm, or None."""
+    """[s] first of the times t (N,) [s] from which on all errors (N,) [m] are ≤ 1 mm, or None."""
     arrived = np.append(0, np.flatnonzero(errors > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
 
 
 def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
-    """Whether the final error is at most `error_limit` [m], the distance between arm and base at
-    least 0.03 m, and no step had a contact with base or arm or the fallback command.
+    """Whether a path was successful: its final error is at most `error_limit` [m], arm and base
+    were always at least 0.03 m apart, the arm never touched base or itself in the plant, and no
+    step had the fallback command.
     """
     clearance = results["min_clearance_m"]
     flaws = (results[key] for key in ("contacts", "arm_contacts", "solver_failures"))
