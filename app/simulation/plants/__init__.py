@@ -23,7 +23,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant, by default `default_plant`, or an UnknownNameError."""
+    """A plant's present name, by default `default_plant`; raises an UnknownNameError if unknown."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name

@@ -60,7 +60,7 @@ class BulletRobot(BulletWorld):
             self.door.reset()
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Copies of position (3,) and velocity (3,) of x, y and yaw, and of q_m and q̇_m (n_m,)."""
+        """Copies of position (3,) and velocity (3,) of x, y, yaw, and of q_m and q̇_m (n_m,)."""
         states = self.client.getJointStates(self.robot, self.moving)
         q, v = [state[0] for state in states], [state[1] for state in states]
         return np.array(q[:3]), v[:3], np.array(q[3:]), np.array(v[3:])
@@ -68,7 +68,9 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step; `speeds` (3,) [m/s, m/s, rad/s] are those of x, y and yaw."""
+        """Advance by one step, as in `Physics.step`. `speeds` (3,) [m/s, m/s, rad/s] are the
+        commanded speeds of x, y and yaw in the world.
+        """
         self.client.setJointMotorControlArray(
             self.robot,
             self._planar,
@@ -140,7 +142,7 @@ class BulletDoor(HeldDoor):
             self._grasp = None
 
     def reset(self) -> None:
-        """Put the refrigerator in place, and grasp its door; call `release` before."""
+        """Put the refrigerator with its door in place, and grasp it; call `release` before."""
         client = self._client
         pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])
@@ -206,7 +208,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
         parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
-        # Both can touch the same parts, or the child has no shape.
+        # Merged: both can touch the same parts, or the child has no shape; forces act on the tip.
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue

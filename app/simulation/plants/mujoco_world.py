@@ -32,7 +32,7 @@ class MujocoWorld:
         self.door = None if door is None else MujocoDoor(robot, door)
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
-        self.q, self.v = self.data.qpos, self.data.qvel  # all of them; views that MuJoCo updates
+        self.q, self.v = self.data.qpos, self.data.qvel  # all; views that MuJoCo updates
         source, arm = robot.model, robot.model.description.arm
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
