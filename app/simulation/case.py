@@ -39,7 +39,8 @@ class RunCase(Strict):
     """The contents of a case file: `dbb run`, `dbb serve` and other commands repeat its run."""
 
     dbb_case: Literal[1] = 1  # version of the file format
-    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))  # that wrote it
+    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
+    """Version of the program that wrote the file."""
     robot: str
     played: str  # name of the scenario
     options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)  # all options of the scenario

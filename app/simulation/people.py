@@ -140,8 +140,8 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
-    """Check a person's target in the world, and return it as an array (3,) [m]. Other than three
-    finite numbers, z < 0, or a coordinate beyond ±10 km raise a TargetError.
+    """Check a person's target in the world, and return it as an array (3,) [m]. A target that is
+    not three finite numbers, below the floor, or beyond ±10 km raises a TargetError.
     """
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
@@ -153,8 +153,8 @@ def checked_target(target: Sequence[float] | Array) -> Array:
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
-    """Check a held point in the frame of a link, and return it as an array (3,) [m]. Other than
-    three finite numbers, or a point beyond 1 m from the origin raise a TargetError.
+    """Check a held point in the frame of a link, and return it as an array (3,) [m]. A point that
+    is not three finite numbers, or more than 1 m from the link's origin, raises a TargetError.
     """
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:

@@ -30,7 +30,7 @@ class Camera(NamedTuple):
     pitch: float  # [rad] elevation of the camera, seen from `target`
     width: int = 480  # [px] width of the picture
     height: int = 480  # [px] height of the picture
-    fov: float = 0.35  # [rad] vertical; if it is small, vertical edges look almost parallel
+    fov: float = 0.35  # [rad] vertical field of view; if small, vertical edges are almost parallel
 
     @property
     def eye(self) -> Array:

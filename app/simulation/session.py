@@ -96,12 +96,12 @@ class Session:
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Start at rest in the robot's ready posture, with the base at the origin. `model` is the
-        robot of the controller, and by default also of the plant. If `model` has a held object as
-        an additional body, `plant` must be the robot without this object. `physics` names the
-        plant, by default `default_plant`; `seed` determines all random numbers. The end-effector
-        holds the `door`, if there is one. This raises the errors of `ControlLoop`, `make_physics`
-        and `check_avoidance`.
+        """Start at rest in the robot's ready posture, with the base at the origin.
+
+        `model` is the robot of the controller, and by default also of the plant. If `model` has a
+        held object as an additional body, `plant` must be the robot without this object. `physics`
+        names the plant, by default `default_plant`; `seed` fixes all random numbers. The robot
+        holds any `door`. Raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
         check_avoidance(model, data)
         self.model, self.data, self.config = model, data, config
@@ -236,7 +236,7 @@ class Session:
         return step
 
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
-        """The loads by name, mass [kg], centre [m] and start [s]; equal loads keep their state."""
+        """The loads with a mass, by name, mass [kg], centre [m] and time of beginning [s]."""
         load, disturbance = config.payload, config.disturbance
         loads = (
             ("payload", load.mass, (load.x, load.y, load.z), 0.0),

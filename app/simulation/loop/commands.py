@@ -153,11 +153,12 @@ class Compare(Command):
 
 
 class Mailbox:
-    """A queue of commands from any thread to the thread that executes them. A `Pull` or `Release`
-    replaces a waiting one of the same person. A `Beginning` replaces another; only a `Restart` does
-    not, and is dropped. Each other command replaces a waiting command of the same class. An
-    `Adjustment` takes the place of the replaced command, so that a later `Beginning` uses the
-    newest value. All other commands go to the end of the queue.
+    """A queue of commands from any thread to the thread that executes them.
+
+    A `Pull` or `Release` replaces a waiting one of the same person. A `Beginning` replaces another;
+    only a `Restart` does not, and is dropped. Each other command replaces a waiting command of its
+    class. An `Adjustment` takes the place of the replaced command, so that a `Beginning` later in
+    the queue uses the newest value. All other commands go to the end of the queue.
     """
 
     def __init__(self) -> None:
@@ -166,9 +167,8 @@ class Mailbox:
         self.filled = threading.Event()  # event that is set while commands wait
 
     def put(self, command: Command, links: Collection[str]) -> None:
-        """Add a command; a pull whose link is not in `links` raises an UnknownNameError.
-
-        While `MAX_WAITING` commands wait, a pull that replaces none of them raises a LoopError.
+        """Add a command; a pull whose link is not in `links` raises an UnknownNameError. While
+        `MAX_WAITING` commands wait, a pull that replaces none of them raises a LoopError.
         """
         pulls, key = isinstance(command, Pull), _key(command)
         if pulls and command.link is not None:

@@ -91,7 +91,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, with the changes of `Scenario.adapted`, as `Session.configure`."""
+        """Use other parameters, by `Scenario.adapted`; raises the error of `Session.configure`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)

@@ -22,7 +22,7 @@ _IDLE = 0.25  # [s] time between two heartbeats during a pause
 
 
 class LoopHandle:
-    """The dashboard's interface to a live loop in a thread or process: commands and snapshots."""
+    """The dashboard's interface to the simulation; the loop can also run in another process."""
 
     error: BaseException | None = None  # the error that ended the loop, if any
     links: tuple[str, ...] = ()  # names of the arm's frames that people can pull, after the start
@@ -51,7 +51,7 @@ class LoopHandle:
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat; 0 in an operation that `Snapshot.busy` announces."""
+        """[s] time since the last heartbeat; operations that `Snapshot.busy` announces are none."""
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:

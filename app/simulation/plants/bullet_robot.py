@@ -26,10 +26,8 @@ _DOOR = 0  # pybullet's index of the door's link and of its hinge
 
 
 class BulletRobot(BulletWorld):
-    """A robot on planar joints in pybullet.
-
-    Positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world, then of the
-    arm's joints. `door` is as in `Physics`.
+    """A robot on planar joints in pybullet. Positions q and velocities v (3 + n_m,) are those of x,
+    y and yaw in the world, then of the arm's joints. `door` is as in `Physics`.
     """
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
@@ -142,7 +140,7 @@ class BulletDoor(HeldDoor):
             self._grasp = None
 
     def reset(self) -> None:
-        """Put the refrigerator with its door in place, and grasp it; call `release` before."""
+        """Put the refrigerator in place, and grasp its door; call `release` before."""
         client = self._client
         pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])
@@ -208,7 +206,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
         parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
-        # Merged: both can touch the same parts, or the child has no shape; forces act on the tip.
+        # Merge if both can touch the same parts, or the child has no shape; never the end-effector.
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue

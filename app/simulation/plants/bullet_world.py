@@ -117,7 +117,6 @@ class BulletWorld:
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
         """Load a body from a URDF's text, with its root at `place` (3,) [m], and return its index.
-
         With `self_collision`, links that are not neighbours can touch, and the root is fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE

@@ -148,7 +148,7 @@ class Cabinet:
         )
         """Pose of the box's centre in the world."""
         self.T_hinge = self.T_world.inverse() * door.pose(0.0)  # the closed door in the box's frame
-        self.T_centre = pin.SE3(np.eye(3), door.centre)  # of the board's centre
+        self.T_centre = pin.SE3(np.eye(3), door.centre)  # board's centre in the door's frame
         # inertia of the board, in the door's frame
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
 
@@ -167,11 +167,12 @@ def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float,
 def with_door(
     model: RobotModel, data: BorderData, door: Door, T_ee_door: pin.SE3
 ) -> tuple[RobotModel, BorderData]:
-    """Model and data of a robot that holds a door, its last body; ⟨l_m, door⟩ is in L_m. The body
-    is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the grasp is
-    rigid. `T_ee_door` is the door's pose in the end-effector's frame. The door has the reachability
-    coefficients of the last body that has any; if there is none, this raises a DescriptionError.
-    Its acting point is on the exact offset surface of l_m, without samples.
+    """Model and data of a robot that holds a door, its last body; ⟨l_m, door⟩ is in L_m.
+
+    The body is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
+    grasp is rigid. `T_ee_door` is the door's pose in the end-effector's frame. The door has the
+    reachability coefficients of the last body that has any; if there is none, this raises a
+    DescriptionError. The pair's acting point is on the exact offset surface of l_m, not a sample.
     """
     description = model.description
     link = description.arm.end_effector_link

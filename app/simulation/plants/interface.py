@@ -77,10 +77,12 @@ class Physics(ABC):
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by `dt`. The arm's torques `u_a` (n_m,) [N m or N] are constant during the step.
-        The drive follows the command `base_velocity` (n_b,) [m/s or rad/s] with the description's
-        time constant and limits. `hand_force` (3,) [N], in the world, acts on the end-effector's
-        origin, the `pushes` on other points of the arm.
+        """Advance by `dt`.
+
+        The arm's torques `u_a` (n_m,) [N m or N] are constant during the step. The drive follows
+        the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
+        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin; the `pushes`
+        act on other points of the arm.
         """
 
     @abstractmethod

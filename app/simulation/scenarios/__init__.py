@@ -52,7 +52,7 @@ SCENARIOS: dict[str, Scenario] = {
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
 """Scenarios towards the side or front of the base: each needs the robot's own line or a start."""
 _FREE = "guiding-front"  # scenario whose start is also the start of the free motion
-_SAME_LINE = {"tracking": "guiding-lateral"}  # the second's line is used if there is none
+_SAME_LINE = {"tracking": "guiding-lateral"}  # a scenario without a line uses that of another
 
 
 def scenario_by_name(name: str) -> Scenario:
@@ -88,7 +88,7 @@ def free_start(
 ) -> Array:
     """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. `start` (3,) [m]
     is the end-effector's position for a base at the origin, by default that of the robot's own line
-    for `guiding-front`. Without `start` and line, the result is the ready posture. If the search
+    for `guiding-front`. Without both, the result is the ready posture. If the search
     finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.

@@ -26,7 +26,7 @@ class DoorOpeningGains:
     ramp: float = 1.5  # [s] rise time of the speed from zero
     turn: float = math.radians(88)  # [rad] rotation since the start at which the end-effector stops
     braking: float = math.radians(4)  # [rad] range of rotation before `turn` with reduced speed
-    radial_force: float = 0.0  # [N] f_d, desired force along r̂, towards the hinge
+    radial_force: float = 0.0  # [N] f_d, desired force towards the estimated hinge
     compliance: float = 0.002  # [m/(s N)] α_f, ratio of velocity to force error
     integral_time: float = 4.0  # [s] integral time of the force's PI regulator
     angular_compliance: float = 0.05  # [rad/(s N m)] α_τ, ratio of rotation rate to torque

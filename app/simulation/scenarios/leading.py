@@ -29,7 +29,7 @@ _FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one counts as a 
 class StepInput(NamedTuple):
     """The input of one control step: the arguments of `Session.step`."""
 
-    reference: Reference | None = None  # of the end-effector; None without one
+    reference: Reference | None = None  # reference of the end-effector, or None
     pull: Array | None = None  # (3,) [m] target of a person at the end-effector, in the world
     door: DoorView | None = None  # state of the door while the scenario opens it, otherwise None
     holds: tuple[Hold, ...] = ()  # other people who hold the robot at any point
@@ -75,7 +75,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """`config` with the values that this scenario requires; the loop also adapts changes."""
+        """`config` with the values that this scenario requires; the loop adapts later changes."""
         return config
 
     @abstractmethod
@@ -83,7 +83,7 @@ class Scenario(ABC):
         """Make the driver for a session at its start; only a scenario with a door can fail here."""
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with changed fields; None changes nothing; an error raises a ConfigError."""
+        """A copy with some fields changed; ignores None; an invalid change raises a ConfigError."""
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
         for name in given:

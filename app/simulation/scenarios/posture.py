@@ -49,7 +49,7 @@ class PostureSearch:
         self.model, self.d_b = model, d_b
         self.state = RobotState(model)  # in the last posture
         self.span = model.q_upper - model.q_lower
-        self.middle = (model.q_upper + model.q_lower) / 2  # (n_m,) of each joint's range
+        self.middle = (model.q_upper + model.q_lower) / 2  # (n_m,) [rad or m], as `span`
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor, self._floor_data = _with_floor(model)

@@ -40,11 +40,12 @@ OUT_OF_REACH = "out of the arm's reach"  # the reason if the end-effector misses
 
 
 class StartSolver:
-    """Finds a posture of the arm for an end-effector position; the base at the origin faces +x. The
-    end-effector points away from the arm's mount, and downwards if possible. Every pair is outside
-    its buffer, the arm is above the floor, and each joint is away from its position limits. Any
-    direction is accepted if the arm cannot choose the direction of the end-effector freely, and the
-    search finds no posture as above from which the arm can follow the whole path.
+    """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
+
+    The end-effector points away from the arm's mount, and downwards if possible. Every pair is
+    outside its buffer, the arm is above the floor, and each joint is away from its position limits.
+    Any direction is accepted if the arm cannot choose the direction of the end-effector freely, and
+    the search finds no posture as above from which the arm can follow the whole path.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -106,8 +107,8 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Find the posture (n_m,) near `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m]. The
-        direction of the end-effector remains. An invalid posture raises an UnreachableError.
+        """Find the posture (n_m,) near `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m] in the
+        same direction. An invalid posture raises an UnreachableError with the reason.
         """
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
@@ -118,7 +119,7 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether a search with few `tries` finds a posture that reaches `p_ee` (3,) [m]. The
+        """Whether a search finds, in so many `tries`, a posture that reaches `p_ee` (3,) [m]. The
         end-effector can have any direction; distances of pairs and floor are not checked.
         """
         target = Target(np.array(p_ee, dtype=float))
@@ -185,8 +186,8 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """The posture (n_m,) of `StartSolver.solve`, read-only and cached. With `move` (3,) [m], its
-    path is the straight line of this displacement from `p_ee` (3,) [m].
+    """The posture (n_m,) of `StartSolver.solve`, read-only and cached. With `move` (3,) [m], the
+    path of `solve` is the straight line of this displacement from `p_ee` (3,) [m].
     """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
@@ -207,7 +208,7 @@ def find_grasp(
     The end-effector is horizontal and points into the door; every pair is outside its buffer. From
     the best posture, the arm can follow the door over the largest range of further angles while the
     base moves back. The result is cached. If the search finds no posture, this raises an
-    UnreachableError. `base_pose` is x, y [m] and heading [rad], `angle` [rad] that of the door.
+    UnreachableError. `base_pose` is x, y [m] and heading [rad], `angle` [rad] is the door's.
     """
     search = PostureSearch(model, pairs, d_b)
     q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)

@@ -86,7 +86,7 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if pair i is nearest, at a distance in `depth` [m], and floor and side fit; else 0."""
+    """1 if the posture is a valid start, else 0; `depth` [m] is the range of the nearest pair i."""
     closest = search.monitor.find_closest_points()
     pair = closest[i]
     if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):

@@ -42,8 +42,9 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write a table as CSV if the name ends in .csv, otherwise as Parquet, by `write_whole`. A
-    header that is not empty becomes the first line of CSV, a comment, or metadata of Parquet.
+    """Write a table as CSV if the name ends in .csv, otherwise as Parquet, completely or not at
+    all. A header that is not empty becomes a comment on the first line of CSV, or metadata of
+    Parquet. Equal tables with equal headers give equal bytes.
     """
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":

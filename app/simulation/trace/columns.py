@@ -40,7 +40,7 @@ class TraceMeta(Strict):
     joint_units: tuple[Literal["rad", "m"], ...]
     joint_speeds: tuple[Positive, ...] = ()  # (n_m,) [rad/s or m/s] limits; empty if unknown
     joint_torques: tuple[Positive, ...] = ()  # (n_m,) [N m or N] limits; empty if unknown
-    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # by axes, in names of columns
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # names in columns, by axis
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
     wheels: tuple[str, ...] = ("right", "left")  # names of the angles of the base's wheels
     pairs: tuple[str, ...]  # names of all link pairs, in the order of the distances
@@ -49,7 +49,7 @@ class TraceMeta(Strict):
     physics: str = ""  # name of the plant; empty if unknown
     seed: int | None = Field(default=None, ge=0)  # seed of all random numbers
     config: Config  # parameters at the first row; a column has the later changes
-    stuck: dict[str, Any] | None = None  # `Stuck` by `find_stuck` at the end
+    stuck: dict[str, Any] | None = None  # of `find_stuck` at the end
     left_way: dict[str, Any] | None = None
     """`Stuck` at the largest tracking error, if this exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)
@@ -134,7 +134,7 @@ class Quantity(NamedTuple):
     columns: Callable[[TraceMeta], Sequence[Column]]
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]  # conversion of a snapshot's value to cells
     value: Callable[[Sequence[Any], TraceMeta], Any]  # conversion of cells to a snapshot's value
-    take: Take | None = None  # None: the caller of `make_snapshot` sets it
+    take: Take | None = None  # computes the value; None if the caller of `make_snapshot` sets it
     single: bool = False  # whether the quantity is one number or text
     paths: tuple[str, ...] = ()
     """Attributes of `Step`, such as `truth.q_m`, that are recorded at each control step. Without

@@ -116,7 +116,6 @@ def _joint_state(
 
 def _put_motion(log: Context, trace: Trace, model: RobotModel) -> None:
     """Write the robot's URDF, the states of arm joints and wheels, and the poses of all links.
-
     Unknown speeds and torques of wheels are NaN. The last pose is that of the end-effector's frame.
     """
     whole, urdf = whole_model(model.description), shown_urdf(model.description)

@@ -311,7 +311,7 @@ class Snapshot:
     realtime_factor: Annotated[float, drawn("realtime_factor")]
     """[-] ratio of simulated to real time in the last second; NaN in a run without a clock."""
     overruns: Annotated[int, drawn("overruns", kind="int")]
-    """Number of control steps since the last reset that exceeded their period or began too late."""
+    """Number of control steps since the last reset that exceeded their period or began after it."""
     paused: Annotated[bool, drawn("paused", kind="bool")]
     """Whether the simulation is paused."""
     mode: Annotated[

@@ -81,8 +81,8 @@ class Trace:
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
-        """Make a trace with a row for each snapshot; the first one determines `meta`. If there is
-        none, the times do not increase or the pairs differ, this raises a LogError.
+        """Make a trace with a row for each snapshot; the first one determines `meta`. If there are
+        no snapshots, the times do not increase or the pairs differ, this raises a LogError.
         """
         if not snapshots:
             raise LogError("there are no snapshots for a log")
