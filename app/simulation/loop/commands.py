@@ -155,10 +155,10 @@ class Compare(Command):
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
-    A `Pull` or `Release` replaces a waiting one of the same person. A `Beginning` replaces another;
-    only a `Restart` does not, and is dropped. Each other command replaces a waiting command of its
-    class. An `Adjustment` takes the place of the replaced command, so that a `Beginning` later in
-    the queue uses the newest value. All other commands go to the end of the queue.
+    A `Pull` or `Release` replaces a waiting one of the same person, and a `Beginning` replaces a
+    waiting one; only a `Restart` is dropped instead. Each other command replaces a waiting command
+    of its class. An `Adjustment` takes the place of the replaced command, so that a `Beginning`
+    later in the queue uses the newest value. All other commands go to the end of the queue.
     """
 
     def __init__(self) -> None:

@@ -72,7 +72,7 @@ class Ensemble:
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again, as the command `Reset`; if this fails, a DbbError precedes any change."""
+        """Start again, as the command `Reset`; a DbbError leaves the present run unchanged."""
         begun = self._start
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
@@ -91,7 +91,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, by `Scenario.adapted`; raises the error of `Session.configure`."""
+        """Use other parameters, adapted to the scenario; raises the errors of `configure`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)

@@ -51,7 +51,7 @@ class LoopHandle:
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat; operations that `Snapshot.busy` announces are none."""
+        """[s] time since the last heartbeat; the time of a `Snapshot.busy` does not count."""
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:

@@ -92,7 +92,7 @@ class RobotSpec:
         mesh: str = "",
     ) -> None:
         """Add a shape to a body at the pose T; it can touch only the geoms of its pairs in `allow`.
-        `size` [m] has up to three sizes, as MuJoCo defines them for the kind; `mesh` is a name.
+        `size` [m] has up to three sizes, as MuJoCo defines them; `mesh` is the name of a mesh.
         """
         body.add_geom(
             name=name,

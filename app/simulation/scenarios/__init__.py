@@ -88,8 +88,8 @@ def free_start(
 ) -> Array:
     """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. `start` (3,) [m]
     is the end-effector's position for a base at the origin, by default that of the robot's own line
-    for `guiding-front`. Without both, the result is the ready posture. If the search
-    finds no posture, this raises an UnreachableError.
+    for `guiding-front`. Without `start` and such a line, the result is the ready posture. If the
+    search finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start

@@ -119,8 +119,8 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether a search finds, in so many `tries`, a posture that reaches `p_ee` (3,) [m]. The
-        end-effector can have any direction; distances of pairs and floor are not checked.
+        """Whether a search with at most `tries` tries finds a posture that reaches `p_ee` (3,) [m].
+        The end-effector can have any direction; distances of pairs and floor are not checked.
         """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
@@ -205,10 +205,11 @@ def find_grasp(
     seed: int = 0,
 ) -> tuple[Array, pin.SE3]:
     """Find a posture of the arm (n_m,), read-only, at a door's handle, and the end-effector's pose.
+
     The end-effector is horizontal and points into the door; every pair is outside its buffer. From
     the best posture, the arm can follow the door over the largest range of further angles while the
-    base moves back. The result is cached. If the search finds no posture, this raises an
-    UnreachableError. `base_pose` is x, y [m] and heading [rad], `angle` [rad] is the door's.
+    base moves back. The result is cached. `base_pose` is x, y [m] and heading [rad], `angle` [rad]
+    the opening angle. If the search finds no posture, this raises an UnreachableError.
     """
     search = PostureSearch(model, pairs, d_b)
     q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)

@@ -49,7 +49,7 @@ class TraceMeta(Strict):
     physics: str = ""  # name of the plant; empty if unknown
     seed: int | None = Field(default=None, ge=0)  # seed of all random numbers
     config: Config  # parameters at the first row; a column has the later changes
-    stuck: dict[str, Any] | None = None  # of `find_stuck` at the end
+    stuck: dict[str, Any] | None = None  # `find_stuck` at the end
     left_way: dict[str, Any] | None = None
     """`Stuck` at the largest tracking error, if this exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)
@@ -152,8 +152,8 @@ def number(
     """A quantity of one number or text, or of an array (k,) if the `template` names k columns.
 
     `template` is as in `column_names`. `source` is the value's attribute of `Step`, as in
-    `Quantity.paths`, or its computation, as in `Quantity.take`. If not `often`, the value is
-    recorded only at snapshots. If `optional`, the value can be None.
+    `Quantity.paths`, or its computation at 50 Hz, as in `Quantity.take`. If not `often`, the value
+    is recorded only at snapshots. If `optional`, the value can be None.
     """
     single = "{" not in template
 
