@@ -91,7 +91,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, adapted to the scenario; raises the errors of `configure`."""
+        """Use other parameters, adapted to the scenario; fails as `Session.configure`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
