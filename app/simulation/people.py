@@ -108,7 +108,7 @@ class PersonHand:
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
         """Begin one hold; `dt` [s] is the time between two calls of `force`."""
         self._dt = dt
-        self.motion = np.full((4, 3), np.nan)  # [m, m/s] p, ṗ, then those of the mass
+        self.motion = np.full((4, 3), np.nan)  # [m, m/s] p, ṗ; x, ẋ of the mass
         self.configure(config)
 
     def configure(self, config: PersonConfig) -> None:

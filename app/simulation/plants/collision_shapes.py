@@ -33,7 +33,7 @@ class CollisionShape(NamedTuple):
     part: str  # name of the shape's link or body
     joint: int  # Pinocchio's index of the joint that moves the shape
     T: pin.SE3  # pose of the shape in the joint's frame
-    geometry: coal.CollisionGeometry | Array  # an array has (n, 3) [m] of a hull
+    geometry: coal.CollisionGeometry | Array  # primitive, or (n, 3) [m] points of a hull
 
     @property
     def lowest(self) -> float:

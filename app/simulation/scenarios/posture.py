@@ -47,7 +47,7 @@ class PostureSearch:
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare the search for a robot, its link pairs and a buffer distance `d_b` [m]."""
         self.model, self.d_b = model, d_b
-        self.state = RobotState(model)  # in the last posture
+        self.state = RobotState(model)  # state in the last posture
         self.span = model.q_upper - model.q_lower
         self.middle = (model.q_upper + model.q_lower) / 2  # (n_m,) [rad or m], as `span`
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]

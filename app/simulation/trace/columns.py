@@ -47,9 +47,9 @@ class TraceMeta(Strict):
     mobile_pairs: tuple[str, ...]  # names of the pairs with the base (L_m)
     scenario: str = ""
     physics: str = ""  # name of the plant; empty if unknown
-    seed: int | None = Field(default=None, ge=0)  # seed of all random numbers
+    seed: int | None = Field(default=None, ge=0)  # of all random numbers; None if unknown
     config: Config  # parameters at the first row; a column has the later changes
-    stuck: dict[str, Any] | None = None  # `find_stuck` at the end
+    stuck: dict[str, Any] | None = None  # result of `find_stuck` at the end
     left_way: dict[str, Any] | None = None
     """`Stuck` at the largest tracking error, if this exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)

@@ -92,7 +92,7 @@ class Score(NamedTuple):
     error_max: float  # [m] largest distance of the end-effector from its target
     base_path: float  # [m] length of the path of the base's centre
     acceleration_jump: float  # [m/s²] largest change of a commanded linear acceleration in a step
-    angular_jump: float  # [rad/s²] largest change of the commanded angular acceleration
+    angular_jump: float  # [rad/s²] largest change of the commanded angular acceleration in a step
     torque_jump: float  # [N m or N] largest change of a joint's torque or force in one step
     contacts: int  # number of control steps with a contact of any kind (`Contacts`)
 

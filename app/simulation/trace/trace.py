@@ -64,7 +64,7 @@ class Trace:
         """
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
-        self.columns: list[Column] = []  # of the table, in its order
+        self.columns: list[Column] = []  # columns of the table, in order
         self._slices: dict[str, slice | int] = {}
         for name in names:
             often = [column for column in QUANTITIES[name].columns(meta) if column.often]
@@ -72,7 +72,7 @@ class Trace:
             if often:
                 self._slices[name] = begin if QUANTITIES[name].single else slice(begin, end)
             self.columns += often
-        self.index = {column.name: k for k, column in enumerate(self.columns)}  # by names
+        self.index = {column.name: k for k, column in enumerate(self.columns)}  # places by names
 
     @property
     def controllers(self) -> tuple[str, ...]:
