@@ -199,7 +199,6 @@ def test_undo_of_all_steps_and_redo_visit_the_same_configurations(script):
             else:
                 getattr(tuning, name)()
         except ConfigError:
-            assert name in ("undo", "redo")
             assert tuning.config is before
     until_refused(tuning, tuning.redo)
     back = until_refused(tuning, tuning.undo)

@@ -30,7 +30,7 @@ class RunSpec(NamedTuple):
     robot: str
     scenario: Scenario
     config: Config
-    controller: str = "dbb"
+    controller: str = "dbb"  # name of the controller
     physics: str | None = None  # name of the plant; None for the default one
     seed: int = 0  # seed of all random numbers
 
@@ -39,14 +39,15 @@ class RunCase(Strict):
     """The contents of a case file: `dbb run`, `dbb serve` and other commands repeat its run."""
 
     dbb_case: Literal[1] = 1  # version of the file format
-    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))  # of the writer
+    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
+    """Version of the program that wrote the file."""
     robot: str
     played: str  # name of the scenario
     options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)  # all options of the scenario
     controller: str
     physics: str
     seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
-    parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
+    parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)  # all, by their paths
 
     @model_validator(mode="before")
     @classmethod
@@ -78,7 +79,7 @@ class RunCase(Strict):
         return RunSpec(self.robot, scenario, config, self.controller, self.physics, self.seed)
 
     def scenario(self) -> Scenario:
-        """The scenario; raises a DbbError if it does not exist, or its options are invalid."""
+        """The scenario; raises a DbbError if it does not exist, or an option is invalid."""
         check_name("scenario", self.played, _PLAYED)
         played = _PLAYED[self.played]
         record = _options_of(type(played))
@@ -95,7 +96,7 @@ class RunCase(Strict):
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """A line if another version wrote the case, and for each unknown or missing parameter."""
+        """A line if another version wrote the case, and one per unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
         lines = [f"dbb {self.version} wrote the case; this is dbb {now}"] * (self.version != now)
         for path in sorted(own.keys() - known.keys()):

@@ -31,13 +31,13 @@ class Hold(NamedTuple):
     who: int  # number of the person
     target: Array  # (3,) [m] target of the held point, in the world
     link: str | None = None  # one of `held_links`; None is the end-effector
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in the frame of `link`
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in the frame of `link`, if not None
 
 
 class PullReading(NamedTuple):
     """One person's pull at one instant; positions and force are in the world."""
 
-    who: int
+    who: int  # number of the person
     link: str | None  # as in `Hold`
     point: Array  # (3,) [m] the held point
     target: Array  # (3,) [m] target of the held point
@@ -68,10 +68,10 @@ class People:
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
-        """Compute the pull of each person in one control step, and the forces on the robot.
-
-        A person without a hold releases the robot. If a person holds another point than before, the
-        spring starts without stretch. An invalid target raises a TargetError.
+        """Compute the pull of each person in one control step, and the forces on the robot. `holds`
+        has at most one hold of each person; a person without a hold releases the robot. If a person
+        holds another point than before, the spring of the new hold starts without stretch. An
+        invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
@@ -100,14 +100,15 @@ class PersonHand:
     damper acts against the world: while p rests, the person only absorbs energy.
 
     If the hand has a mass, F moves the mass, and the robot receives the force of the grip, a spring
-    and a damper between mass and robot. This force equals F at rest; while the robot stops the
-    mass, it is larger than F, possibly above f_max. Such a hand is passive too while p rests.
+    and a damper between mass and robot. This force is smaller than F while F accelerates the mass,
+    equals F at rest, and is larger than F, possibly above f_max, while the robot stops the mass.
+    Such a hand, too, only absorbs energy while p rests.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
         """Begin one hold; `dt` [s] is the time between two calls of `force`."""
         self._dt = dt
-        self.motion = np.full((4, 3), np.nan)  # p, ṗ, and those of the mass; see `_pull`
+        self.motion = np.full((4, 3), np.nan)  # [m, m/s] p, ṗ; x, ẋ of the mass
         self.configure(config)
 
     def configure(self, config: PersonConfig) -> None:
@@ -139,7 +140,9 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
-    """Return a target as an array (3,) [m]; one below the floor or invalid raises a TargetError."""
+    """Check a person's target in the world, and return it as an array (3,) [m]. A target that is
+    not three finite numbers, below the floor, or beyond ±10 km raises a TargetError.
+    """
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
     if z < 0:
@@ -150,7 +153,9 @@ def checked_target(target: Sequence[float] | Array) -> Array:
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
-    """Return a held point as an array (3,) [m]; one beyond 1 m or invalid raises a TargetError."""
+    """Check a held point in the frame of a link, and return it as an array (3,) [m]. A point that
+    is not three finite numbers, or more than 1 m from the link's origin, raises a TargetError.
+    """
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
         raise TargetError(

@@ -26,11 +26,11 @@ class Camera(NamedTuple):
 
     target: Array  # (3,) [m] point in the world at the centre of the picture
     distance: float  # [m] distance from the target
-    yaw: float  # [rad] angle from the world's x axis to the direction from target to camera
-    pitch: float  # [rad] elevation of the camera, seen from the target
+    yaw: float  # [rad] horizontal angle from the world's x axis to the camera, seen from `target`
+    pitch: float  # [rad] elevation of the camera, seen from `target`
     width: int = 480  # [px] width of the picture
     height: int = 480  # [px] height of the picture
-    fov: float = 0.35  # [rad] vertical; in a small one, vertical edges look almost parallel
+    fov: float = 0.35  # [rad] vertical field of view; if small, vertical edges are almost parallel
 
     @property
     def eye(self) -> Array:
@@ -40,7 +40,9 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """A copy, moved so that points (N, 3) [m] fill the picture except for a `margin` [-]."""
+        """A copy of the camera, moved so that points (N, 3) [m] in the world fill the picture.
+        `margin` [-] is the smallest empty part of the picture's width or height on each side.
+        """
         camera = self
         for _ in range(8):  # the perspective changes a little each time
             view, projection = camera.matrices()
@@ -77,7 +79,7 @@ class Picture(NamedTuple):
     """A picture, with the data that a caller needs to draw further elements over it."""
 
     rgb: Array  # (height, width, 3) colours, uint8
-    floor: Array  # (height, width) whether a pixel shows floor or background
+    floor: Array  # (height, width) whether a pixel shows no body: floor or background
     to_clip: Array  # (4, 4) transform from the world to the clip space
 
     def pixels(self, points: Array) -> Array:
@@ -118,7 +120,9 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """Take a picture of the `solids` and, if `robot`, of the robot in a pose and posture."""
+        """Take a picture of the `solids` and, if `robot`, of the robot. `base_pose` is x, y [m] and
+        heading [rad], `q_m` (n_m,) [rad or m] the joint positions.
+        """
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, positions, strict=True):

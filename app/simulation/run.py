@@ -20,14 +20,16 @@ from app.simulation.trace.trace import Recorder, Trace
 class RunResult(NamedTuple):
     """The figures of merit and the trace of a run."""
 
-    figures: dict[str, Any]
+    figures: dict[str, Any]  # scenario, robot and other data of the run, and its `metrics`
     trace: Trace
 
 
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at a setting, with the plant of `robot`; raises the errors of `Session`."""
+    """Make a session at the start of a setting; `robot` is the robot without a held door. This
+    raises a TargetError if the posture is invalid, and the errors of `Session`.
+    """
     check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
         setting.model,
@@ -128,8 +130,8 @@ def filmed(
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
     """Execute a run until the latest of `times` [s]; return the snapshots at 50 Hz and at `times`.
-
-    There must be at least one time; a time after the end of the run selects its last step.
+    There must be at least one time; a time after the end of the run selects the run's last step.
+    `on_progress` is as in `run_from_spec`. This raises the errors of `steps_of`.
     """
     scenario, snapshots = run.scenario, []
     last = round(scenario.duration / DT) - 1

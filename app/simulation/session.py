@@ -40,19 +40,19 @@ class Step(NamedTuple):
     measurement: Measurement  # readings that the controller received
     control: ControlStep  # quantities of the control step; the next step overwrites them
     base_command: Array  # (n_b,) [m/s or rad/s] command for the base, before delay and slip
-    hand_target: Array | None  # (3,) [m] target of the (first) person at the end-effector
+    hand_target: Array | None  # (3,) [m] as `Snapshot.hand_target`
     hand_force: Array  # (3,) [N] as `Snapshot.hand_force`
     ee_error: float  # [m] as `Snapshot.ee_error`
-    contacts: Contacts
+    contacts: Contacts  # contacts during the step
     duration: float  # [s] real time of the controller's computation
     truth: Measurement  # readings without sensor errors
     state: RobotState  # true state of the robot; the next step overwrites it
     distances: Array  # (n_p,) [m] true signed distances of all link pairs
     buffer: BufferReading  # whether d_b is sufficient for the arm's approach speed
-    door: DoorView | None = None  # the door that the end-effector holds
-    pulls: tuple[PullReading, ...] = ()  # of all people; empty if `forces` were specified
-    person: PersonForces = PersonForces(np.zeros(3))
-    reference: Reference | None = None  # the tracked reference; None while a person guides the arm
+    door: DoorView | None = None  # the door that the end-effector holds, or None
+    pulls: tuple[PullReading, ...] = ()  # of all people; empty if `Session.step` had `forces`
+    person: PersonForces = PersonForces(np.zeros(3))  # forces of all people during the step
+    reference: Reference | None = None  # the tracked reference; None in the mode "guiding"
     ee_speed: float = 0.0  # [m/s] true speed of the end-effector
 
     @property
@@ -72,7 +72,7 @@ class Step(NamedTuple):
 
 
 def check_avoidance(model: RobotModel, data: BorderData) -> None:
-    """Raise a DescriptionError if L_m is empty: no link pair has the base."""
+    """Raise a DescriptionError if L_m is empty: no link pair contains the base."""
     if not data.pairs.mobile:
         raise DescriptionError(
             f"{model.description.name}: no monitored part of the arm can meet the base, so no "
@@ -96,13 +96,12 @@ class Session:
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Start at rest in the robot's ready posture.
+        """Start at rest in the robot's ready posture, with the base at the origin.
 
-        `model` is the robot of the controller. If it has a held object as an additional body,
-        `plant` is the robot without this object. `seed` is the seed of all random numbers. The
-        end-effector holds the `door`, if there is one.
-
-        This raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
+        `model` is the robot of the controller, and by default also of the plant. If `model` has a
+        held object as an additional body, `plant` must be the robot without this object. `physics`
+        names the plant, by default `default_plant`; `seed` fixes all random numbers. The robot
+        holds any `door`. Raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
         check_avoidance(model, data)
         self.model, self.data, self.config = model, data, config
@@ -111,7 +110,7 @@ class Session:
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
-        self._own_state = RobotState(model)  # for sensors with errors
+        self._own_state = RobotState(model)  # the true state, used if the readings are disturbed
         self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
         self.controller.state.scale_arm_inertias(1.0 + config.disturbance.mass_error)
@@ -119,10 +118,9 @@ class Session:
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
-        """Put the robot at rest, without people, and set the time to zero.
-
-        `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
-        [rad] of the base, by default zero. An invalid posture raises a TargetError.
+        """Put the robot at rest, without people; restart the time and the random numbers. `q_m`
+        (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading [rad]
+        of the base, by default zero. An invalid posture raises a TargetError.
         """
         check_posture(self.model, q_m)
         self.t = 0.0  # [s] simulated time
@@ -138,7 +136,10 @@ class Session:
         self._loads = self._loads_of(self.config)
 
     def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """Reset with other parameters, also `stated_period`; raises a DbbError before changes."""
+        """Reset, as `reset`, with other parameters, including `disturbance.stated_period`. Before
+        any change, this raises a TargetError if the posture is invalid, or a ConfigError if the
+        stated control period is too long for a gain.
+        """
         check_posture(self.model, q_m)
         period, name = config.disturbance.stated_period, self.controller.name
         check_gains(config, period)
@@ -149,7 +150,9 @@ class Session:
         self.reset(q_m, base_pose)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, except `stated_period`; raises a ConfigError before any change."""
+        """Use other parameters from the next step on; `disturbance.stated_period` does not change.
+        If the control period is too long for a gain, this raises a ConfigError before any change.
+        """
         self.loop.configure(config)
         self.config = config
         self._people.configure(config.hand)
@@ -182,10 +185,9 @@ class Session:
         forces: PersonForces | None = None,
     ) -> Step:
         """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
-
         The first four arguments are the fields of `StepInput`. `forces`, if specified, replace the
-        forces of `pull` and `holds`, and `Step.pulls` is then empty; `Step.ee_error` still refers
-        to the target of the person at the end-effector.
+        forces of `pull` and `holds`, and `Step.pulls` is then empty; `Step.hand_target` and
+        `Step.ee_error` still refer to the person of `pull` or `holds` at the end-effector.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -249,7 +251,7 @@ class Session:
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
-        """True state and distances (n_p,) [m]; without sensor errors, those of the controller."""
+        """The true state and distances (n_p,) [m]: the controller's, if it received `truth`."""
         if sensed is truth:
             self.state = self.controller.state
             return self.state, control.d[: len(control.pairs)].copy()
@@ -262,10 +264,10 @@ class Session:
 
 
 class Disturbances:
-    """The disturbances of the signals between controller and robot; `Session` causes the others."""
+    """The disturbances of the signals between controller and robot: noise, delays, losses, slip."""
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Start; `dt` [s] is the control step, `seed` the seed of all random numbers."""
+        """Start as after `reset`; `dt` [s] is the control step; `seed` fixes all random numbers."""
         self._dt, self._seed = dt, seed
         self._commands: deque[Array] = deque()
         self._sent: deque[Measurement] = deque()
@@ -273,7 +275,9 @@ class Disturbances:
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Use these disturbances; a longer delay repeats the oldest known command or reading."""
+        """Use these disturbances from the next step on. If a delay increases, the oldest known
+        command or reading is repeated until the next is due.
+        """
         self._config = config
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)
@@ -294,10 +298,10 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """The readings that the controller receives in a control step: new, late or repeated.
-
-        With noise, `VelocityTracking` computes the joint velocities from the noisy positions, as on
-        a robot that has only encoders. The base's sensors have no noise.
+        """The readings that the controller receives in a control step: `truth`, or disturbed ones.
+        Readings can be noisy, late or repeated, or have time stamps. With noise, `VelocityTracking`
+        computes the joint velocities from the noisy positions, as on a robot that has only
+        encoders. The base's sensors have no noise.
         """
         sent = truth
         if self._config.encoder_noise == 0.0:
@@ -322,7 +326,7 @@ class Disturbances:
         return self._seen if now is None else self._seen._replace(now=now)
 
     def arriving(self, command: Array) -> Array:
-        """Base command (n_b,) [m/s or rad/s] after delay and slip; 0 before the first arrives."""
+        """Base command (n_b,) [m/s or rad/s] after delay and slip; 0 until the first arrives."""
         commands = self._commands
         commands.append(command)
         late = commands[0] if len(commands) == commands.maxlen else np.zeros_like(command)
@@ -338,7 +342,9 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """Start at positions `q` (n,), as after a long motion with velocities `qd` (n,)."""
+        """Start as after a long motion with the constant velocities `qd` (n,) [rad/s or m/s]. `q`
+        (n,) [rad or m] are the positions at the first update; updates follow each `dt` [s].
+        """
         pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
         self._q, self._qd, self._dt = q - qd * dt, qd.copy(), dt
@@ -353,7 +359,7 @@ class VelocityTracking:
 
 
 def check_posture(model: RobotModel, q_m: Array) -> None:
-    """Raise a TargetError if `q_m` has a wrong length, or a joint is beyond its limits."""
+    """Raise a TargetError if `q_m` [rad or m] is not (n_m,), or a joint is beyond its limits."""
     if len(q_m) != model.n_m:
         raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")
     for name, at, low, high in zip(

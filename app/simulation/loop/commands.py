@@ -1,8 +1,8 @@
 """Commands to the live loop: immutable records that check their values, and their mailbox.
 
-An invalid value raises an UnknownNameError for a name, a TargetError for a position or posture, and
-otherwise a ConfigError. If the loop cannot execute a command later, the field `refusal` of the
-snapshots has the reason.
+The constructor of a command raises an error for an invalid value: an UnknownNameError for a name, a
+TargetError for a position or posture, otherwise a ConfigError. If the loop cannot execute a command
+later, the field `refusal` of the snapshots has the reason.
 """
 
 import math
@@ -23,7 +23,7 @@ SPEEDS = 0.1, 4.0  # [-] smallest and largest multiple of real time
 STEPS = 0.001, 1.0  # [s] shortest and longest single step
 SAMES = ("path", "force")  # common inputs of compared robots: the path of the pulls, or their force
 MAX_GHOSTS = 2  # largest number of compared robots in addition to the main robot
-MAX_WAITING = 64  # number of waiting commands from which on the pull of a further person is refused
+MAX_WAITING = 64  # number of waiting commands from which on a pull that replaces none is refused
 
 
 class Command:
@@ -40,12 +40,12 @@ class Beginning(Command):
 
 @dataclass(frozen=True)
 class Pull(Command):
-    """A person pulls a point of the robot; at the end-effector, this ends a scenario's motion."""
+    """A person pulls a point of the robot; a pull of the end-effector ends a scenario's motion."""
 
     target: Point  # [m] target of the held point, in the world
     link: str | None = None  # name of one of the loop's `links`; None is the end-effector
     point: Point | None = None  # [m] the held point in the link's frame; None is the frame's origin
-    who: int = 0  # number of the person; each has one hand, and their forces add
+    who: int = 0  # number of the person; each has one hand; the forces of all people add
 
     def __post_init__(self) -> None:
         checked_target(self.target)
@@ -59,7 +59,7 @@ class Pull(Command):
 class Release(Command):
     """A person releases the robot; a scenario continues."""
 
-    who: int
+    who: int  # number of the person
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Pause(Adjustment):
 
 @dataclass(frozen=True)
 class Watch(Adjustment):
-    """Report whether a viewer is connected; without a viewer the simulation pauses."""
+    """Report to the loop whether a viewer is connected; without a viewer the simulation pauses."""
 
     watched: bool
 
@@ -107,7 +107,7 @@ class Speed(Adjustment):
 class StepOnce(Command):
     """Pause, and advance the simulation by `seconds`."""
 
-    seconds: float = 0.02  # [s] simulated time up to the next snapshot, within `STEPS`
+    seconds: float = 0.02  # [s] simulated time from the newest to the next snapshot, within `STEPS`
 
     def __post_init__(self) -> None:
         check_range("a step", self.seconds, *STEPS, "s")
@@ -117,8 +117,8 @@ class StepOnce(Command):
 class Reset(Beginning):
     """Start again without a scenario, at the loop's start posture or at another posture."""
 
-    q_m: tuple[float, ...] = ()  # (n_m,) [rad or m] arm; if empty, the loop's start posture
-    base_pose: Point = (0.0, 0.0, 0.0)  # [m, m, rad] x, y, heading; not used without `q_m`
+    q_m: tuple[float, ...] = ()  # (n_m,) [rad or m] posture; if empty, the start posture
+    base_pose: Point = (0.0, 0.0, 0.0)  # [m, m, rad] x, y, heading; unused if `q_m` is empty
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.q_m, *self.base_pose))):
@@ -155,10 +155,10 @@ class Compare(Command):
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
-    A `Pull` or `Release` replaces one of the same person. A `Beginning` replaces a waiting
-    `Beginning`, but a `Restart` is dropped instead. Each other command replaces a waiting command
-    of the same class. An `Adjustment` takes the place of the replaced command, so that a later
-    `Beginning` uses the newest value. All other commands go to the end of the queue.
+    A `Pull` or `Release` replaces a waiting one of the same person, and a `Beginning` replaces a
+    waiting one; only a `Restart` is dropped instead. Each other command replaces a waiting command
+    of its class. An `Adjustment` takes the place of the replaced command, so that a `Beginning`
+    later in the queue uses the newest value. All other commands go to the end of the queue.
     """
 
     def __init__(self) -> None:
@@ -167,9 +167,8 @@ class Mailbox:
         self.filled = threading.Event()  # event that is set while commands wait
 
     def put(self, command: Command, links: Collection[str]) -> None:
-        """Add a command; a pull whose link is not in `links` raises an UnknownNameError.
-
-        While `MAX_WAITING` commands wait, a pull that replaces none of them raises a LoopError.
+        """Add a command; a pull whose link is not in `links` raises an UnknownNameError. While
+        `MAX_WAITING` commands wait, a pull that replaces none of them raises a LoopError.
         """
         pulls, key = isinstance(command, Pull), _key(command)
         if pulls and command.link is not None:

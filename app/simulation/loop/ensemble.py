@@ -30,17 +30,16 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start the free motion at the joint positions `q_start` (n_m,) [rad or m].
-
-        The plant and the seed of `free`, the main robot's session, also apply to all scenarios, and
-        so do its parameters until `configure` changes them.
+        """Start the free motion at the joint positions `q_start` (n_m,) [rad or m]. `free` is the
+        main robot's session. Its plant and seed also apply to all scenarios, and so do its
+        parameters until `configure` changes them.
         """
         self._free = free
         self._led = Runner(free, None)
-        self.scenario: Scenario | None = None  # scenario of the last start
+        self.scenario: Scenario | None = None  # of the last start; None without one
         self.ends: float | None = None  # [s] end of the present scenario; None in free motion
         self._config = free.config
-        self.ghosts: list[Runner] = []  # compared robots, with the main robot's input
+        self.ghosts: list[Runner] = []  # compared robots: equal input, other controllers
         self.comparison = Compare()  # the last `Compare` that started or ended a comparison
         self._holds: dict[int, Hold] = {}
         self._case: RunCase | None = None  # of the scenario of the last start
@@ -73,7 +72,7 @@ class Ensemble:
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again, as `Reset` describes; a DbbError leaves the present run unchanged."""
+        """Start again, as the command `Reset`; a DbbError leaves the present run unchanged."""
         begun = self._start
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
@@ -88,11 +87,11 @@ class Ensemble:
             self.play(self.scenario)
 
     def play(self, scenario: Scenario) -> None:
-        """Start a scenario; raises a DbbError, without a change, if it cannot start."""
+        """Start a scenario; if it cannot start, this raises a DbbError before any change."""
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, as `Session.configure`, with the changes of `Scenario.adapted`."""
+        """Use other parameters, adapted to the scenario; fails as `Session.configure`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
@@ -116,7 +115,9 @@ class Ensemble:
             self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot; more than `MAX_PULLS` people raise a TargetError."""
+        """Let a person hold the robot; a person at the end-effector ends the scenario's motion. If
+        `MAX_PULLS` other people already hold the robot, this raises a TargetError.
+        """
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
@@ -213,7 +214,7 @@ class Runner:
     """One robot of the ensemble: its session, its driver and its results (`Score`)."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
-        """Use a session at its start, and the driver of its scenario, if any."""
+        """Use a session at its start, and the driver of its scenario; None without a scenario."""
         self.session, self._driver = session, driver
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._complete = False
@@ -229,7 +230,9 @@ class Runner:
     def step(
         self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
     ) -> Step:
-        """Execute one `Session.step`; `scored` ones count until the scenario's motion ends."""
+        """Execute one `Session.step` with the scenario's input, the `holds` and any `forces`. If
+        `scored`, the step counts in the score, unless the scenario's motion has ended.
+        """
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if scored:

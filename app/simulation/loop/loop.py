@@ -1,4 +1,4 @@
-"""Live loop: a thread that runs a session in real time and publishes snapshots."""
+"""Live loop: a thread that runs a session in real time, obeys commands and publishes snapshots."""
 
 import threading
 from collections.abc import Callable
@@ -25,7 +25,7 @@ class LoopHandle:
     """The dashboard's interface to the simulation; the loop can also run in another process."""
 
     error: BaseException | None = None  # the error that ended the loop, if any
-    links: tuple[str, ...] = ()  # names of the arm's frames that people can pull
+    links: tuple[str, ...] = ()  # names of the arm's frames that people can pull, after the start
 
     def __init__(self, stored: int = SNAPSHOTS_STORED) -> None:
         """Start without commands; `stored` is the largest number of stored snapshots."""
@@ -51,11 +51,11 @@ class LoopHandle:
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat; a paused loop has heartbeats, a hung loop has none."""
+        """[s] time since the last heartbeat; the time of a `Snapshot.busy` does not count."""
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:
-        """Send a command, as `Mailbox.put`; the loop executes it before one of the next steps."""
+        """Send a command to the loop's `Mailbox`; raises the errors of `Mailbox.put`."""
         self._mailbox.put(command, self.links)
 
     def latest(self) -> Snapshot:
@@ -76,10 +76,9 @@ class SimulationLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, *, stored: int = SNAPSHOTS_STORED
     ) -> None:
-        """Prepare the loop; `begin` or `start` starts it.
-
-        `make_session` is called once, in the loop's own thread. The arm is at `q_start` (n_m,)
-        [rad or m] at the start, and after a `Reset` without a posture.
+        """Prepare the loop; `begin` or `start` starts it. `make_session` is called once, in the
+        loop's own thread, which also closes the session. The arm is at `q_start` (n_m,) [rad or m]
+        at the start, and after a `Reset` without a posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)

@@ -12,13 +12,16 @@ _COARSE = 2e-4  # [s] shortest sleep that is worth a switch of threads
 
 
 class Pacer:
-    """Synchronises a loop with the wall clock; after a delay above 0.2 s, the schedule restarts."""
+    """Synchronises a loop with the wall clock. After a late step, the next steps follow without
+    pauses until the loop is on time again; after a delay above 0.2 s, the schedule restarts
+    instead, which reduces the real-time factor.
+    """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
         """Start the schedule now; `period` [s] is the simulated duration of a step."""
         self._period = period
         self.speed = speed  # [-] desired ratio of simulated to real time; `restart` applies it
-        self.overruns = 0  # number of steps that exceeded their period or began late
+        self.overruns = 0  # number of steps that exceeded their period, or began after its end
         self._marks: deque[float] = deque()  # [s] ends of the steps in the window
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self.restart()

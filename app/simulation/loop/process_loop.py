@@ -47,7 +47,9 @@ class ProcessLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
-        """Prepare the loop; `make_session` must be picklable, `child` comes from `loop_child`."""
+        """Prepare the loop, as in `SimulationLoop`; `make_session` must be picklable. `child` is a
+        process of `loop_child`; without `child`, `begin` starts a new process.
+        """
         super().__init__()
         self._stopping = threading.Event()
         self._task: tuple[Callable[[], Session], Array] | None = (make_session, np.array(q_start))
@@ -139,7 +141,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
-    """Forward commands, snapshots and the loop's failure; a closed pipe raises an error."""
+    """Forward commands, snapshots and at last the loop's error; a closed pipe raises an error."""
     posted, beat = None, monotonic()
     while loop.error is None:
         latest = loop.latest()

@@ -26,10 +26,8 @@ _DOOR = 0  # pybullet's index of the door's link and of its hinge
 
 
 class BulletRobot(BulletWorld):
-    """A robot on planar joints in pybullet.
-
-    Positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world, then of the
-    arm's joints. `door` is as in `Physics`.
+    """A robot on planar joints in pybullet. Positions q and velocities v (3 + n_m,) are those of x,
+    y and yaw in the world, then of the arm's joints. `door` is as in `Physics`.
     """
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
@@ -60,7 +58,7 @@ class BulletRobot(BulletWorld):
             self.door.reset()
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Copies of position (3,) and velocity (3,) of x, y and yaw, and of q_m and q̇_m (n_m,)."""
+        """Copies of position (3,) and velocity (3,) of x, y, yaw, and of q_m and q̇_m (n_m,)."""
         states = self.client.getJointStates(self.robot, self.moving)
         q, v = [state[0] for state in states], [state[1] for state in states]
         return np.array(q[:3]), v[:3], np.array(q[3:]), np.array(v[3:])
@@ -68,7 +66,9 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step; `speeds` (3,) [m/s, m/s, rad/s] are those of x, y and yaw."""
+        """Advance by one step, as in `Physics.step`. `speeds` (3,) [m/s, m/s, rad/s] are the
+        commanded speeds of x, y and yaw in the world.
+        """
         self.client.setJointMotorControlArray(
             self.robot,
             self._planar,
@@ -206,7 +206,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
         parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
-        # Both can touch the same parts, or the child has no shape.
+        # Merge if both can touch the same parts, or the child has no shape; never the end-effector.
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue

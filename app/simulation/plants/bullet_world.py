@@ -23,7 +23,7 @@ from app.system import decimal_points, flush_c_output
 
 @contextmanager
 def silence(*descriptors: int) -> Iterator[None]:
-    """Discard output to file descriptors of the process in the `with`, also from C code."""
+    """Discard output to file descriptors of the process during the `with`, also from C code."""
     _flush()  # at both ends, because buffered output would otherwise be lost or appear later
     kept = {fd: os.dup(fd) for fd in descriptors}
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -88,7 +88,9 @@ class BulletWorld:
     """A robot in a separate client; all indices are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot from a URDF, and a floor; an error of pybullet raises an AssetError."""
+        """Load a robot from the text of a URDF with absolute paths, and a floor. An error of
+        pybullet raises an AssetError; a missing pybullet raises a ConfigError.
+        """
         self.client = Client()
         # pybullet caches a file by its descriptor, which the system can give to a later file.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
@@ -115,7 +117,6 @@ class BulletWorld:
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
         """Load a body from a URDF's text, with its root at `place` (3,) [m], and return its index.
-
         With `self_collision`, links that are not neighbours can touch, and the root is fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -168,13 +169,13 @@ class BulletWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] lengths of rays from `begins` to `ends` (n, 3) [m] up to the first hit, or ∞."""
+        """(n,) [m] length of each ray from `begins` to `ends` (n, 3) [m] to the first hit, or ∞."""
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares
 
     def rewind(self) -> None:
-        """Save the state at the first call, and restore it later, so that equal runs are equal."""
+        """Save the state at the first call; later calls restore it, with contacts and solver."""
         if self._at_load is None:
             self._at_load = self.client.saveState()
         else:

@@ -33,7 +33,7 @@ class CollisionShape(NamedTuple):
     part: str  # name of the shape's link or body
     joint: int  # Pinocchio's index of the joint that moves the shape
     T: pin.SE3  # pose of the shape in the joint's frame
-    geometry: coal.CollisionGeometry | Array  # points (n, 3) [m] mean their convex hull
+    geometry: coal.CollisionGeometry | Array  # primitive, or (n, 3) [m] points of a hull
 
     @property
     def lowest(self) -> float:
@@ -72,9 +72,8 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links that the pairs of `body_contact_pairs` cover, without those in `nested`.
-
-    A pair of l_m in `unwatched` is included: its bodies can overlap by design, but not its links.
+    """Pairs of links that the pairs of `body_contact_pairs` cover, without those in `nested`. A
+    pair of l_m in `unwatched` is included: its bodies can overlap by design, but not its links.
     """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested, mobile = description.nested, description.mobile_body.name

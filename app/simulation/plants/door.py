@@ -40,10 +40,10 @@ class Door:
     yaw: float  # [rad] direction of the closed door's x axis in the world
     width: float  # [m] distance from the hinge's axis to the free edge
     friction: float  # [N m] dry friction of the hinge
-    height: float = 1.70
-    thickness: float = 0.06
+    height: float = 1.70  # [m] height of the board
+    thickness: float = 0.06  # [m] thickness of the board
     bottom: float = 0.05  # [m] height of the board's lower edge above the floor
-    mass: float = 8.0
+    mass: float = 8.0  # [kg] mass of the board
     handle_inset: float = 0.06  # [m] distance from the handle to the free edge
     handle_reach: float = 0.05  # [m] distance from the door's face to the handle
     handle_height: float = 1.10  # [m] height of the handle above the floor
@@ -55,10 +55,12 @@ class Door:
 
     @property
     def size(self) -> tuple[float, float, float]:
+        """[m] thickness, width and height of the board."""
         return self.thickness, self.width, self.height
 
     @property
     def handle_radius(self) -> float:
+        """[m] distance from the hinge's axis to the handle."""
         return math.hypot(self.width - self.handle_inset, self.thickness / 2 + self.handle_reach)
 
     @property
@@ -78,7 +80,7 @@ class Door:
         return pin.SE3(turn, np.array([*self.hinge_position, 0.0]))
 
     def handle(self, angle: float) -> pin.SE3:
-        """Pose of an end-effector at the handle at `angle` [rad]: z points into the door, x up."""
+        """T_world_ee at the handle, at an opening angle [rad]: z points into the door, x up."""
         place = np.array(
             [
                 -self.thickness / 2 - self.handle_reach,
@@ -116,12 +118,12 @@ class DoorView(NamedTuple):
     angle: float  # [rad] opening angle
     force: Array  # (3,) [N] of the end-effector on the door, in the world; 0 after the scenario
     radial_force: float = math.nan  # [N] component of `force` towards the true hinge
-    radial_error: float = math.nan  # [rad] error of the estimated direction, counter-clockwise
+    radial_error: float = math.nan  # [rad] of the estimated direction, positive counter-clockwise
     contact: bool = False  # whether the door touches the base
 
     @property
     def numbers(self) -> Array:
-        """(7,) the fields after `door`; a contact is 1."""
+        """(7,) the fields after `door` in their units; `contact` is 1 or 0."""
         return np.array([self.angle, *self.force, *self[3:]])
 
 
@@ -130,7 +132,7 @@ NO_DOOR = np.full(7, math.nan)  # `DoorView.numbers` without a door
 
 class OpenDoor(NamedTuple):
     door: Door
-    angle: float  # [rad] opening angle at the plant's reset
+    angle: float  # [rad] its opening angle at the plant's reset
 
 
 class Cabinet:
@@ -146,7 +148,8 @@ class Cabinet:
         )
         """Pose of the box's centre in the world."""
         self.T_hinge = self.T_world.inverse() * door.pose(0.0)  # the closed door in the box's frame
-        self.T_centre = pin.SE3(np.eye(3), door.centre)  # pose of the board in the door's frame
+        self.T_centre = pin.SE3(np.eye(3), door.centre)  # board's centre in the door's frame
+        # inertia of the board, in the door's frame
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
 
 
@@ -169,7 +172,7 @@ def with_door(
     The body is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
     grasp is rigid. `T_ee_door` is the door's pose in the end-effector's frame. The door has the
     reachability coefficients of the last body that has any; if there is none, this raises a
-    DescriptionError. Its acting point is found on the exact offset surface of l_m, without samples.
+    DescriptionError. The pair's acting point is on the exact offset surface of l_m, not a sample.
     """
     description = model.description
     link = description.arm.end_effector_link

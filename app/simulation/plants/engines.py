@@ -29,14 +29,17 @@ class Difference(NamedTuple):
 
     picture: float  # [-] share of rays to the robot with different hits, in the worst picture
     depth: float  # [m] of the deepest contact of a kind that only one engine reports in a posture
-    contacts: int  # that both engines report, at most one of each kind in each posture
-    postures: int
+    contacts: int  # number that both engines report, at most one of each kind in each posture
+    postures: int  # number of postures
 
 
 def compare_engines(
     model: RobotModel, *, postures: int = 30, pictures: int = 3, seed: int = 0
 ) -> Difference:
-    """Compare contacts in random postures, and depth images in the first `pictures` of them."""
+    """Put both planar plants into random postures, and compare contacts and depth images. Contacts
+    are compared in all `postures`; depth images, one from each of three sides, only in the first
+    `pictures` postures. This raises the errors of `make_physics`.
+    """
     state, rng = RobotState(model), np.random.default_rng(seed)
     picture = depth = 0.0
     both = 0

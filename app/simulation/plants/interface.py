@@ -20,7 +20,7 @@ class Contacts(NamedTuple):
     arm_base: bool = False
     arm_arm: bool = False  # two parts of the arm that are not neighbours
     arm_floor: bool = False
-    door_base: bool = False
+    door_base: bool = False  # the base, and a door that the end-effector holds
 
     @classmethod
     def of(cls, groups: Iterable[str]) -> Self:
@@ -46,7 +46,7 @@ class Push(NamedTuple):
 class HeldDoor(ABC):
     """A door in a plant, which the end-effector holds after the plant's reset."""
 
-    door: Door
+    door: Door  # constant geometry of the door
 
     @abstractmethod
     def angle(self) -> float:
@@ -65,7 +65,9 @@ class Physics(ABC):
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest at x, y [m], heading [rad] and `q_m` (n_m,), and grasp any door."""
+        """Put the robot at rest; the end-effector grasps the door, if there is one. `base_pose`
+        (3,) is x, y [m] and heading [rad], `q_m` (n_m,) [rad or m] the joint positions.
+        """
 
     @abstractmethod
     def measure(self) -> Measurement:
@@ -79,7 +81,8 @@ class Physics(ABC):
 
         The arm's torques `u_a` (n_m,) [N m or N] are constant during the step. The drive follows
         the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
-        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin.
+        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin; the `pushes`
+        act on other points of the arm.
         """
 
     @abstractmethod

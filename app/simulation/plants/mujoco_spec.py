@@ -45,7 +45,7 @@ class RobotSpec:
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
-        self.pairs: dict[frozenset[str], str | None] = {}  # the `group` of each pair, as in `allow`
+        self.pairs: dict[frozenset[str], str | None] = {}  # `group` of two geoms, as in `allow`
         self.motors: list[str] = []  # names of the joints that have a motor
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))
@@ -67,7 +67,7 @@ class RobotSpec:
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
-        """Add a body at the pose T in a parent body; `compile` sets its inertia."""
+        """Add a body at the pose T in a parent body, and return it; `compile` sets its inertia."""
         # MuJoCo's compiler refuses some inertias, such as that of a massless link with a load.
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -91,7 +91,9 @@ class RobotSpec:
         T: pin.SE3 | None = None,
         mesh: str = "",
     ) -> None:
-        """Add a shape at the pose T, with MuJoCo's sizes [m]; it touches only pairs of `allow`."""
+        """Add a shape to a body at the pose T; it can touch only the geoms of its pairs in `allow`.
+        `size` [m] has up to three sizes, as MuJoCo defines them; `mesh` is the name of a mesh.
+        """
         body.add_geom(
             name=name,
             type=kind,

@@ -58,7 +58,7 @@ class Wheels:
         data = full.createData()
         pin.forwardKinematics(full, data, pin.neutral(full))
         ids = [full.getJointId(n) for n in (*base.right_wheel_joints, *base.left_wheel_joints)]
-        self.links = {
+        self.links = {  # names of the links that turn with the wheels
             frame.name
             for frame in full.frames
             if frame.parentJoint in ids and frame.type == pin.FrameType.BODY
@@ -73,10 +73,10 @@ class Wheels:
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
         small = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
         self.inertias = [I if I.mass > 0.0 else small for I in own] or [small] * len(places)
-        self.root = model.pin.inertias[1]  # inertia without the wheels
+        self.root = model.pin.inertias[1]  # inertia of the root without the wheels
         for centre, inertia in zip(self.centres, self.inertias, strict=True):
             self.root = self.root - pin.SE3(np.eye(3), centre).act(inertia)
-        self.spans = bool(np.ptp(self.centres[:, 0]) > r)  # False: casters are needed
+        self.spans = bool(np.ptp(self.centres[:, 0]) > r)  # whether it needs no casters
 
 
 class MujocoWheels(Physics):

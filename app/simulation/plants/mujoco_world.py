@@ -32,7 +32,7 @@ class MujocoWorld:
         self.door = None if door is None else MujocoDoor(robot, door)
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
-        self.q, self.v = self.data.qpos, self.data.qvel  # all of them; views that MuJoCo updates
+        self.q, self.v = self.data.qpos, self.data.qvel  # views that MuJoCo updates
         source, arm = robot.model, robot.model.description.arm
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
@@ -140,9 +140,8 @@ class MujocoWorld:
 
 
 class MujocoDoor(HeldDoor):
-    """The refrigerator in MuJoCo; of the robot, only links of the base can touch the door.
-
-    The end-effector is welded to a body on the door, with a sensor of the wrench between them.
+    """The refrigerator in MuJoCo; of the robot, only links of the base can touch the door. The
+    end-effector is welded to a body on the door, with a sensor of the wrench between them.
     """
 
     def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:

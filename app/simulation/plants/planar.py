@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Planar(Physics):
-    """The plant with planar joints, whose motors are limited to the traction of the wheels."""
+    """The plant whose base cannot tip; traction limits the motors of its joints x, y and yaw."""
 
     def __init__(self, model: RobotModel, world: BulletRobot | MujocoWorld, dt: float) -> None:
         """Start at rest in the ready posture; `world` has the robot in an engine."""
@@ -88,7 +88,10 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """Mean world twist (3,) in a step of `dt` [s] from `heading` [rad], with a constant `twist`."""
+    """The mean twist (3,) in the world during a step, for a constant twist in the base's frame.
+    Both are v_x, v_y [m/s] and ω [rad/s]. `heading` [rad] is the base's heading at the start of the
+    step of `dt` [s]; the mean uses the heading in the middle of the step.
+    """
     x, y, w = twist
     phi = heading + 0.5 * w * dt
     c, s = math.cos(phi), math.sin(phi)

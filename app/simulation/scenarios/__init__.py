@@ -50,9 +50,9 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
-"""Scenarios towards the side or the front of the base, which need a robot's own line or start."""
+"""Scenarios towards the side or front of the base: each needs the robot's own line or a start."""
 _FREE = "guiding-front"  # scenario whose start is also the start of the free motion
-_SAME_LINE = {"tracking": "guiding-lateral"}  # used if the robot has no line for the first
+_SAME_LINE = {"tracking": "guiding-lateral"}  # a scenario without a line uses that of another
 
 
 def scenario_by_name(name: str) -> Scenario:
@@ -86,10 +86,9 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
 def free_start(
     model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
 ) -> Array:
-    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion.
-
-    `start` (3,) [m] is the end-effector's position for a base at the origin, by default that of the
-    robot's own line for `guiding-front`; without a line, the result is the ready posture. If the
+    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. `start` (3,) [m]
+    is the end-effector's position for a base at the origin, by default that of the robot's own line
+    for `guiding-front`. Without `start` and such a line, the result is the ready posture. If the
     search finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.

@@ -26,7 +26,7 @@ class DoorOpeningGains:
     ramp: float = 1.5  # [s] rise time of the speed from zero
     turn: float = math.radians(88)  # [rad] rotation since the start at which the end-effector stops
     braking: float = math.radians(4)  # [rad] range of rotation before `turn` with reduced speed
-    radial_force: float = 0.0  # [N] f_d, desired force along the estimated radius
+    radial_force: float = 0.0  # [N] f_d, desired force towards the estimated hinge
     compliance: float = 0.002  # [m/(s N)] α_f, ratio of velocity to force error
     integral_time: float = 4.0  # [s] integral time of the force's PI regulator
     angular_compliance: float = 0.05  # [rad/(s N m)] α_τ, ratio of rotation rate to torque
@@ -94,9 +94,9 @@ class DoorOpening:
         return np.array([math.cos(angle), math.sin(angle), 0.0])
 
     def step(self, T_world_ee: pin.SE3, velocity_ee: Array, wrench: Wrench) -> Reference:
-        """Update the estimates with sensor readings, and return the step's reference.
-
-        They are the end-effector's pose, the velocity (3,) [m/s] of its origin, and its wrench.
+        """Update the estimates with sensor readings, and return the reference of the control step.
+        The readings are the end-effector's pose, the velocity (3,) [m/s] of its origin in the
+        world, and its wrench on the door.
         """
         gains, dt = self._gains, self._dt
         share = -math.expm1(-dt / gains.smoothing)  # of a first-order filter
@@ -143,7 +143,9 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens the door at `rate` [deg/s]; `guess` [deg] is the `radial_guess`."""
+    """The driver that opens the door in a session at its start, at a desired `rate` [deg/s].
+    `guess` [deg] is the error of the first estimate, as `RefrigeratorScenario.radial_guess`.
+    """
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
     turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])

@@ -29,7 +29,7 @@ _FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one counts as a 
 class StepInput(NamedTuple):
     """The input of one control step: the arguments of `Session.step`."""
 
-    reference: Reference | None = None  # of the end-effector; None while a person guides
+    reference: Reference | None = None  # reference of the end-effector, or None
     pull: Array | None = None  # (3,) [m] target of a person at the end-effector, in the world
     door: DoorView | None = None  # state of the door while the scenario opens it, otherwise None
     holds: tuple[Hold, ...] = ()  # other people who hold the robot at any point
@@ -45,7 +45,7 @@ class Setting(NamedTuple):
     data: BorderData  # link pairs and border clouds of the model
     base_pose: Array  # (3,) x, y [m] and heading [rad] of the base
     q_m: Array  # (n_m,) [rad or m] joint positions of the arm
-    config: Config
+    config: Config  # parameters of the run
     door: OpenDoor | None = None  # the door that the end-effector holds, or None
 
 
@@ -75,7 +75,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """`config` with the changes that this scenario requires; the live loop calls this too."""
+        """`config` with the values that this scenario requires; the loop adapts changes, too."""
         return config
 
     @abstractmethod
@@ -83,7 +83,7 @@ class Scenario(ABC):
         """Make the driver for a session at its start; only a scenario with a door can fail here."""
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with changed fields, ignoring None; an invalid change raises a ConfigError."""
+        """A copy with these `changes`, except None; an invalid one raises a ConfigError."""
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
         for name in given:

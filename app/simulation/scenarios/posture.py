@@ -47,9 +47,9 @@ class PostureSearch:
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare the search for a robot, its link pairs and a buffer distance `d_b` [m]."""
         self.model, self.d_b = model, d_b
-        self.state = RobotState(model)  # in the last posture
+        self.state = RobotState(model)  # state in the last posture
         self.span = model.q_upper - model.q_lower
-        self.middle = (model.q_upper + model.q_lower) / 2  # of each joint's range
+        self.middle = (model.q_upper + model.q_lower) / 2  # (n_m,) [rad or m], as `span`
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor, self._floor_data = _with_floor(model)
@@ -166,7 +166,9 @@ class PostureSearch:
         return min(result.min_distance for result in data.distanceResults)
 
     def flaw(self, floor: float = 0.0, margin: float = 0.0) -> str:
-        """The reason why the arm is not above `floor` [m] or `margin` [m] beyond d_b, or ""."""
+        """The reason why the present posture is invalid, or an empty string if it is valid. The arm
+        must be above `floor` [m], and each pair's distance above d_b + `margin` [m].
+        """
         if self.above_floor() <= floor:
             return "the arm would touch the floor"
         return "" if self.beyond_buffer() > margin else self.buffer_flaw()

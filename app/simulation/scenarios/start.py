@@ -44,8 +44,8 @@ class StartSolver:
 
     The end-effector points away from the arm's mount, and downwards if possible. Every pair is
     outside its buffer, the arm is above the floor, and each joint is away from its position limits.
-    If the arm cannot choose the direction of the end-effector freely, and cannot follow the whole
-    path from a posture as above, any direction is accepted.
+    Any direction is accepted if the arm cannot choose the direction of the end-effector freely, and
+    the search finds no posture as above from which the arm can follow the whole path.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -70,9 +70,9 @@ class StartSolver:
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        From the best posture, the arm follows most of the path `along`, positions (3,) [m] in
-        order, while the base is at rest and the orientation of the end-effector is constant. Among
-        equal postures, the one with the largest margins is best.
+        `along` has further positions (3,) [m], a path. From the best posture, the arm follows most
+        of the path, but not always all, while the base is at rest and the orientation of the
+        end-effector is constant. Among equal postures, the one with the largest margins is best.
 
         `turn` [rad] is the horizontal angle, positive to the left, from the direction away from the
         mount to that of the end-effector; `tries` is the number of starting points for each pitch.
@@ -107,7 +107,9 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Move a posture to `p_ee` with the same direction, or raise an UnreachableError."""
+        """Find the posture (n_m,) near `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m] in the
+        same direction. An invalid posture raises an UnreachableError with the reason.
+        """
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
         found = self._try(Target(np.array(p_ee, dtype=float), direction), [q_m])
@@ -117,7 +119,9 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether a search finds a posture at `p_ee` (3,) [m]; direction and distances are free."""
+        """Whether a search with at most `tries` tries finds a posture that reaches `p_ee` (3,) [m].
+        The end-effector can have any direction; distances of pairs and floor are not checked.
+        """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
             return False
@@ -154,7 +158,7 @@ class StartSolver:
         return self._room(q, along) + min(beyond_buffer, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] number of reached positions on the path, in order, plus joint margin and mobility."""
+        """[-] number of positions reached along the path, plus joint margin and manipulability."""
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
         joints, mobility, followed = search.joint_room(q_m), manipulability(search.J_ee), 0
@@ -182,7 +186,9 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """The cached, read-only result of `StartSolver.solve` for a displacement `move` [m]."""
+    """The posture (n_m,) of `StartSolver.solve`, read-only and cached. With `move` (3,) [m], the
+    path of `solve` is the straight line of this displacement from `p_ee` (3,) [m].
+    """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
 
@@ -202,8 +208,8 @@ def find_grasp(
 
     The end-effector is horizontal and points into the door; every pair is outside its buffer. From
     the best posture, the arm can follow the door over the largest range of further angles while the
-    base moves back from its pose (x, y [m], heading [rad]). The result is cached. If the search
-    finds no posture, this raises an UnreachableError.
+    base moves back. The result is cached. `base_pose` is x, y [m] and heading [rad], `angle` [rad]
+    the opening angle. If the search finds no posture, this raises an UnreachableError.
     """
     search = PostureSearch(model, pairs, d_b)
     q_m, T_ee = _GraspSearch(search, np.array(base_pose), door, angle).best(seed)

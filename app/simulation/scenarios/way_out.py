@@ -44,11 +44,10 @@ class WayOutScenario(Scenario):
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
-
         A case is drawn first, because some cases are rare among random postures: a pair and, for a
         pair of arm and base, whether the arm is above the base or beside it. Random postures are
         tried until one belongs to the case; if all fail, another case is drawn. If all cases fail,
-        this raises an UnreachableError; `check_avoidance` can raise a DescriptionError.
+        this raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
@@ -87,7 +86,7 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if pair i is the nearest one in the posture, at a distance in `depth` [m]; else 0."""
+    """1 if the posture is a valid start, else 0; `depth` [m] is the range of the nearest pair i."""
     closest = search.monitor.find_closest_points()
     pair = closest[i]
     if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):

@@ -20,7 +20,7 @@ pa.set_memory_pool(pa.system_memory_pool())  # the default pool reserves 1 GB of
 
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
-    """Read the header and the table of an untrusted file; a fault raises a LogError."""
+    """Read header and table of an untrusted file; a missing or faulty file raises a LogError."""
     try:
         # A small Parquet file can contain millions of equal rows.
         smallest = 0 if path.suffix.lower() == ".csv" else SMALL + 1
@@ -42,7 +42,10 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write a table and a header as CSV or Parquet, by the ending; equal tables, equal bytes."""
+    """Write a table as CSV if the name ends in .csv, otherwise as Parquet, completely or not at
+    all. A header that is not empty becomes a comment on the first line of CSV, or metadata of
+    Parquet. Equal tables with equal headers give equal bytes.
+    """
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":
         sink.write(f"{_COMMENT}{header}\n".encode() if header else b"")

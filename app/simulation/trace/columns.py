@@ -40,16 +40,16 @@ class TraceMeta(Strict):
     joint_units: tuple[Literal["rad", "m"], ...]
     joint_speeds: tuple[Positive, ...] = ()  # (n_m,) [rad/s or m/s] limits; empty if unknown
     joint_torques: tuple[Positive, ...] = ()  # (n_m,) [N m or N] limits; empty if unknown
-    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # ends of names of columns, by axis
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # names in columns, by axis
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
     wheels: tuple[str, ...] = ("right", "left")  # names of the angles of the base's wheels
     pairs: tuple[str, ...]  # names of all link pairs, in the order of the distances
     mobile_pairs: tuple[str, ...]  # names of the pairs with the base (L_m)
     scenario: str = ""
     physics: str = ""  # name of the plant; empty if unknown
-    seed: int | None = Field(default=None, ge=0)  # seed of all random numbers
+    seed: int | None = Field(default=None, ge=0)  # of all random numbers; None if unknown
     config: Config  # parameters at the first row; a column has the later changes
-    stuck: dict[str, Any] | None = None  # `Stuck` at the end, if the arm is stuck
+    stuck: dict[str, Any] | None = None  # result of `find_stuck` at the end
     left_way: dict[str, Any] | None = None
     """`Stuck` at the largest tracking error, if this exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)
@@ -125,7 +125,7 @@ class Column(NamedTuple):
     name: str  # name, which ends in the unit, if any
     kind: Kind = "float"
     optional: bool = False  # whether a cell can be empty; in memory, an empty cell is NaN
-    often: bool = False  # whether it has a number at each control step
+    often: bool = False  # whether the table of a trace has the column
 
 
 class Quantity(NamedTuple):
@@ -134,11 +134,11 @@ class Quantity(NamedTuple):
     columns: Callable[[TraceMeta], Sequence[Column]]
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]  # conversion of a snapshot's value to cells
     value: Callable[[Sequence[Any], TraceMeta], Any]  # conversion of cells to a snapshot's value
-    take: Take | None = None  # None if the publisher of the snapshot sets the value
+    take: Take | None = None  # computes the value; None if the caller of `make_snapshot` sets it
     single: bool = False  # whether the quantity is one number or text
     paths: tuple[str, ...] = ()
     """Attributes of `Step`, such as `truth.q_m`, that are recorded at each control step. Without
-    any, `take` computes the columns that are `often` at 50 Hz, with NaN in between."""
+    any, a column that is `often` has the number of `take` at 50 Hz, and NaN in between."""
 
 
 def number(
@@ -152,8 +152,8 @@ def number(
     """A quantity of one number or text, or of an array (k,) if the `template` names k columns.
 
     `template` is as in `column_names`. `source` is the value's attribute of `Step`, as in
-    `Quantity.paths`, or its computation, as in `Quantity.take`. If not `often`, the value is
-    recorded only at snapshots. If `optional`, the value can be None.
+    `Quantity.paths`, or its computation at 50 Hz, as in `Quantity.take`. If not `often`, the value
+    is recorded only at snapshots. If `optional`, the value can be None.
     """
     single = "{" not in template
 

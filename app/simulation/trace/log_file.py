@@ -58,7 +58,10 @@ class LogHeader(Strict):
 
 
 def write_trace(path: Path, trace: Trace) -> None:
-    """Write a trace as CSV or Parquet, by the ending; raises a LogError or an OutputError."""
+    """Write a trace as CSV or Parquet, by the ending of the name, completely or not at all. Another
+    ending raises a LogError; if the file cannot be written, this raises an OutputError.
+    `read_trace` cannot read the file of a trace without snapshots.
+    """
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)
     cells: dict[Column, Any] = {column: [None] * rows for column in columns}

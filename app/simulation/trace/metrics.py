@@ -33,9 +33,9 @@ class Figure(NamedTuple):
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """Compute all figures of a run; those for which the trace has no data are None.
-
-    The figures of `DOOR` are included only if a door was opened in the run.
+    """Compute all figures of a run; those for which the trace has no data are None. Changes between
+    control steps have data only if each step has a row. The figures of `DOOR` are included only if
+    a door was opened in the run. The key of a figure with a unit ends in the unit.
     """
     figures = {key: _value(figure, run) for key, figure in FIGURES.items()}
     if not run.each_step:
@@ -61,8 +61,7 @@ def touches(figures: dict[str, Any]) -> list[str]:
 
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     """The result of a run in words: contact, smallest distance, remaining error, missing values.
-
-    With `chain`, the bodies from the base outwards, link pairs have their displayed names.
+    With a `chain` of the bodies' names from the base outwards, pairs have displayed names.
     """
 
     def name(pair: str) -> str:

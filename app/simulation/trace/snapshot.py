@@ -92,7 +92,7 @@ class Score(NamedTuple):
     error_max: float  # [m] largest distance of the end-effector from its target
     base_path: float  # [m] length of the path of the base's centre
     acceleration_jump: float  # [m/s²] largest change of a commanded linear acceleration in a step
-    angular_jump: float  # [rad/s²] the same for the commanded angular acceleration
+    angular_jump: float  # [rad/s²] largest change of the commanded angular acceleration in a step
     torque_jump: float  # [N m or N] largest change of a joint's torque or force in one step
     contacts: int  # number of control steps with a contact of any kind (`Contacts`)
 
@@ -254,14 +254,13 @@ class Snapshot:
     """The whole simulation at one instant.
 
     Fields with a declaration are quantities, with columns in a trace: `number` declares one that is
-    recorded at each control step, `drawn` one that is recorded at snapshots. A declaration names
-    the attribute of `Step` with the value, or computes the value from the session s after the step
-    and the step o; if it does neither, the caller of `make_snapshot` sets the value. Of the fields
-    without a declaration, files store only `physics` and `seed`.
+    recorded at each control step (`force_bound`: at 50 Hz), `drawn` one that is recorded at
+    snapshots. A declaration names the attribute of `Step` with the value, or computes the value
+    from the session s after the step and the step o; if it does neither, the caller of
+    `make_snapshot` sets it. Of the fields without a declaration, files store `physics` and `seed`.
     """
 
-    t: Annotated[float, number("t_s", "t")]
-    """[s] simulated time since the last reset."""
+    t: Annotated[float, number("t_s", "t")]  # [s] simulated time since the last reset
     base_pose: Annotated[Array, number("base_{pose}", "truth.base_pose")]
     """(3,) x, y [m] and heading φ [rad] of the base."""
     base_velocity: Annotated[Array, number("base_{velocity}", "truth.base_velocity")]
@@ -273,7 +272,7 @@ class Snapshot:
     avoidance_acceleration: Annotated[
         Array, number("avoidance_{acceleration}", "control.base_avoidance")
     ]
-    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 without avoidance."""
+    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), Figure 15; 0 without avoidance."""
     wheel_angles: Annotated[Array, drawn("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] angles of the base's wheels, for drawing."""
     q_m: Annotated[Array, number("q_{joint}_{position}", "truth.q_m")]
@@ -290,8 +289,7 @@ class Snapshot:
     """All link pairs; the pairs with the base (L_m) are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs with the base inside their buffer, if the controller uses them."""
-    beta_m: Annotated[float, number("beta_m", "control.beta_m")]
-    """[-] β_m of (28)."""
+    beta_m: Annotated[float, number("beta_m", "control.beta_m")]  # [-] β_m of (28)
     hand_target: Annotated[
         Array | None, drawn("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True)
     ]
@@ -313,7 +311,7 @@ class Snapshot:
     realtime_factor: Annotated[float, drawn("realtime_factor")]
     """[-] ratio of simulated to real time in the last second; NaN in a run without a clock."""
     overruns: Annotated[int, drawn("overruns", kind="int")]
-    """Number of control steps since the last reset that exceeded their period or began late."""
+    """Number of control steps since the last reset that exceeded their period or began after it."""
     paused: Annotated[bool, drawn("paused", kind="bool")]
     """Whether the simulation is paused."""
     mode: Annotated[
@@ -344,8 +342,7 @@ class Snapshot:
     """[s] simulated time at which the scenario ends; None during free motion."""
     door: Annotated[DoorView | None, _door()] = None
     """The door that the end-effector holds, also after the scenario."""
-    speed: Annotated[float, drawn("speed")] = 1.0
-    """[-] desired ratio of simulated to real time."""
+    speed: Annotated[float, drawn("speed")] = 1.0  # [-] desired ratio of simulated to real time
     qd_m: Annotated[Array | None, number("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
     """(n_m,) [rad/s or m/s] joint velocities of the arm; None if unknown."""
     activation: Annotated[float, number("activation", "control.activation")] = 0.0
@@ -368,10 +365,8 @@ class Snapshot:
     busy: str = ""  # the operation for which the simulation pauses, or empty
     changing: str = ""  # a text about a parameter that is changing gradually, or empty
     refusal: Refusal | None = None  # the newest failure of a command, or None
-    case: RunCase | None = None
-    """Case of the scenario that started in the last simulated second, or None."""
-    explanation: Explanation | None = None
-    """Explanation of the robot's motion in the control step at `t`; None if not requested."""
+    case: RunCase | None = None  # case of the scenario that started in the last simulated second
+    explanation: Explanation | None = None  # of the motion in the step at `t`, if requested
 
     def follows(self, before: "Snapshot") -> bool:
         """Whether this snapshot belongs to the run of `before`, and is not earlier than it."""

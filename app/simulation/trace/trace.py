@@ -59,10 +59,12 @@ class Trace:
         snapshots: Sequence[Snapshot] = (),
         names: Sequence[str] = tuple(QUANTITIES),
     ) -> None:
-        """`table` (N, C) has rows in order of time, and the columns of the quantities `names`."""
+        """`table` (N, C) has the columns of the quantities `names`, and rows in order of time; each
+        snapshot belongs to one of the rows.
+        """
         self.meta, self.table = meta, table
         self.snapshots, self._quantities = tuple(snapshots), names
-        self.columns: list[Column] = []  # of the table, in order
+        self.columns: list[Column] = []  # columns of the table, in order
         self._slices: dict[str, slice | int] = {}
         for name in names:
             often = [column for column in QUANTITIES[name].columns(meta) if column.often]
@@ -70,7 +72,7 @@ class Trace:
             if often:
                 self._slices[name] = begin if QUANTITIES[name].single else slice(begin, end)
             self.columns += often
-        self.index = {column.name: k for k, column in enumerate(self.columns)}
+        self.index = {column.name: k for k, column in enumerate(self.columns)}  # places by names
 
     @property
     def controllers(self) -> tuple[str, ...]:
@@ -79,7 +81,9 @@ class Trace:
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot]) -> Self:
-        """A trace of snapshots; none, unordered times or different pairs raise a LogError."""
+        """Make a trace with a row for each snapshot; the first one determines `meta`. If there are
+        no snapshots, the times do not increase or the pairs differ, this raises a LogError.
+        """
         if not snapshots:
             raise LogError("there are no snapshots for a log")
         first = snapshots[0]
