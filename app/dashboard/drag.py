@@ -69,7 +69,7 @@ class Grip:
 
         A call has no effect if no point is held, if keys hold it and `by_keys` is False, or if a
         drag holds it and `by_keys` is True. If `reach` is set, no pull is sent: `reach` gets the
-        unchanged target of the end-effector. The first z < 0 after a `take` warns the viewer.
+        unchanged target if the end-effector is held. The first z < 0 of a pull warns the viewer.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -121,7 +121,7 @@ class Grip:
                 self._sink.send(Release(self._client.client_id))
 
     def release_if_still(self, seconds: float) -> None:
-        """Release a point without `take` or `pull` in the last `seconds`, and warn the viewer."""
+        """Release a point whose last `take` or `pull` is over `seconds` ago; warn the viewer."""
         with self._lock:
             if self._held is None or monotonic() - self._moved <= seconds:
                 return
@@ -136,7 +136,7 @@ class DragHandles:
     def __init__(
         self, scene: viser.SceneApi, robot: RobotScene, grip: Grip, arm_joints: dict[int, str]
     ) -> None:
-        """Add the gizmo; `arm_joints` has the arm's joints by their indices in the drawn model."""
+        """Add the gizmo; `arm_joints` has the names of arm joints by index in the drawn model."""
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7

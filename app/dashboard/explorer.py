@@ -42,10 +42,10 @@ class Explorer:
         self._response = snapshot
 
     def respond(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
-        """Return a snapshot of one control step from rest in `posture`, within the joint limits.
+        """Return a snapshot of one control step from rest in `posture`.
 
-        Parameters, controller, time, run, speed, scenario, scores and real-time statistics are
-        those of `snapshot`.
+        The joint positions are clipped to the joint limits. Parameters, controller, time, run,
+        speed, scenario, scores and real-time statistics are those of `snapshot`.
         """
         request = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
         if request != self._request:
@@ -64,9 +64,9 @@ class Explorer:
         """Find a posture that brings the end-effector to `place` (3,) [m] in the world.
 
         Return this posture, and the distance [m] of the end-effector from `place`. The search
-        starts from `posture`, and the base stays. At first, the end-effector's z axis keeps its
-        direction. If the distance is not below `CLOSE`, a second search lets the axis turn, and the
-        posture with the smaller distance is returned.
+        starts from `posture`, and the base stays. The end-effector's z axis keeps its direction. If
+        the distance is then not below `CLOSE`, a second search lets the axis turn, and the posture
+        with the smaller distance is returned.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

@@ -149,7 +149,7 @@ class Gate:
     async def _answer(
         self, inner: Callable[..., Any], connection: _Connection, request: Request
     ) -> Response | None:
-        """Return a refusal or the answer of viser's `inner`, completed; None for a websocket."""
+        """Return a refusal or `inner`'s answer, with scripts and headers; None for a websocket."""
         answer = self._refusal(request, connection.method)
         if answer is None:
             answer = inner(connection, request)
@@ -251,7 +251,7 @@ class _Connection(ServerConnection):
                 self.gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """Return the next message; abort the connection if the message takes over `_SLOWEST`."""
+        """Return the next message; abort the connection if its transfer exceeds `_SLOWEST`."""
         message, late = bytearray(), None
         try:
             async for part in self.recv_streaming(decode=False):
@@ -272,7 +272,7 @@ def is_allowed(
     because another website could let its own name point to this machine. A browser sends `Origin`
     with each websocket request. The origin must have the same name and port as `Host`, or a name in
     `allowed`, because a proxy can change `Host`. Other programs send no origin; only their `Host`
-    is checked. A request with neither header is answered. All names are in lower case.
+    is checked. A request with neither header is answered. `own_names`, `allowed`: in lower case.
     """
     if host is None:
         return origin is None
@@ -318,7 +318,7 @@ class Uploads:
     """Register of a viewer's unfinished uploads; viser stores parts of unknown files forever."""
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Accept files of up to `largest` [bytes]; `everyone` has the registers of all viewers."""
+        """Accept files of up to `largest` [bytes]; the registers `everyone` share one limit."""
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
         """Number of missing bytes, and indices of missing parts, by the name of the transfer."""

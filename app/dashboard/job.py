@@ -76,8 +76,7 @@ class Job:
         """Start the job `title`: run `work` in a new thread; `text` describes its first step.
 
         If `work` raises `Cancelled`, a `DbbError` or an `OSError`, `problem` has the message. After
-        any other exception, `problem` refers to the log. Raises `ConfigError` if another job is
-        running.
+        any other exception, `problem` refers to the log. Raises `ConfigError` if a job is running.
         """
         with self._lock:
             running = self.progress  # read once, because the work's thread may clear it
@@ -209,7 +208,7 @@ def write_replay(report: Report, trace: Trace, page: Path) -> None:
 
 
 def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
-    """Write a film that shows a trace at true speed, with the default codec of the suffix."""
+    """Write a film of a trace at true speed, with `FILM_RATE` and the default codec of a suffix."""
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
 

@@ -218,7 +218,7 @@ class Page(Viewer):
 
 
 def hung_html(silence: float) -> str:
-    """Return an error message if there was no response for `silence` [s] ≥ `PATIENCE`, or ""."""
+    """Return an error message if the simulation is silent for at least `PATIENCE` [s], or ""."""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."
     return banner("error", "The simulation does not respond", text) if silence >= PATIENCE else ""
 

@@ -99,7 +99,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the pull of a silent browser if the target is still for more than `PATIENCE`."""
+        """Release the pull of a silent browser if its target did not move for over `PATIENCE`."""
         if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
@@ -135,7 +135,7 @@ class DashboardServer:
         pages = [page for page in self.pages.values() if not page.closed]
         self._demonstrate(pages, shared.loop.latest())
         for page in pages:
-            if not (texts or not page.view.light or self.pictures % 2 == 0):  # every second one
+            if not (texts or not page.view.light or self.pictures % 2 == 0):  # light: every second
                 continue
             try:
                 page.draw(texts=texts)

@@ -1,4 +1,4 @@
-"""Servers of viser without output and behind a gate, calls of the page, and a watchdog.
+"""Servers of viser without output and behind a gate, messages of pages, and a watchdog.
 
 In `app`, only this module and `app.dashboard.gate` use private names of viser. If viser changes one
 of these names, `tests/test_viser_compat.py` or `tests/test_gate.py` fails.

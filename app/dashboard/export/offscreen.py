@@ -98,7 +98,7 @@ class RecordedLoop(LoopHandle):
         return self.snapshots[self._at]
 
     def stored(self, after: float = -1.0) -> list[Stored]:
-        """Return the snapshots with t > `after` [s] up to that of `go_to`, oldest first."""
+        """Return the snapshots with t > `after` [s] up to `latest()`, oldest first."""
         return [*map(Stored, self.snapshots[bisect_right(self._times, after) : self._at + 1])]
 
 

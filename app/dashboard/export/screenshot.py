@@ -37,7 +37,7 @@ def take_pictures(
     clouds: Mapping[str, Cloud],
     look: Look,
 ) -> list[Image.Image]:
-    """Return a picture for each time [s] of a run: of the last snapshot at or before this time.
+    """Return a picture for each of `times` [s]: of the last snapshot at or before this time.
 
     `clouds` has P_i of each pair of L_m, by the pair's name. Pictures of the scene have one common
     viewpoint; if `look.page`, each picture has its own viewpoint. Raises `BrowserError` if the

@@ -133,7 +133,7 @@ class Panel:
     def choice(
         self, label: str, titles: Mapping[str, str], act: Callable[[str], None], hint: str
     ) -> Any:
-        """Add a list of the `titles`, which are by name; `act` gets the name of a chosen title."""
+        """Add a list of `titles`, a mapping by names; `act` gets the name of the chosen title."""
         names = {title: name for name, title in titles.items()}
         handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
         return self.on_update(handle, lambda event: act(names[event.target.value]))

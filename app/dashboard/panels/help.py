@@ -199,7 +199,7 @@ class Guide(Panel):
                 self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
 
     def _end(self, *, anew: bool) -> None:
-        """End the guide's comparison; if `anew`, also start again, unless a person holds it."""
+        """End the guide's comparison; if `anew`, also reset, unless a person holds the robot."""
         loop, self._compares = self._shared.loop, False
         if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
             return  # a viewer has chosen another comparison

@@ -16,7 +16,7 @@ from app.dashboard.scene.colours import SERIES
 LENGTH = 20.0  # [s] length of the time axis
 AHEAD = 5.0  # [s] plotted time after a shown instant in the past
 SPACING = 0.08  # [s] period of drawn values, about one per pixel
-PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] usual, low detail, all at rest
+PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] of drawing: usual, low detail, all at rest
 RESTING, STILL = 12, 2e-3  # number of last values; their largest difference in a curve at rest
 LINE = 1.6  # [px] width
 _INSTANT = Curve("shown instant", lambda _: OFF, "#ff7a00", "the instant shown in the past")

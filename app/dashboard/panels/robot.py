@@ -214,7 +214,7 @@ class NewRobotPanel(Panel):
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """Describe a robot, with the reason if it cannot be used; `here`: it is in use now."""
+    """Describe a robot, with the reason if it cannot be used; `here`: it is in use."""
     lines = (
         f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
         "In use." if here else "",

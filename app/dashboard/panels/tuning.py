@@ -143,7 +143,7 @@ class ParameterWidget(Panel):
             event.target.value = _power_of(value) if is_power else value
 
     def _widgets(self, value: float | str) -> tuple[Any, Any]:
-        """Return a list or a slider, and None; or a number box, and a slider of its logarithm."""
+        """Create a list or a slider, and None; or a number box, and a slider of its logarithm."""
         gui, about, title, exponent = self._gui, self.about, self._title, None
         if about.choices:
             look: dict[str, Any] = {"initial_value": str(value), "hint": about.help}

@@ -203,7 +203,7 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Describe the overlap of a pair, or its distance and the buffer d_b [m] unless it is None."""
+    """Describe the overlap of a pair, or its distance and, unless it is None, d_b [m]."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:

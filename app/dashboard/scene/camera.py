@@ -124,7 +124,7 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Look at the robot of a snapshot from the preset `first_view`."""
+        """Look at the robot of a snapshot from the preset of `first_view`."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:

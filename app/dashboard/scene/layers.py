@@ -109,7 +109,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) as arrow and arc in a node's frame, above its z = `top` [m]."""
+    """Draw an acceleration (n_b,) as arrow and arc in the frame of `node`, above z = `top` [m]."""
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + 0.06])  # [m]
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
