@@ -318,7 +318,7 @@ class Uploads:
     """Register of a viewer's unfinished uploads; viser stores parts of unknown files forever."""
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Accept files of up to `largest` [bytes]; the registers `everyone` share one limit."""
+        """Accept files of up to `largest` [bytes], and `_MOST_UPLOADS` of `everyone` at a time."""
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
         """Number of missing bytes, and indices of missing parts, by the name of the transfer."""
