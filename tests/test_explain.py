@@ -253,7 +253,7 @@ def test_sentence_calls_the_task_reduced_only_with_much_slack(blank, slack, dist
         ("both", "dbb", "End-effector and shoulder are also pushed apart."),
         ("base", "repulsive", "pushes the arm away and does not move the base"),
         ("held", "barrier", "the minimum distance of 31 mm limits the approach"),
-        ("base", "barrier", "this method acts near its minimum distance of 31 mm only"),
+        ("base", "barrier", "this method acts only near its minimum distance of 31 mm"),
     ],
 )
 def test_sentence_gives_the_reason_for_each_state(blank, near, controller, part):

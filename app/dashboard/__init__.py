@@ -1,1 +1,1 @@
-"""The page in the browser: scene, panels, plots. Only this package of `app` imports viser."""
+"""The dashboard: server, page, and export of pictures. Only this package of `app` imports viser."""

@@ -30,10 +30,10 @@ class Grip:
     ) -> None:
         """Start without a held point; commands to `sink` contain the number of `client`."""
         self._sink, self.notifier, self._client, self._timeline = sink, notifier, client, timeline
-        self._held: tuple[str | None, Point | None] | None = None  # arguments of the last `take`
+        self._held: tuple[str | None, Point | None] | None = None  # if held: arguments of `take`
         self._pulls = False  # whether the simulation has a pull of this viewer
         self._warned = False
-        self._moved = 0.0  # [s] time of the last pull
+        self._moved = 0.0  # [s] time of the last `take` or `pull`
         self._target, self._by_keys = np.zeros(3), False  # [m] target by keys; whether keys hold
         self.reach: Callable[[Array], None] | None = None
         """If set, no pull is sent: this function gets each target (3,) [m] of the end-effector."""
@@ -49,10 +49,11 @@ class Grip:
         return self._held is not None
 
     def take(self, link: str | None = None, point: Point | None = None) -> None:
-        """Release the held point, and hold a point (3,) [m] of a link, or the end-effector.
+        """Release the held point, and hold another point, by default the end-effector.
 
-        `link` is the name of the joint whose frame moves with the link and contains the point. If
-        the page shows the past, it returns to the present instead, with a message.
+        `link` is the name of the joint that moves the held link; `point` (3,) [m] is in the frame
+        of this joint. If the page shows the past, no point is held: the page returns to the
+        present, with a message.
         """
         with self._lock:
             self.release()
@@ -66,9 +67,9 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
 
-        There is no effect if no point is held, or if keys hold the point and `by_keys` is False,
-        or the reverse. If `reach` is set, no pull is sent, and `reach` gets the unchanged target if
-        the held point is the end-effector.
+        A call has no effect if no point is held, if keys hold it and `by_keys` is False, or if a
+        drag holds it and `by_keys` is True. If `reach` is set, no pull is sent: `reach` gets the
+        unchanged target if the end-effector is held. The first z < 0 of a pull warns the viewer.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -89,7 +90,8 @@ class Grip:
         """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead` (3,).
 
         `ahead` is forward, left and up in the base's frame, clipped to [−1, 1]. The target stays
-        within `MOST_NUDGED` of the end-effector. The first call of a pull returns to the present.
+        within `MOST_NUDGED` of the end-effector in `snapshot`. The first call of a pull by keys
+        returns to the present. During a drag, the call has no effect.
         """
         with self._lock:
             if self.holds_anything and not self._by_keys:
@@ -119,7 +121,7 @@ class Grip:
                 self._sink.send(Release(self._client.client_id))
 
     def release_if_still(self, seconds: float) -> None:
-        """Release a point that was neither taken nor pulled for `seconds`, and warn the viewer."""
+        """Release a point whose last `take` or `pull` is over `seconds` ago; warn the viewer."""
         with self._lock:
             if self._held is None or monotonic() - self._moved <= seconds:
                 return
@@ -134,7 +136,7 @@ class DragHandles:
     def __init__(
         self, scene: viser.SceneApi, robot: RobotScene, grip: Grip, arm_joints: dict[int, str]
     ) -> None:
-        """Add the gizmo; `arm_joints` has the arm's joints by their indices in the drawn model."""
+        """Add the gizmo; `arm_joints` has the names of arm joints by index in the drawn model."""
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
@@ -145,7 +147,7 @@ class DragHandles:
         self._dragged = False  # whether the viewer drags the gizmo
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless it is dragged; handle drags of new meshes."""
+        """Move the gizmo to the end-effector unless the viewer drags it; handle drags of links."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:

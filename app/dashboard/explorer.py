@@ -28,7 +28,7 @@ class Explorer:
     """Computes the controller's response to a posture by one control step; not thread-safe."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
-        """Prepare a session with the pairs and parameters of a snapshot; `clouds` has all P_i."""
+        """Use pairs and parameters of a snapshot; `clouds` has P_i by the names of pairs of L_m."""
         mobile, manipulator = (
             tuple(Pair(*pair.name.split("-")) for pair in snapshot.pairs if pair.mobile == kind)
             for kind in (True, False)
@@ -42,10 +42,10 @@ class Explorer:
         self._response = snapshot
 
     def respond(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
-        """Return a snapshot of one control step from rest in `posture`, clipped to joint limits.
+        """Return a snapshot of one control step from rest in `posture`.
 
-        Parameters, controller, time, run, speed, scenario, scores and real-time statistics are
-        those of `snapshot`.
+        The joint positions are clipped to the joint limits. Parameters, controller, time, run,
+        speed, scenario, scores and real-time statistics are those of `snapshot`.
         """
         request = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
         if request != self._request:
@@ -63,9 +63,10 @@ class Explorer:
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
         """Find a posture that brings the end-effector to `place` (3,) [m] in the world.
 
-        Return it and the remaining distance [m]. The search starts from `posture`, and the base
-        stays. The end-effector's z axis keeps its direction if this distance is then below `CLOSE`;
-        otherwise the axis may turn.
+        Return this posture, and the distance [m] of the end-effector from `place`. The search
+        starts from `posture`, and the base stays. The end-effector's z axis keeps its direction. If
+        the distance is then not below `CLOSE`, a second search lets the axis turn, and the posture
+        with the smaller distance is returned.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

@@ -105,13 +105,14 @@ class RefusedError(ValueError):
 
 
 class GarbageError(RefusedError):
-    """The connection has sent data that no page of this program sends, and is closed."""
+    """The connection has sent data that no page of this program sends; it is closed."""
 
 
 class Gate:
     """Checks between a viser server and its connections."""
 
     def __init__(self, host: str, allowed: Collection[str], largest_upload: int) -> None:
+        """Create a gate; the arguments are those of `open_server`."""
         self._allowed = {name.lower() for name in allowed}
         self._own_names = {host.lower(), *self._allowed}
         self._largest_upload = largest_upload
@@ -119,11 +120,14 @@ class Gate:
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Returns a widget of a page, by the page's connection and the widget's name, or None."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
-        """Called after each `RefusedError` of a connection except a `GarbageError`."""
+        """Called with connection and error after each `RefusedError` except a `GarbageError`."""
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Check the server that viser starts in this context; `ServerError` if there is none."""
+        """Check all connections of the server that viser starts in this context.
+
+        Raises `ServerError` if viser starts no server, or starts it in an unexpected way.
+        """
         with _lock:
             original, seen = websockets_server.serve, []
 
@@ -145,7 +149,7 @@ class Gate:
     async def _answer(
         self, inner: Callable[..., Any], connection: _Connection, request: Request
     ) -> Response | None:
-        """Refuse a request, or let viser's `inner` answer it; add head and headers to answers."""
+        """Return a refusal or `inner`'s answer, with scripts and headers; None for a websocket."""
         answer = self._refusal(request, connection.method)
         if answer is None:
             answer = inner(connection, request)
@@ -192,7 +196,7 @@ class Gate:
         return None
 
     async def _handle(self, inner: Callable[..., Any], connection: Any) -> None:
-        """Run viser's handler `inner` of a connection, which gets only checked messages."""
+        """Run viser's handler `inner`; it gets only checked messages of pages of this version."""
         if connection.subprotocol != _VERSION:  # viser would print each wrong version
             return await connection.close(1002, "this page is of another version; reload it")
         connection.transport.max_size = 2**13  # [bytes] read at once, then other connections
@@ -206,7 +210,7 @@ class Gate:
 
 
 def _refused(status: HTTPStatus, why: str, more: str = "") -> Response:
-    """Return a page that shows the reason `why`, which is escaped, and the HTML `more`."""
+    """Return a page with the HTML `more` and with the reason `why`, which is escaped."""
     html = _REFUSAL.format(why=escape(why[:_LONGEST_REASON]), more=more)
     body = html.encode(errors="replace")
     fields = {"Content-Length": str(len(body)), "Content-Type": "text/html; charset=utf-8"}
@@ -247,7 +251,7 @@ class _Connection(ServerConnection):
                 self.gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """Return the next message; abort the connection if its parts take more than `_SLOWEST`."""
+        """Return the next message; abort the connection if its transfer exceeds `_SLOWEST`."""
         message, late = bytearray(), None
         try:
             async for part in self.recv_streaming(decode=False):
@@ -262,13 +266,13 @@ class _Connection(ServerConnection):
 def is_allowed(
     origin: str | None, host: str | None, own_names: Collection[str], allowed: Collection[str]
 ) -> bool:
-    """Whether the server answers a request with the headers `Origin` and `Host`, or None.
+    """Whether the server answers a request; `origin` and `host` are its headers, None if absent.
 
-    `Host` must be an IP address, localhost, the name of this machine, or one of `own_names` in
-    lower case: another website could let its own name point to this machine. A browser sends
-    `Origin` with each websocket request. It must have the same name and port as `Host`, or a name
-    in `allowed`, because a proxy can change `Host`. Other programs send no origin; only their
-    `Host` is checked. A request with neither header is answered.
+    `Host` must be an IP address, localhost, the name of this machine, or one of `own_names`,
+    because another website could let its own name point to this machine. A browser sends `Origin`
+    with each websocket request. The origin must have the same name and port as `Host`, or a name in
+    `allowed`, because a proxy can change `Host`. Other programs send no origin; only their `Host`
+    is checked. A request with neither header is answered. `own_names`, `allowed`: in lower case.
     """
     if host is None:
         return origin is None
@@ -311,15 +315,16 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """Register of a viewer's unfinished uploads: viser would store parts of no file forever."""
+    """Register of a viewer's unfinished uploads; viser stores parts of unknown files forever."""
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Accept files of up to `largest` [bytes]; the registers `everyone` share another limit."""
+        """Accept files of up to `largest` [bytes], and `_MOST_UPLOADS` of `everyone` at a time."""
         self._largest, self._everyone = largest, everyone
-        self.unfinished: dict[str, tuple[int, range]] = {}  # missing bytes and parts, by transfer
+        self.unfinished: dict[str, tuple[int, range]] = {}
+        """Number of missing bytes, and indices of missing parts, by the name of the transfer."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Register a file of `size` [bytes] in a number of `parts`; `RefusedError` if forbidden."""
+        """Register a new file of `size` [bytes] with `parts` parts, or raise `RefusedError`."""
         if size > self._largest:
             limit = f"the limit is {self._largest / 1e6:.0f} MB"
             raise RefusedError(f"a file of {size / 1e6:.0f} MB; {limit}")
@@ -331,7 +336,7 @@ class Uploads:
             self.unfinished[transfer] = size, range(parts)
 
     def add(self, transfer: str, part: int, size: int) -> None:
-        """Register the next part, of `size` [bytes]; raises `RefusedError` for another part."""
+        """Register a part of `size` [bytes]; raises `RefusedError` if it is not the next part."""
         left, parts = self.unfinished.get(transfer, (0, range(0)))
         if part not in parts[:1] or size > left or (size < left and not parts[1:]):
             raise RefusedError("this part does not belong to an announced upload")
@@ -344,7 +349,8 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     """Return the unchanged bytes of an allowed message; register files and parts in `uploads`.
 
     `widget` returns a widget of the page by its name, or None. Raises `GarbageError` if the data
-    are not a message of the types `_TAKEN`, and `RefusedError` if a value is not allowed.
+    are not a message of the types `_TAKEN`. Raises `RefusedError` if the message or a value is too
+    large, if a value does not match its widget, or if a picture or an upload is not allowed.
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is not a message")
@@ -383,7 +389,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
 
 
 def is_picture(content: bytes) -> bool:
-    """Whether `content` is empty (the page has no picture), or a still PNG of limited size."""
+    """Whether `content` is empty (no picture), or a still PNG of at most `_MOST_PIXELS`."""
     head = content.partition(b"IDAT")[0]
     size = 0 if len(head) < 24 else math.prod(struct.unpack_from(">II", head, 16))
     whole = head.startswith(b"\x89PNG\r\n\x1a\n") and 0 < size <= _MOST_PIXELS
@@ -392,7 +398,7 @@ def is_picture(content: bytes) -> bool:
 
 def is_alike(value: Any, current: object) -> bool:
     """Whether `value` has the type of a widget's current value; int and float count as one type."""
-    if isinstance(current, tuple):
+    if isinstance(current, tuple):  # a page sends it as a list
         as_long = isinstance(value, list) and len(value) == len(current)
         return as_long and all(map(is_alike, value, current))
     if isinstance(current, int | float) and not isinstance(current, bool):
@@ -401,7 +407,7 @@ def is_alike(value: Any, current: object) -> bool:
 
 
 def _is_plain(value: Any, longest: int, depth: int) -> bool:
-    """Whether a value has no NaN, no huge number, no text over `longest`, no level over `depth`."""
+    """Whether numbers, texts (`longest` [characters]) and levels (`depth`) are within limits."""
     if isinstance(value, int | float):
         return abs(value) <= _LARGEST_NUMBER  # False for NaN
     if isinstance(value, str):

@@ -75,8 +75,8 @@ class Job:
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
         """Start the job `title`: run `work` in a new thread; `text` describes its first step.
 
-        If `work` raises `Cancelled`, a `DbbError` or an `OSError`, `problem` has the message; after
-        any other exception, it refers to the log. Raises `ConfigError` if another job is running.
+        If `work` raises `Cancelled`, a `DbbError` or an `OSError`, `problem` has the message. After
+        any other exception, `problem` refers to the log. Raises `ConfigError` if a job is running.
         """
         with self._lock:
             running = self.progress  # read once, because the work's thread may clear it
@@ -94,11 +94,12 @@ class Job:
         return run_in_process(work, *args, report=self.report, cancelled=self._cancelled)
 
     def report(self, text: str, share: float = -1.0) -> None:
-        """Set text and share of `progress`; no effect without a running job."""
+        """Set text and share of `progress`, as in `Progress`; no effect without a running job."""
         if self.progress is not None:
             self.progress = self.progress._replace(text=text, share=share)
 
     def check(self) -> None:
+        """Raise `Cancelled` if the running job was cancelled."""
         if self.cancelled:
             raise Cancelled("cancelled")
 
@@ -107,11 +108,11 @@ class Job:
 
     @property
     def cancelled(self) -> bool:
-        """Whether the last job was cancelled; it may still run."""
+        """Whether the last job was cancelled; this job may still run."""
         return self._cancelled.is_set()
 
     def close(self) -> None:
-        """Cancel the running job and wait for its end, at most `_PATIENCE`."""
+        """Cancel the running job, and wait for its end for at most `_PATIENCE`."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
@@ -151,7 +152,7 @@ def sample_border(report: Report, robot: str) -> BorderData:
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """Read a zip's first 20 URDFs with limited time and memory; return the valid ones by path."""
+    """Return the valid ones of a zip's first 20 URDFs, by path; time and memory are limited."""
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
@@ -175,7 +176,7 @@ def build_robot(report: Report, request: Request) -> None:
 
 
 def write_log(report: Report, trace: Trace, log: Path) -> None:
-    """Write a trace as a log; omit a CSV file's line of comment, which spreadsheets cannot read."""
+    """Write a trace as a log; omit the first line of a CSV file, which is a comment."""
     from app.simulation.trace.log_file import write_trace  # pyarrow is slow to import
 
     report("writing the log", 0.0)
@@ -207,7 +208,7 @@ def write_replay(report: Report, trace: Trace, page: Path) -> None:
 
 
 def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
-    """Write a film of a trace in real time, with `FILM_RATE` and the suffix's default codec."""
+    """Write a film of a trace at true speed, with `FILM_RATE` and the default codec of a suffix."""
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
 

@@ -1,4 +1,4 @@
-"""HTML of the page: its head, the page of a refused request, and texts of panels in one style."""
+"""HTML of the page: its head, and elements of panels in one style."""
 
 import gzip
 from collections.abc import Iterable
@@ -27,7 +27,7 @@ def plain(error: BaseException) -> str:
 
 @lru_cache(maxsize=2)
 def with_head(page: bytes, encoding: str) -> bytes:
-    """Insert scripts and styles into viser's page, which is compressed if `encoding` is "gzip"."""
+    """Return viser's page with this program's scripts; `encoding` is "gzip" if it is compressed."""
     html = (gzip.decompress if encoding == "gzip" else bytes)(page)
     html = html.replace(b"<head>", _HEAD.encode(), 1)
     return gzip.compress(html) if encoding == "gzip" else html
@@ -69,6 +69,7 @@ def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str
 
 
 def reading(name: str, value: str) -> str:
+    """Return a row with the name of a quantity and its value."""
     return row(cell(name, FAINT, ONE_LINE), cell(value, RIGHT))
 
 
@@ -93,7 +94,7 @@ def minus(text: str) -> str:
 
 
 def tag(name: str, html: str, *styles: str, **attributes: str) -> str:
-    """Return an element; empty styles and attributes are omitted."""
+    """Return an element with the content `html`; empty styles and attributes are omitted."""
     attributes["style"] = ";".join(filter(None, styles))
     texts = (f' {key}="{value}"' for key, value in attributes.items() if value)
     return f"<{name}{''.join(texts)}>{html}</{name}>"

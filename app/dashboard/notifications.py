@@ -32,6 +32,7 @@ class Notifier:
         self._show(client, title, text, "blue")
 
     def clear(self, client: viser.ClientHandle) -> None:
+        """Remove all notifications of a viewer."""
         for key, (_, _, handle, _) in list(self._shown.items()):
             if key[0] == client.client_id:
                 handle.remove()
@@ -57,7 +58,7 @@ class Notifier:
 
     def _show(self, client: viser.ClientHandle | None, title: str, text: str, colour: Any) -> None:
         seconds = 30.0 if colour == "red" else 6.0
-        text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may come from a file
+        text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # from a file, for example
         clients = [client] if client is not None else list(self._server.get_clients().values())
         here = {each.client_id for each in clients} | set(self._server.get_clients())
         for key in tuple(self._shown):

@@ -37,7 +37,7 @@ _MAIN_WIDTH = 350  # [px] of the right column
 
 
 class Page(Viewer):
-    """Panels and scene of one viewer; create it within the client's `atomic`."""
+    """Panels and scene of one viewer; create it within `atomic`, so that it appears as a whole."""
 
     def __init__(
         self,
@@ -129,10 +129,11 @@ class Page(Viewer):
         return "untouched" in self.channel.seen and not self.closed
 
     def fail(self, title: str, error: BaseException) -> None:
+        """Show an error at the top of the right column until the page is replaced."""
         _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
-        """Return a page of another robot that replaces this page; return a closed page itself."""
+        """Return a page of another robot in place of this page, or this page if it is closed."""
         if self.closed:
             return self
         self.close()
@@ -196,7 +197,7 @@ class Page(Viewer):
             gui.add_markdown(TEXT.format(keys=keys))
 
     def _shortcuts(self) -> list[tuple[str, Any, Callable[[], None]]]:
-        """Return label, key or None, and action of each entry in the list of `Ctrl K`."""
+        """Return label, key or None, and action of each entry in the list that `Ctrl K` opens."""
         views = ((f"Camera: {name}", str(i), name) for i, name in enumerate(PRESETS, 1))
         return [
             (f"{PAUSE} or {CONTINUE.lower()}", "space", self.toggle_pause),
@@ -217,7 +218,7 @@ class Page(Viewer):
 
 
 def hung_html(silence: float) -> str:
-    """Return an error message if the simulation's `silence` [s] is at least `PATIENCE`, or ""."""
+    """Return an error message if the simulation is silent for at least `PATIENCE` [s], or ""."""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."
     return banner("error", "The simulation does not respond", text) if silence >= PATIENCE else ""
 

@@ -36,7 +36,7 @@ def sentence(text: str) -> str:
 
 
 def angle(x: float, y: float) -> str:
-    """Return a direction in degrees from forward, such as "150° to the left"."""
+    """Return a direction of the base's frame in degrees from forward: "150° to the left"."""
     degrees = round(math.degrees(math.atan2(y, x)))
     if degrees in (0, 180, -180):
         return f"{abs(degrees)}°"
@@ -62,11 +62,12 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
 
 
 def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
-    """Describe a base's velocity v, such as "backs away at 0.21 m/s and turns left"; None at rest.
+    """Describe a base's motion, such as "backs away at 0.21 m/s and turns left"; None at rest.
 
-    If `intended`, v is the commanded acceleration [m/s², m/s², rad/s²] of a base at rest, and the
-    text is its next motion: "back away and turn left". `ahead` means that the avoided body is in
-    front of the base or beside it.
+    v is the velocity [m/s, m/s, rad/s]: forward, left and turning. If `intended`, v is the
+    commanded acceleration [m/s², m/s², rad/s²] of a base at rest, and the text is the base's next
+    motion: "back away and turn left". If `ahead`, the avoided body is in front of the base or
+    beside it, and a backward motion is called "back away".
     """
     forward, left, turn = v
     (slow, slow_turn), s = (SLIGHT, "") if intended else (AT_REST, "s")
@@ -85,7 +86,7 @@ def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
 
 
 def speeds(velocity: Array) -> str:
-    """Return a base's velocity (n_b,) in words, such as "0.09 m/s, 5°/s left"."""
+    """Return a base's velocity (n_b,) [m/s, rad/s] in words, such as "0.09 m/s, 5°/s left"."""
     *linear, w = velocity
     turn = math.degrees(abs(w))
     side = "" if turn < 0.5 else " left" if w > 0 else " right"
@@ -93,7 +94,7 @@ def speeds(velocity: Array) -> str:
 
 
 def acceleration(*axes: float) -> str:
-    """Return an acceleration of a base, forward and left [m/s²] and turning [rad/s²], in words."""
+    """Return a base's acceleration in words, from forward, left [m/s²] and turning [rad/s²]."""
     units = "m/s²", "m/s²", "rad/s²"
     ways = ("forward", "backward"), ("left", "right"), ("turning left", "turning right")
     parts = zip(axes, units, ways, strict=True)

@@ -38,7 +38,7 @@ class PlotPlan(NamedTuple):
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
-    """Return all plots of a robot for its link pairs `names`, and for the pair `door`."""
+    """Return all plots for the link pairs `names`, and for `door`, the pair of base and door."""
     axes, joints = model.description.base.axes, model.description.arm.joints
     colours = (*map(_series, range(len(axes) - 2)), css(PERSON), css(ACTING))[-len(axes) :]
     torques = tuple(map(_torque, range(len(joints)), joints, model.tau_max, model.joint_units))
@@ -58,7 +58,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 
 
 def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
-    """Return a curve without colour for each numeric column of a log except the time, by name."""
+    """Return a curve, still without colour, for each numeric column of a log except the time."""
     docs = {name: text.split(". ")[0] for name, text in field_docs(Snapshot)}
     pairs = {pair.name: pair.mobile for pair in snapshot.pairs}
     meta = TraceMeta.of(model, pairs, snapshot.config)
@@ -80,7 +80,7 @@ def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Curve]:
 def _distances(
     title: str, model: RobotModel, names: list[str], height: int, first: int = 0
 ) -> PlotPlan:
-    """Return a plot of the pairs' distances and d_b, with colours of `SERIES` from `first` on."""
+    """Return a plot of the pairs' distances and d_b; the colours start at `SERIES[first]`."""
     meaning = "signed distance d [m] of the convex bodies, negative if they overlap"
     spoken = partial(words.spoken, chain=model.body_names)
     curves = (
@@ -114,5 +114,5 @@ def _avoidance(i: int, axis: Axis, colour: str) -> Curve:
 
 
 def _soft(low: float, high: float) -> dict[str, dict[str, float]]:
-    """Return a range for uPlot: `low` to `high`, and farther if data need it, with 10 % margin."""
+    """Return a range for uPlot: `low` to `high`, extended to all data with a margin of 10 %."""
     return {end: {"pad": 0.1, "soft": x, "mode": 1} for end, x in (("min", low), ("max", high))}

@@ -45,7 +45,7 @@ class Track:
 
 
 class Course:
-    """Results of the last scenario; a touch is a contact or an overlap."""
+    """Results of the last scenario; a touch is a reported contact or an overlap of bodies."""
 
     def __init__(self) -> None:
         self.case: RunCase | None = None  # of the last scenario, as at its start
@@ -60,9 +60,7 @@ class Course:
         self.pull = self.speed = 0.0  # [N] largest external force; [m/s] peak end-effector speed
         self.path = 0.0  # [m] length of the base's path
         self.inside = self.left = False  # whether a touch of the first snapshot lasts; has ended
-        self.touched = self.contact = (
-            False  # whether a touch began later; whether the plant reported one
-        )
+        self.touched = self.contact = False  # a touch began later; the plant reported contact
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
@@ -116,11 +114,11 @@ class Strip:
         self.runs += 1
         self.rows: deque[tuple[float, ...]] = deque(maxlen=round(HISTORY / BIN))
         """For each bin: start [s], smallest distance [m], largest β, and d_b [m]."""
-        self.closed = self._numbered = 0  # rows and events since the restart, also deleted ones
+        self.closed = self._numbered = 0  # numbers of all rows and events since the restart
         self.events: dict[int, Event] = {}  # by their numbers, in order
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
-        self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))  # one of every two bins
-        self.nearest: Snapshot | None = None  # with the smallest distance since the restart
+        self.past: deque[Stored] = deque(maxlen=round(HISTORY / BIN / 2))  # see `_close`
+        self.nearest: Snapshot | None = None  # with the least distance since the restart
         self.hardest: Snapshot | None = None  # with the largest external force above 0
         self._bin: list[Snapshot] = []
         self._before: Snapshot | None = None
@@ -138,6 +136,7 @@ class Strip:
         self._before = snapshot
 
     def _close(self) -> None:
+        """Add the row of a bin; of every two bins, store the snapshot with the least distance."""
         nearest = min(self._bin, key=lambda snapshot: snapshot.nearest.d)
         beta = max((pair.beta for s in self._bin for pair in s.pairs), default=0.0)
         self.rows.append((self._bin[0].t, nearest.nearest.d, beta, nearest.d_b))
@@ -148,7 +147,7 @@ class Strip:
         self._bin, self._last = [], nearest
 
     def _note(self, t: float, kind: str, subject: str, text: str) -> None:
-        """Add an event; if the same one occurred within `_QUIET`, update its text instead."""
+        """Add an event; if it has occurred within `_QUIET`, update its text instead."""
         number, seen = self._seen.get((kind, subject), (-1, -np.inf))
         if t - seen <= _QUIET and number in self.events:
             self.events[number] = self.events[number]._replace(text=text)
@@ -169,7 +168,10 @@ def pulled(snapshot: Snapshot) -> float:
 def happenings(
     before: Snapshot | None, now: Snapshot, chain: Sequence[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, subject and text of each event between two snapshots."""
+    """Yield kind, subject and text of each event between two snapshots.
+
+    If `before` is None, only the start of a scenario is an event.
+    """
     earlier = before.scenario if before else ""
     if now.scenario != earlier:
         yield "scenario", "", f"{now.scenario} starts" if now.scenario else f"{earlier} ends"

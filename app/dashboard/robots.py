@@ -24,8 +24,8 @@ from app.simulation.plants import default_plant
 from app.system import remove_abandoned, temporary_folder
 
 _NEEDED = assets.resolved_urdf if default_plant() == "planar" else assets.bare_urdf
-"""Checks a robot's files: pybullet needs every mesh; without one, MuJoCo and the page use the
-convex bodies."""
+"""Raises `AssetError` if a file of a robot is missing that the default plant needs. pybullet
+(`planar`) needs every mesh; without a mesh, MuJoCo and the page use the convex bodies."""
 
 
 class RobotEntry(NamedTuple):
@@ -59,7 +59,7 @@ def robot_entries() -> list[RobotEntry]:
     return entries
 
 
-Changes = Mapping[str, float | str]  # parameters that differ from a robot's defaults, by path
+Changes = Mapping[str, float | str]  # values of changed parameters, by the parameter's path
 StartLoop = Callable[[RobotModel, BorderData, Config, str], LoopHandle]
 """Creates the simulation of a robot with parameters and a controller; the caller starts it."""
 
@@ -102,8 +102,9 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
-        The new robot gets the present controller, and `changes`, or its defaults if these fail.
-        Raises `ConfigError` if the robot cannot be used, or if another switch is running.
+        The new robot gets the present controller and the parameters `changes`, or its default
+        parameters if its simulation does not start with `changes`. Raises `ConfigError` if the
+        robot does not exist or cannot be used, or if another switch is running.
         """
         entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
         if entry is None or self._start_loop is None:
@@ -122,7 +123,7 @@ class RobotSwitch(Job):
         self.start(entry.title, "reading the description", work)
 
     def take(self) -> RunningRobot | None:
-        """Return a robot that has become ready, only once; otherwise None."""
+        """Return a robot that has become ready since the last call, or None."""
         ready, self._ready = self._ready, None
         return ready
 
@@ -206,7 +207,7 @@ class RobotBuild(Job):
         self.start(_file_name(name), "reading", work)
 
     def build(self, request: Request) -> None:
-        """Build the requested robot in a job; raises the errors of `new_folder` and `start`."""
+        """Build a robot in a job; `ConfigError` as for `new_folder`, or if another job runs."""
         new_folder(request.name)
 
         def work() -> None:
@@ -232,7 +233,7 @@ class RobotBuild(Job):
 
 
 def new_folder(name: str) -> Path:
-    """Return the folder for a new robot; `ConfigError` if the name is not allowed or exists."""
+    """Return the folder for a new robot; `ConfigError` if its name is not allowed or in use."""
     if not NAME.fullmatch(name):  # checked before it becomes a part of a path
         raise ConfigError("a name starts with a letter and has only letters, digits and _")
     if name in assets.robot_names():

@@ -65,7 +65,10 @@ class DashboardServer:
         self._thread.start()  # last, because only `stop` ends it
 
     def run_forever(self) -> None:
-        """Wait for `stop` or Ctrl-C; then raise `LoopError` if simulation or drawing has failed."""
+        """Wait for `stop` or Ctrl-C; then raise `LoopError` if simulation or drawing has failed.
+
+        After Ctrl-C, the caller must call `stop`.
+        """
         with contextlib.suppress(KeyboardInterrupt):
             give_back()
             with gc_frozen():
@@ -75,7 +78,7 @@ class DashboardServer:
                 raise LoopError(f"the {part} ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
-        """End the drawing thread, the pages, the jobs, the server, and a simulation of a switch."""
+        """End drawing, pages, jobs, server, and the last simulation that a switch has started."""
         self._stopping.set()
         self._thread.join(timeout=5.0)
         for page in list(self.pages.values()):
@@ -96,7 +99,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the pull of a silent browser if it has not moved for more than `PATIENCE`."""
+        """Release the pull of a silent browser if its target did not move for over `PATIENCE`."""
         if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
@@ -120,7 +123,7 @@ class DashboardServer:
                     _show_failure(client, "Drawing has stopped", error)
 
     def _draw_picture(self) -> None:
-        """Draw a frame of each page; no local name may refer to a robot that is replaced here."""
+        """Draw a frame of each page; no local name may keep a robot that this call replaces."""
         self.shared.watch(bool(self.viser.get_clients()))
         # A switch removes widgets. It waits until their last update is old: in a slow browser, a
         # newer update would come after the removal and cause an error.
@@ -132,7 +135,7 @@ class DashboardServer:
         pages = [page for page in self.pages.values() if not page.closed]
         self._demonstrate(pages, shared.loop.latest())
         for page in pages:
-            if not (texts or not page.view.light or self.pictures % 2 == 0):  # light: half
+            if not (texts or not page.view.light or self.pictures % 2 == 0):  # light: every second
                 continue
             try:
                 page.draw(texts=texts)
@@ -149,7 +152,9 @@ class DashboardServer:
     def _demonstrate(self, pages: Sequence[Page], newest: Snapshot) -> None:
         """Start, repeat or end the demonstration for a single viewer who has not touched the page.
 
-        It starts after `UNTOUCHED` seconds with dbb, and without scenario, pause and comparison.
+        With the controller dbb, it starts after `UNTOUCHED` seconds without scenario, pause and
+        comparison, and again `REST` after its end. The first input, a second viewer or another
+        controller ends it.
         """
         due, self._demonstration_due = self._demonstration_due, None
         if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
@@ -240,9 +245,11 @@ def serve_dashboard(
     There is neither a password nor encryption: in a network that is not trusted, use an address
     that only this machine can reach. Port 0 selects a free port. Browsers may reach the server
     under the `host` and under the names `allowed`. `clouds` has P_i of each pair of L_m, by the
-    pair's name. A button plays the `case`. If `start_loop` is None, the robot cannot be changed.
+    pair's name. A button plays the `case`. `parts` are loaded here if they are None. `start_loop`
+    starts the simulation of another robot; if it is None, the robot cannot be changed.
 
-    Raises `ServerError` if the address cannot be bound, and the errors of `RobotParts`.
+    Raises `ServerError` if the address cannot be bound, and `AssetError` if the robot's URDF or the
+    mesh of a convex body is missing.
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
@@ -261,13 +268,13 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return when to work again [s, `monotonic`] after work since `begin` [s, `thread_time`]."""
+    """Return until when [s, `monotonic`] to rest after work since `begin` [s, `thread_time`]."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 
 
 def check_address(host: str, port: int) -> None:
-    """Raise `ServerError` for a host at which viser would hang, or a port that is in use."""
+    """Raise `ServerError` if viser cannot listen at an address: a bad host would make it hang."""
     failure = f"cannot listen at {host}:{port}"
     if not 0 <= port <= 65535:  # getaddrinfo would use the port modulo 65536
         raise ServerError(f"{failure}: a port is between 0 and 65535")

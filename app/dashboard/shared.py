@@ -40,7 +40,7 @@ class Tuning:
         """Start with `config` of the simulation `sink`, and with the robot's defaults `usual`."""
         self._sink, self._clock, self.usual = sink, clock, usual
         self._steps, self._at = [config], 0  # configurations, oldest first; index of the present
-        self._burst: tuple[str, float] | None = None  # parameter and time [s] of the last change
+        self._burst: tuple[str, float] | None = None  # path, time [s] of the last change
         self._lock = threading.RLock()
 
     @property
@@ -56,7 +56,7 @@ class Tuning:
     def set(self, path: str, value: float | str) -> None:
         """Change one parameter; its successive changes within `BURST` become one step for `undo`.
 
-        Raises `ConfigError` if parameter or value are not allowed, or if a gain is too large.
+        Raises `ConfigError` for an unknown parameter, a wrong value, or a gain that is too large.
         """
         with self._lock:
             if self.config.value(path) == value:
@@ -74,7 +74,7 @@ class Tuning:
             self._sink.send(Configure(config))
 
     def load(self, config: Config) -> None:
-        """Replace the configuration, as one step; raises the errors of `set`."""
+        """Replace the configuration, as one step; `ConfigError` if a gain is too large."""
         with self._lock:
             if config != self.config:
                 check_gains(config, config.disturbance.stated_period)
@@ -134,7 +134,7 @@ class SharedState(SceneData):
         robot_switch: RobotSwitch | None = None,
         before: SharedState | None = None,
     ) -> None:
-        """Continue history and jobs of `before`; other arguments are those of `serve_dashboard`."""
+        """Continue history and jobs of the state `before`; the rest is as in `serve_dashboard`."""
         super().__init__(loop, model, clouds, parts)
         self.case = case  # a scenario that a button plays, or None
         usual = model.description.config
@@ -142,7 +142,7 @@ class SharedState(SceneData):
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.plans = plot_plans(model, self.pairs, self.of_door)
-        self.quantities = quantities(model, loop.latest())  # curves that a viewer can add
+        self.quantities = quantities(model, loop.latest())  # curves to add, by name
         self.course, self.strip = Course(), Strip(model.body_names)
         self.keepers += [self.course, self.strip]
         self._watched = True

@@ -29,8 +29,8 @@ class Timeline:
         self._newest = loop.latest()
         self._marked: list[Stored] = []
         self._lock = threading.RLock()
-        self.begin: float | None = None  # [s] start of the marked interval, if marked
-        self.end: float | None = None  # [s] its end, if marked
+        self.begin: float | None = None  # [s] start of the marked interval; None if not marked
+        self.end: float | None = None  # [s] end of this interval; None if not marked
 
     @property
     def earlier(self) -> bool:
@@ -73,7 +73,10 @@ class Timeline:
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown."""
+        """Stop the running replay; otherwise start one, `AGAIN` earlier if the present is shown.
+
+        Raises `ConfigError` if the speed [-] is not within `REPLAY`.
+        """
         check_range("replay speed", speed, *REPLAY, "× real time")
         with self._lock:
             if self.plays:
@@ -93,12 +96,13 @@ class Timeline:
             self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
-        """Go forward by a time [s], back if it is negative, by at least one snapshot if any."""
+        """Go forward by a time [s], or back if it is negative, by at least one snapshot if any."""
         t = self.shown().t
         ahead = [s for s in self._stored() if (s.t - t) * seconds > 0.0] or self._stored()
         self.show(min(ahead, key=lambda stored: abs(stored.t - t - seconds)).snapshot)
 
     def go_live(self) -> None:
+        """Show the present, and stop a replay."""
         with self._lock:
             self._shown = self._replay = None
 
@@ -115,7 +119,7 @@ class Timeline:
                 self._cut(min(end, self.begin + MOST_MARKED))
 
     def mark_end(self) -> None:
-        """Mark the shown instant as the end of the interval; raises `LogError` at its start.
+        """Mark the shown instant as the end of the interval; `LogError` if it is the start.
 
         An earlier start in this run remains, but it is at most `MOST_MARKED` before the end.
         """
@@ -152,7 +156,7 @@ class Timeline:
         return [stored.snapshot for stored in found]
 
     def between(self, begin: float, end: float, spacing: float) -> list[Snapshot]:
-        """Return the first stored snapshot in each `spacing` [s], from `begin` to `end` [s]."""
+        """Return the first stored snapshot of each `spacing` [s], from `begin` [s] to `end` [s]."""
         found = [stored for stored in self._stored(begin) if stored.t <= end]
         bins = np.floor([stored.t / spacing for stored in found])
         return [found[i].snapshot for i in np.flatnonzero(np.diff(bins, prepend=-1.0))]

@@ -34,7 +34,7 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     why = snapshot.explanation
     known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
     rates = (snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT)
-    moves = any(  # the base gives way
+    moves = any(  # whether the base moves, or begins to move
         max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
     )
     pairs: tuple[State, ...] = tuple(
@@ -59,7 +59,7 @@ def links_repel(pair: NearPair | PairReading) -> bool:
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Return a pair's state; `near` explains an active pair; `moves`: the base gives way."""
+    """Return a pair's state; `near` explains an active pair; `moves`: whether the base moves."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.limited:
@@ -76,6 +76,7 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
 
 
 def contacts(snapshot: Snapshot) -> list[str]:
+    """Return the contacts that the plant has reported, in words."""
     touches = {
         "arm and base": snapshot.in_contact,
         "links of the arm": snapshot.arm_in_contact,
@@ -86,7 +87,7 @@ def contacts(snapshot: Snapshot) -> list[str]:
 
 
 def touching(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> str:
-    """Return the reported contacts and the deepest overlap in words; empty without both."""
+    """Return the reported contacts and the deepest overlap in words; "" if there are none."""
     texts = contacts(snapshot)
     name, _, d, *_ = snapshot.nearest
     if d < 0.0:

@@ -36,7 +36,7 @@ class View:
         LAYERS,
         "Labels",
         "active",
-        "active: distances of the pairs inside their buffer; all: all distances, symbols of points",
+        "active: distances of pairs inside their buffer; all: all distances and symbols of points",
     )
     acting: bool = _shown(
         LAYERS, "Acting points", True, "Points p_act, p_n and p_t, and the force on the base"
@@ -66,7 +66,7 @@ class View:
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
         """Return the same choices for another robot, from its pairs of L_m and its plots' titles.
 
-        If the other robot has none of the shown borders, its first border is shown by the score.
+        If the other robot has none of the shown borders, its first border is coloured by its score.
         """
         borders = {pair: self.borders.get(pair, HIDDEN) for pair in pairs}
         if set(borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:
@@ -75,7 +75,7 @@ class View:
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
-        """Return the default choices: the first border, by its score, and the first four plots."""
+        """Return the default: the first border, coloured by its score, and the first four plots."""
         borders = dict.fromkeys(pairs, HIDDEN)
         if pairs:
             borders[pairs[0]] = "score"

@@ -1,4 +1,4 @@
-"""Servers of viser, without output and behind a gate; and uses of viser's private names.
+"""Servers of viser without output and behind a gate, messages of pages, and a watchdog.
 
 In `app`, only this module and `app.dashboard.gate` use private names of viser. If viser changes one
 of these names, `tests/test_viser_compat.py` or `tests/test_gate.py` fails.
@@ -140,9 +140,10 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
 def scene_picture(
     client: viser.ClientHandle, height: int, width: int, timeout: float
 ) -> np.ndarray:
-    """Return a viewer's scene (height, width, 4) uint8, RGBA, within the timeout [s].
+    """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
 
-    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError`.
+    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError` if no picture arrives
+    within the timeout [s].
     """
     connection = _connection(client)
     if connection is None:
@@ -168,7 +169,7 @@ def has_no_gpu(client: viser.ClientHandle) -> bool:
 
 
 def finite(value: Any) -> float:
-    """Return a finite number from a page; raises `ValueError` or `TypeError` otherwise."""
+    """Return a value of a page as a finite number, or raise `ValueError` or `TypeError`."""
     if not math.isfinite(number := float(value)):
         raise ValueError("not a finite number")
     return number
@@ -342,7 +343,7 @@ def _icon(name: str) -> str:
 
 
 def _replace_parts_of_viser() -> None:
-    """Replace viser's queue of messages, and two parts that repeat slow work for each widget."""
+    """Replace viser's queue of messages, and its slow searches of type hints and of icons."""
     hints = cache(get_type_hints)
     of_class = property(lambda self: hints(type(self._impl.props)))
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private

@@ -1,4 +1,4 @@
-"""Drawing of pictures, films and replays without a display; `Look` describes a picture."""
+"""Pictures, films and replays without a display; `Look` describes their content and size."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,12 +8,12 @@ from app.strict import check_range
 Layer = Literal["determinant", "reachability", "score", "none"]
 Side = Literal["iso", "top", "front", "side", "end-effector", "pair", "door"]
 """Keys of `app.dashboard.scene.camera.PRESETS`."""
-_SIZES = 64, 8192  # [px]
+_SIZES = 64, 8192  # [px] smallest and largest width or height
 
 
 @dataclass(frozen=True)
 class Look:
-    """Content and size of a picture."""
+    """Content and size of a picture; raises `ConfigError` for a size outside of `_SIZES`."""
 
     width: int = 1280
     """[px] width of each picture."""

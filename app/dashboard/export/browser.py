@@ -81,7 +81,10 @@ def browser_path(bundled: str) -> str | None:
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Run a headless browser with WebGL; raises `BrowserError` if none is found, or if it fails."""
+    """Run a headless browser with WebGL 2, and close it at the end.
+
+    Raises `BrowserError` if there is no such browser, if it does not start, or if it fails in use.
+    """
     # Imported here, because most users of a scene need no browser.
     from playwright.sync_api import Error, sync_playwright
 
@@ -112,8 +115,8 @@ def new_context(
 ) -> BrowserContext:
     """Create a browser context for pages of `size` (width, height) [px].
 
-    Each page first runs `scripts`, then `browser.js`, which adds the functions `dbbPage`. `more`
-    has further arguments of playwright's `new_context`.
+    Each page first runs `scripts`, then `browser.js`, which adds the object `dbbPage` with
+    functions. `more` has further arguments of playwright's `new_context`.
     """
     viewport: ViewportSize = {"width": size[0], "height": size[1]}
     context = browser.new_context(viewport=viewport, reduced_motion="reduce", **more)

@@ -59,12 +59,12 @@ _MEANINGS: dict[Layer, str] = {  # meaning of a border's colours
 }
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
 """Text colour on a dark and on a light background."""
-_HEIGHT, _MIN_HEIGHT = 0.04, 12  # height of a line [-], relative to the picture; least height [px]
+_HEIGHT, _MIN_HEIGHT = 0.04, 12  # [-] height of a line, relative to the picture; [px] least height
 _YUV = ["-pix_fmt", "yuv420p"]
 _WEB = ["-cpu-used", "5", "-row-mt", "1", "-deadline", "good", "-b:v", "0", "-crf", "32", *_YUV]
 _X264 = ["-crf", "20", *_YUV, "-movflags", "+faststart"]
 _PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=bayer"
-CODECS = {  # by suffix, the default first, with ffmpeg's options
+CODECS = {  # codecs with ffmpeg's options, by a file's suffix; the first one is the default
     ".mp4": {"h264": ["libx264", *_X264], "h265": ["libx265", *_X264, "-tag:v", "hvc1"]},
     ".webm": {"vp9": ["libvpx-vp9", *_WEB], "vp8": ["libvpx", *_WEB]},
     ".webp": {"webp": ["libwebp_anim", "-loop", "0", "-quality", "70", "-compression_level", "4"]},
@@ -98,7 +98,7 @@ class RecordedLoop(LoopHandle):
         return self.snapshots[self._at]
 
     def stored(self, after: float = -1.0) -> list[Stored]:
-        """Return the snapshots with t > `after` [s] up to the present one, oldest first."""
+        """Return the snapshots with t > `after` [s] up to `latest()`, oldest first."""
         return [*map(Stored, self.snapshots[bisect_right(self._times, after) : self._at + 1])]
 
 
@@ -115,7 +115,7 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send all constant objects, and draw `labels` too; raises the errors of `RobotParts`."""
+        """Send all constant objects; draw labels if `labels`. Errors are those of `RobotParts`."""
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
         self._view = View.first(self._data.mobile, [])
@@ -127,7 +127,7 @@ class OffscreenScene:
         self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-        """Aim a camera as `placed` does; return its eye and target (3,) [m]."""
+        """Aim the camera at `shown` as `placed` does; return eye and target (3,) [m, world]."""
         window = Window.of(self._look.width, self._look.height)
         eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)
@@ -158,7 +158,7 @@ class OffscreenScene:
 
 
 def apply_look(view: View, look: Look) -> None:
-    """Set theme, border and slice of a view to those of a look, and hide all other borders."""
+    """Set theme, slice and border of a view to those of a look, and hide all other borders."""
     view.dark = look.dark
     view.slice = look.layer != "none"
     pair = look.pair or next((pair for pair, by in view.borders.items() if by != HIDDEN), "")
@@ -186,8 +186,8 @@ def replay_html(
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
-    After each drawn second of the run, `on_progress` gets the duration [s] drawn so far. Raises
-    the errors of `OffscreenScene`.
+    The file shows the dashboard's scene, with a bar for the time. After each drawn second of the
+    run, `on_progress` gets the duration [s] drawn so far. Raises `AssetError` as `RobotParts`.
     """
     begin, end = log.snapshots[0].t, log.snapshots[-1].t
     with own_server() as server:
@@ -207,7 +207,7 @@ def replay_html(
 
 
 def _captioned_page(page: str, log: Trace, chain: Sequence[str], layer: Layer) -> str:
-    """Insert the title of the run, and a box with title, verdict on the run, and legend."""
+    """Insert the run's title for the browser's tab, and a box with title, verdict and legend."""
     methods = ", then ".join(METHOD_WORDS.get(name, name) for name in log.controllers)
     scenario, meaning = log.meta.scenario or "Guiding by hand", _MEANINGS[layer]
     title = escape(f"{log.meta.robot}: {scenario}, {methods}")
@@ -243,7 +243,7 @@ def open_page(page: web.Page, server: viser.ViserServer) -> None:
 
 
 def with_ghosts(shown: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
-    """Return the snapshots `shown` with the robots of `others`, at the same times, as ghosts."""
+    """Return `shown` with the robots of `others` as ghosts; all sequences have the same times."""
     names = GhostReading._fields
     return [
         replace(s, ghosts=tuple(GhostReading(*(getattr(g, x) for x in names)) for g in ghosts))
@@ -263,11 +263,11 @@ def film_pictures(
 ) -> Generator[Image.Image, None, None]:
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
-    Each picture shows the last snapshot at or before its time [s], with the lines of `captioned`.
-    Between two pictures, the camera turns about the vertical axis through its target by `orbit`
-    [rad]. A part of a side-by-side film needs `framed`, the snapshots of all robots: the camera
-    shows them all, the base's initial outline is drawn, and `story` replaces `captioned`. Raises
-    the errors of `OffscreenScene`.
+    Each picture shows the last snapshot at or before one of `times` [s], and the lines of
+    `captioned`. Between two pictures, the camera turns about the vertical axis through its target
+    by `orbit` [rad]. A part of a side-by-side film needs `framed`, the snapshots of all robots: the
+    camera shows them all, the base's initial outline is drawn, and `story` replaces `captioned`.
+    Raises `AssetError` as `RobotParts`.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):

@@ -60,13 +60,13 @@ class Viewer:
         self.files = before.files if before else Job()  # creates the viewer's files
 
     def look(self, preset: str) -> None:
-        """Set the camera to a preset of `PRESETS`; "door" without a door raises `ConfigError`."""
+        """Let the camera use a preset, by its key; "door" without a door raises `ConfigError`."""
         if preset == "door" and self.timeline.shown().door is None:
             raise ConfigError("this scenario has no door")
         self.camera.wanted = preset
 
     def play(self, scenario: str) -> None:
-        """Play the scenario of this name; if it is empty, start a run without a scenario."""
+        """End a pause; play the scenario of this name, or start without one if the name is ""."""
         loop = self.shared.loop
         if scenario:
             loop.send(Play(scenario_of(self.shared.model.description, scenario)))
@@ -78,7 +78,7 @@ class Viewer:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`; beyond the newest one, a paused run advances."""
+        """Move the shown instant by `seconds`; a paused run advances beyond its newest instant."""
         if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
             self.shared.loop.send(StepOnce(min(seconds, STEPS[1])))
         else:
@@ -133,7 +133,7 @@ class Panel:
     def choice(
         self, label: str, titles: Mapping[str, str], act: Callable[[str], None], hint: str
     ) -> Any:
-        """Add a list of titles; `titles` has them by name; `act` gets the name of a chosen one."""
+        """Add a list of `titles`, a mapping by names; `act` gets the name of the chosen title."""
         names = {title: name for name, title in titles.items()}
         handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
         return self.on_update(handle, lambda event: act(names[event.target.value]))
@@ -154,7 +154,7 @@ class Panel:
     def follow(self, handle: Any, value: Any) -> None:
         """Assign a shared value to a widget if this value has changed since the last call.
 
-        An unchanged value would reset a viewer's newer choice before it reaches the simulation.
+        An unchanged value would reset a viewer's choice that is on its way to the simulation.
         """
         if self.followed.get(id(handle)) != value:
             self.followed[id(handle)] = handle.value = value

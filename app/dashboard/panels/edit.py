@@ -47,7 +47,7 @@ class EditPanel(Panel):
         self._drawn: dict[str, tuple[Shape, viser.MeshHandle]] = {}
         self._gizmos: tuple[str, tuple[viser.TransformControlsHandle, ...]] = (_NONE, ())
         self._sizing = False
-        self._q_m = viewer.timeline.shown().q_m  # (n_m,) [rad or m] of the shown arm
+        self._q_m = viewer.timeline.shown().q_m  # (n_m,) [rad or m] shown positions
         with gui.add_folder("Edit this robot", expand_by_default=False):
             self._text = gui.add_html("")
             hint = "The large gizmo moves and rotates the body, the small one resizes it."
@@ -57,7 +57,7 @@ class EditPanel(Panel):
                 for pair in sorted(self._pairs):
                     box = gui.add_checkbox(words.spoken(pair, names), False)
                     self._watched[pair] = self.on_update(box, lambda _: self._switch_pairs())
-            hint = "The shown posture. To change it, pull the arm, or use “Joint sliders” in Lab."
+            hint = "The shown posture. To change it, pull the arm or use “Joint sliders” (tab Lab)."
             ready, icon = "Use this posture as ready posture", viser.Icon.STRETCHING
             self.button(ready, lambda _: self._take_posture(), icon, hint=hint)
             own = self._robot.name if is_own(self._robot.name) else f"{self._robot.name}_by_hand"
@@ -166,7 +166,7 @@ def half_extents(shape: Shape) -> Array:
 
 
 def placed(shape: Shape, T: pin.SE3) -> Shape:
-    """Return the shape at the pose T in its body's frame."""
+    """Return the shape at the pose T [m] in its body's frame."""
     if isinstance(shape, shapes.Capsule):
         return shape.model_copy(update=_ends(T, shape.length_m / 2))
     rpy = _three(pin.rpy.matrixToRpy(T.rotation))
@@ -174,9 +174,10 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 
 
 def resized(shape: Shape, half: Array) -> Shape:
-    """Return the shape, resized to `half_extents` of `half` (3,) [m].
+    """Return the shape, resized to `half_extents` of `half` (3,) [m] if its type permits them.
 
-    A new radius is the entry of `half` that changes most; for a cylinder or capsule, only x and y.
+    The radius of a sphere becomes the entry of `half` that changes most. The radius of a cylinder
+    or a capsule becomes the entry for x or y that changes most.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]
@@ -212,7 +213,7 @@ def _three(values: Array) -> tuple[float, float, float]:
 
 
 def changes_html(changes: HandMade, robot: RobotDescription) -> str:
-    """Return a list of the unsaved changes to a robot, and a note about saved changes."""
+    """Return a list of the unsaved changes to a robot, and a note about saved ones, as HTML."""
     chain = tuple(body.name for body in robot.bodies)
     texts = [f"{words.body(body, chain)}: {s.type}" for (body, _), s in changes.shapes.items()]
     for pair in sorted(changes.unwatched.keys() ^ robot.unwatched.keys()):

@@ -64,7 +64,7 @@ class ExplorerPanel(Panel):
         self._paused = self._paused or newest.paused
         continued = not newest.follows(self._since) or (self._paused and not newest.paused)
         if continued or not self._viewer.timeline.live:
-            cause = "the simulation continues" if continued else "the page shows the past"
+            cause = "the simulation runs again" if continued else "the page shows the past"
             text = f"The posture is discarded: {cause}."
             self._viewer.notifier.tell(self._viewer.client, "Joint sliders", text)
             self._end()

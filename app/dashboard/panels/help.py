@@ -11,36 +11,36 @@ from app.simulation.session import SCENARIO_PERSON
 from app.simulation.trace.words import METHOD_WORDS
 
 TEXT = """
-**Purpose.** A controller that moves the base of a mobile robot out of the way of its arm. It
+**Purpose.** The controller moves the base of a mobile robot out of the way of its arm. It
 implements *Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator*;
-numbers such as (7) are that paper's equations.
+numbers such as (7) are equations of that paper.
 
 **Pull the robot** with the arrows at its end-effector, or by any link of the arm: a virtual spring
-pulls it to the mouse. The arm follows, and the base gives way before the arm touches it.
+pulls the held point to the mouse. The arm follows, and the base gives way before they touch.
 
-**How it works.** The *distance buffer border* (DBB) surrounds the base: all points at the buffer
-distance d_b that the arm can reach. Each point has a *score* S, the product of two values: how
-well the base moves the point, by the determinant of (7), and how easily the arm reaches it, by R
-of (9). A differential base cannot move sideways, so S is zero on its wheel axis; behind this axis
-S is negative. When the arm is closer than d_b:
+**How it works.** The *distance buffer border* (DBB) surrounds the base: it consists of the points
+at the buffer distance d_b from the base that the arm can reach. Each point has a *score* S, the
+product of two values: how well the base moves the point, by the determinant of (7), and how easily
+the arm reaches it, by R of (9). A differential base cannot move sideways, so S is zero on its wheel
+axis; behind this axis S is negative. When the arm is closer to the base than d_b:
 
 1. p_n is the point of the border nearest to the arm. p_t is p_n moved along the border's tangent
    towards a higher score. The acting point p_act is the point of the border nearest to p_t.
-2. A virtual force acts on the base at p_act. It is larger for smaller distances. It pushes the
-   base away from the arm, and turns the base so that the base can move away better.
+2. A virtual force acts on the base at p_act. The force is larger for smaller distances. It pushes
+   the base away from the arm, and turns the base so that the base can move away better.
 3. A quadratic program gives avoidance priority over the end-effector's task. The activation β
    rises from 0 at d_b to 1 at d_full, so that no command jumps. The arm gets torques at 1 kHz,
    the base gets velocities, by default at 10 Hz.
 
 **Tabs.** *Why* explains the current motion. *Plots* shows the last 20 s. *Compare* runs other
-controllers on the same pull. *Key* explains colours and arrows. *Run* has scenarios, *Lab* speed,
-readings and joint sliders, *View* layers and cameras, *Tune* all parameters, *Robot* other robots
-and your own, *Save* pictures, logs, reports, replays and films.
+controllers on the same pull. *Key* explains colours and arrows. *Run* has the scenarios. *Lab* has
+the speed, readings and joint sliders. *View* has layers and cameras. *Tune* has all parameters.
+*Robot* has other robots and your own. *Save* has pictures, logs, reports, replays and films.
 
-**Keys** (outside text fields): {keys}. `?` opens this tab, `Ctrl K` lists all commands, `Esc`
-closes messages and leaves the past. `Shift` with the arrow keys, `Page Up` or `Page Down` pulls the
-end-effector until `Shift` is released.
-Double click the scene to reset the view.
+**Keys** (outside text fields): {keys}. `?` opens this tab, `Ctrl K` lists all commands. `Esc`
+closes messages and the card; if no card or dialogue is open, it also returns to the present.
+`Shift` with the arrow keys, `Page Up` or `Page Down` pulls the end-effector until `Shift` is
+released. Double click the scene to reset the view.
 
 Several people can use the page at once. Each has their own view and point in time; the simulation
 is shared, and the forces of all who pull add up.
@@ -77,7 +77,7 @@ CARDS = {
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(
-        "Demonstration", f"{_BOTH} It repeats until you click or press a key.", (WATCH, PULL, CLOSE)
+        "Demonstration", f"{_BOTH} This repeats until you click or type.", (WATCH, PULL, CLOSE)
     ),
     "pull": Card(
         "Pull the robot",
@@ -92,8 +92,8 @@ CARDS = {
     ),
     "tour 2": Card(
         "2 of 5: Watch the base",
-        "The coloured border surrounds the base. Once the arm is inside it, the base moves away, "
-        "and turns parts with a higher score towards the arm (yellow: high, purple: low).",
+        "The coloured border surrounds the base. Once the arm is inside the border, the base moves "
+        "away, and turns parts with a higher score towards the arm (yellow: high, purple: low).",
         _STEP,
     ),
     "tour 3": Card(
@@ -134,14 +134,17 @@ class Guide(Panel):
         viewer.channel.on("card", self._press, str)
 
     def go(self, state: str) -> None:
-        """Show the card of a state, or none for ""; end a comparison that the guide has started."""
+        """Show the card of a state, or none for ""; end a comparison that the guide has started.
+
+        After a demonstration, or for the card "pull", this also starts a run without a scenario.
+        """
         with self._lock:
             before, self.state = self.state, state
             if self._compares:
                 self._end(anew=before == "demo" or state == "pull")
 
     def watch(self, state: str) -> None:
-        """Show a card; play the demonstration on the robot, and without avoidance on a ghost.
+        """Show the card of a state; play `SHOWN` on the robot and on a ghost without avoidance.
 
         Raises `UnreachableError` if the robot's description has no path for the scenario `SHOWN`.
         """
@@ -196,7 +199,7 @@ class Guide(Panel):
                 self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
 
     def _end(self, *, anew: bool) -> None:
-        """End the guide's comparison; if `anew`, also restart, unless a person holds the robot."""
+        """End the guide's comparison; if `anew`, also reset, unless a person holds the robot."""
         loop, self._compares = self._shared.loop, False
         if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
             return  # a viewer has chosen another comparison

@@ -16,7 +16,7 @@ from app.dashboard.scene.colours import SERIES
 LENGTH = 20.0  # [s] length of the time axis
 AHEAD = 5.0  # [s] plotted time after a shown instant in the past
 SPACING = 0.08  # [s] period of drawn values, about one per pixel
-PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] period: usual, low detail, all at rest
+PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] of drawing: usual, low detail, all at rest
 RESTING, STILL = 12, 2e-3  # number of last values; their largest difference in a curve at rest
 LINE = 1.6  # [px] width
 _INSTANT = Curve("shown instant", lambda _: OFF, "#ff7a00", "the instant shown in the past")
@@ -58,10 +58,11 @@ class Plots(Panel):
         }
 
     def update(self, moment: Moment) -> None:
-        """Draw the last `LENGTH` of the run, or up to `AHEAD` after a shown instant in the past.
+        """Draw `LENGTH` of the run, up to the present or to `AHEAD` after a shown past instant.
 
-        A plot that is not chosen or has no value, as for an absent door, is hidden. Nothing is
-        drawn if the viewer does not see the tab, or if the drawing of the present is not yet due.
+        A plot is hidden if it is not chosen or has no value, for example of an absent door. No
+        curve is drawn if the viewer does not see the tab, if nothing has changed, or if the next
+        drawing of the present is not yet due.
         """
         newest, shown = moment.newest.t, moment.shown
         view, live, plans = self._viewer.view, moment.live, dict(self._plans)

@@ -21,7 +21,7 @@ from app.strict import file_text
 
 FIND = "(detect)"  # choice for wheels that the program finds itself
 _WHEEL = "Joint of a driven wheel; of a rear wheel for a car-like base"
-_QUESTIONS = {  # label and hint by field of `Request`; "left" and "right" are `wheels`
+_QUESTIONS = {  # label and hint, by the field of `Request`; "left", "right": `wheels`
     "file": ("URDF", "One of the URDF files in the zip"),
     "out": ("Name", "A letter, then letters, digits and _"),
     "base": ("Base link", "Root link of the base, z up"),
@@ -156,7 +156,7 @@ class NewRobotPanel(Panel):
         self.uploads.disabled = progress is not None
 
     def request(self) -> Request:
-        """Return the request from the fields that apply; raises `ConfigError` if one is wrong."""
+        """Return the request from all fields that apply; `ConfigError` if they are not valid."""
         package = self._package
         if package is None:
             raise ConfigError("upload a zip file first")
@@ -214,7 +214,7 @@ class NewRobotPanel(Panel):
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """Describe a robot, with the reason if it cannot be used; `here`: whether it is in use."""
+    """Describe a robot, with the reason if it cannot be used; `here`: it is in use."""
     lines = (
         f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
         "In use." if here else "",
@@ -225,6 +225,7 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
 
 
 def report_html(page: str) -> str:
+    """Return a frame that shows the HTML `page` without its scripts."""
     return _REPORT.format(escape(page))
 
 
@@ -255,7 +256,7 @@ def in_words(text: str) -> str:
 
 
 def robot_name(stem: str) -> str:
-    """Return a valid name of a robot, from a file's name without its suffix."""
+    """Return a valid name for a robot, from the `stem` of a file: its name without suffix."""
     name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_").lower()
     return name if name[:1].isalpha() else f"robot_{name}".rstrip("_")
 

@@ -42,7 +42,7 @@ FREE = "Free: pull the robot yourself"  # choice without a scenario
 OFF = "off"  # choice without another robot
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
-"""Choices of a scenario and of a controller, by name."""
+"""Choices in the lists of scenarios and of controllers, by name."""
 INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 _SIZE = "font-size:.82em"
@@ -59,7 +59,7 @@ _SCORES = (  # label with unit, field of `Score`, text of a value, function for 
 
 
 class RunPanel(Panel):
-    """Tab "Run": scenario, controller, pause, distances and result, the same for all viewers."""
+    """Tab "Run": scenario, controller, pause and result for all viewers, and shown distances."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -69,9 +69,9 @@ class RunPanel(Panel):
             "Controller",
             METHOD_TITLES,
             lambda name: sink.send(Choose(name)),
-            hint="dbb: the base gives way, as in the paper. hqp: the same with the paper's "
-            "hierarchy as printed, slower. repulsive: a repulsive acceleration moves the arm only. "
-            "barrier: a minimum distance as a constraint. none: no avoidance.",
+            hint="dbb: the base gives way, as in the paper. hqp: the same, with the hierarchy as "
+            "printed in the paper; slower. repulsive: a repulsive acceleration moves the arm only. "
+            "barrier: a constraint keeps a minimum distance. none: no avoidance.",
         )
         self._pause = self.button(PAUSE, lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)
         restart, icon = lambda _: sink.send(Restart()), viser.Icon.REFRESH
@@ -164,7 +164,7 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return a table of scores; robots without contact or overlap have marks at best values."""
+    """Return a table of scores; a mark shows the best of robots without contact or overlap."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (
@@ -196,7 +196,7 @@ def _distance(d: float) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """Return lines such as "With avoidance (dbb): no contact, smallest distance 72 mm"."""
+    """Return lines as HTML: "With avoidance (dbb): no contact, smallest distance 72 mm", ..."""
     lines = (
         f"<b>{METHOD_WORDS[each.controller].capitalize()}</b> ({each.controller}): {each.text}"
         for each in scores
@@ -205,7 +205,7 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
-    """Return preparation (`Snapshot.busy`), progress or result of the last scenario, if any."""
+    """Return preparation (`Snapshot.busy`), or progress or result of the last scenario, if any."""
     if busy:
         text = "The simulation continues after this."
         return banner("notice", f"{words.sentence(busy)} …", text)
@@ -276,7 +276,7 @@ def _warned(name: str, value: str, *, bad: bool) -> str:
 
 
 def pairs_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return a table of all pairs; `spoken` has words for their names."""
+    """Return a table of all pairs; `spoken` has words for names, in the order of the plots."""
     distance = cell("distance [mm]", RIGHT, ONE_LINE, span=2)
     beta = cell("activation β", RIGHT, ONE_LINE, "padding-left:1em")
     head = row(cell(), cell("link pair"), distance, beta, style=FAINT)

@@ -25,17 +25,17 @@ from app.simulation.trace.trace import Trace
 from app.strict import check_range
 from app.system import temporary_folder
 
-SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}  # [px] least, most and default size
+SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}  # [px] least, largest and default
 NamedFile = tuple[str, bytes]
 
 
 class SavePanel(Panel):
-    """Buttons that create files for the viewer: a picture, and files of the marked interval."""
+    """Buttons that create files: a picture, files of an interval, and the last scenario's case."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._job = self._gui, viewer.files
-        self._drawn = viewer.timeline.shown(), False  # whether it is a posture, not simulated
+        self._drawn = viewer.timeline.shown(), False  # snapshot; whether it is a posture only
         with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)

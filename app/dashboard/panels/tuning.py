@@ -100,14 +100,14 @@ class TuningPanel(Panel):
 
 
 def changing_html(newest: Snapshot) -> str:
-    """Return a note while d_b changes to a new value, or an empty string."""
-    slowly = "It changes slowly: a jump would suddenly push away an arm inside the buffer."
+    """Return a note as HTML while d_b changes to a new value, or an empty string."""
+    slowly = "d_b changes slowly: a jump would suddenly push away an arm inside the buffer."
     about = "The simulation is paused; d_b changes once it continues." if newest.paused else slowly
     return banner("notice", newest.changing, about) if newest.changing else ""
 
 
 def file_name(name: str) -> str:
-    """Return a file name such as `stiff arm.toml`; "-" replaces forbidden characters."""
+    """Return a file's name such as `stiff arm.toml`; "-" replaces forbidden characters."""
     safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
     return f"{safe or FIRST_NAME}.toml"
 
@@ -143,7 +143,7 @@ class ParameterWidget(Panel):
             event.target.value = _power_of(value) if is_power else value
 
     def _widgets(self, value: float | str) -> tuple[Any, Any]:
-        """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
+        """Create a list or a slider, and None; or a number box, and a slider of its logarithm."""
         gui, about, title, exponent = self._gui, self.about, self._title, None
         if about.choices:
             look: dict[str, Any] = {"initial_value": str(value), "hint": about.help}

@@ -53,7 +53,7 @@ class WhyPanel(Panel):
 
 
 def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
-    """Return verdict, cause of the motion in a sentence, and rows: force, base motion, limits."""
+    """Return as HTML: verdict, cause of the motion, and rows for force, base motion and limits."""
     why, colour = snapshot.explanation, css(COLOURS[verdict.state])
     x, y = _total(why, "f", 2) if why else (0.0, 0.0)
     size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
@@ -73,7 +73,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
 
 
 def details_html(snapshot: Snapshot) -> str:
-    """Return tables of the quantities behind the sentence; a note if there are none to show."""
+    """Return tables, as HTML, of the quantities behind `sentence`, or a note if there are none."""
     why = snapshot.explanation
     if why is None:
         return small("There are no details for this instant.")
@@ -90,7 +90,7 @@ def details_html(snapshot: Snapshot) -> str:
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return the header: verdict, sentence, nearest pair, base speed and real-time factor."""
+    """Return the header as HTML: verdict, sentence, nearest pair, base speed, real-time factor."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = distance_bar(pair.d, d_b, verdict.state)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
@@ -106,7 +106,7 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
 
 
 def distance_bar(d: float, d_b: float, state: State) -> str:
-    """Return a bar for d [m], full at `BAR_RANGE` and for an overlap, with a mark at d_b [m]."""
+    """Return a bar for d [m] with a mark at d_b [m]; it is full from `BAR_RANGE` on or at d < 0."""
     share = 1.0 if d < 0.0 else min(d / BAR_RANGE, 1.0)
     return bar(share, css(COLOURS[state]), min(d_b / BAR_RANGE, 1.0))
 
@@ -119,7 +119,7 @@ def state_chip(state: State, text: str = "") -> str:
 
 
 def sentence(snapshot: Snapshot) -> str:
-    """Return the reported contacts, if any, and the cause of the robot's motion in words."""
+    """Return the first reported contact, if any, and the cause of the robot's motion in words."""
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
@@ -167,7 +167,7 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
 
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str) -> str:
-    """Describe dbb and hqp: the base gives way; with dbb, the arm can keep a minimum distance."""
+    """Describe dbb or hqp: the base gives way; with dbb, the arm can also limit the approach."""
     also = ""
     if apart := next(filter(links_repel, why.near), None):  # the most active one
         a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
@@ -190,20 +190,20 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
 
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    """Describe the controller "barrier": the text has its minimum distance, not d_b."""
+    """Describe the controller "barrier": the text has the minimum distance, not d_b."""
     limited = next((p for p in why.near if p.limited), None)
     shown = limited or pair
     cause = _cause(shown, why, None)
     least = millimetres(snapshot.config.barrier.d_min)
     if limited is None:
-        return f"{cause}; this method acts near its minimum distance of {least} only."
+        return f"{cause}; this method acts only near its minimum distance of {least}."
     moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
     effect = _task_effect(why, limited=True) + _off_target(snapshot)
     return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {effect}."
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Return overlap or distance of a pair as text; with a distance also d_b [m], if not None."""
+    """Describe the overlap of a pair, or its distance and, unless it is None, d_b [m]."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
@@ -213,7 +213,7 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
-    """Describe the base's motion; at rest, the motion that is commanded next; None without both."""
+    """Describe the base's motion, or at rest its next commanded motion; None if there is none."""
     ahead = pair.n[0] > -0.5  # in front of the base or beside it
     moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
     if moves is not None:
@@ -255,14 +255,14 @@ def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
     beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
     return [
-        _row("pair", "deepest overlap; otherwise the most active pair, of the base if any", name),
+        _row("pair", "deepest overlap; otherwise most active pair, those of the base first", name),
         _row("distance d", "signed distance of its convex bodies", distance),
         _row("activation β", "0 outside the buffer, 1 at full activation", beta),
     ]
 
 
 def _force_rows(why: Explanation) -> list[str]:
-    """Return rows: direction, two parts and sum of the force, and accelerations of the base."""
+    """Return rows: the force's direction, its two parts and sum, and accelerations of the base."""
     n_b, f = len(why.axes), _total(why, "f", 2)
     away, turn = (
         (_total(why, part, 2), _total(why, f"{part}_acceleration", n_b))
@@ -324,7 +324,7 @@ def _bound_rows(why: Explanation) -> list[str]:
 
 
 def _table(title: str, rows: Sequence[str], axes: Sequence[Axis] = ()) -> str:
-    """Return a table; for the base's `axes`, with columns of the force and of the accelerations."""
+    """Return a table; `axes` of a base add columns for the force and for each acceleration."""
     columns = [("force<br>[N]", "12%")] if axes else []
     for axis in axes:
         unit = "rad/s²" if axis.angular else "m/s²"
@@ -340,5 +340,5 @@ def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
 
 
 def _total(why: Explanation, part: str, n: int) -> list[float]:
-    """Return the sum (n,) of the field `part` of `ForceSplit` over all forces; 0 without any."""
+    """Return the sum (n,) of the field `part` of `ForceSplit` over all forces; 0 without forces."""
     return [sum(getattr(force, part)[i] for force in why.forces) for i in range(n)]

@@ -1,4 +1,4 @@
-"""Borders as coloured points that move with the base; a slice; and values under the pointer."""
+"""Borders: coloured points that move with the base, a slice, and values under the pointer."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 MAX_POINTS = 20_000  # [-] of a drawn border; more points only hide the scene and cost time
-LIGHT_POINTS = 4000  # [-] the same on a page with low detail
+LIGHT_POINTS = 4000  # [-] of a border on a page with low detail
 POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
 LIGHT_SIZE = 0.006  # [m] with `LIGHT_POINTS`
 _EVERY = 3  # [-] every third point of a contour is drawn
@@ -42,7 +42,7 @@ class ColouredCloud(NamedTuple):
 
 
 class _Probe(NamedTuple):
-    """A point of the border, and the base's response to an arm near it, `_INSIDE` d_b from l_m."""
+    """A point of the border, and the base's response to an arm between this point and l_m."""
 
     p: Array  # (3,) [m] the point in the base's frame
     p_act: Array  # (3,) [m] acting point for the assumed arm, in the base's frame
@@ -144,14 +144,17 @@ class DrawnBorders:
         self._probed: tuple[object, _Probe | None] = (), None
         self._slice: tuple[object, list[Array]] = (), []
         self.pointer: tuple[float, ...] = ()
-        """[px] pointer, to the right and up from the scene's centre; empty if it is elsewhere."""
+        """[px] to the right and up from the scene's centre; empty if the pointer is elsewhere."""
 
     @property
     def legends(self) -> list[Legend]:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each changed border, outside of `atomic`: it is slow; return whether any changed."""
+        """Draw each changed border, and return whether there is any.
+
+        This takes milliseconds: call it outside of `atomic`, which delays all messages.
+        """
         changed = False
         for pair, quantity in view.borders.items():
             request = (quantity, view.whole_border, view.light, border.d_b, border.eps)
@@ -217,7 +220,7 @@ class DrawnBorders:
             canvas.lines(f"{ROOT}/slice", self._slice[1], colour, 2.5)
 
     def _find(self, snapshot: Snapshot, lens: Lens, pointer: tuple[float, ...]) -> _Probe | None:
-        """Return the probe of the frontmost drawn point within `_NEAR` of `pointer`, or None."""
+        """Return the probe of the frontmost drawn point within `_NEAR` of the pointer, if any."""
         nearest, found = np.inf, None
         for pair, (cloud, _, _) in self._drawn.items():
             if cloud is None:

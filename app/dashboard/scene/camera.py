@@ -22,7 +22,7 @@ UP = np.array([0.0, 0.0, 1.0])
 _LEAST_STEP = 1e-3  # [m] smaller steps of the camera are invisible
 _PATIENCE = 6.0  # [s] timeout of the browser's confirmation
 _MOVED = 0.2  # [m] motion of an unseen base after which a following camera moves
-_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)  # of a cube
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)  # (8, 3) of a cube
 _AROUND = 0.12 * _CORNERS  # [m] space to show around the end-effector
 _NEAR_EE = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
@@ -38,7 +38,10 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Clip the browser's sizes [px] and covered shares [-]; `ANY_WINDOW` for wrong ones."""
+        """Return a window from the browser's sizes [px] and covered shares [-], within limits.
+
+        Impossible values give `ANY_WINDOW`; the browser's sizes are 0 at first.
+        """
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, 0.4, 4.0))
@@ -55,7 +58,7 @@ ANY_WINDOW = Window()  # default of an unknown window
 
 
 class Preset(NamedTuple):
-    """A view; `away` is in the base's frame, but for a door in the closed door's frame."""
+    """A view; `away` is in the base's frame, or in the closed door's frame for a door."""
 
     away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
@@ -78,8 +81,8 @@ PRESETS = {  # by name
 class Camera:
     """Moves the camera of one client.
 
-    A new step waits until the browser confirms the last position: its reports are late and include
-    the viewer's own changes, which would be lost.
+    The browser reports each new position after a delay, together with the viewer's own changes. So
+    a new step waits until the last position is confirmed: otherwise one of the changes is lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -121,6 +124,7 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def begin(self, snapshot: Snapshot) -> None:
+        """Look at the robot of a snapshot from the preset of `first_view`."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
@@ -180,11 +184,12 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        The cases, only without a pull (`busy`): (a) The robot was not in sight since the start of a
-        run. (b) The camera follows (`on`), and the base has moved by more than `_MOVED` out of
-        sight. (c) The camera follows, still has a preset of the whole robot or of the pair, and
-        does not show the end-effector of the robot or of a near ghost. Also during a pull: "door"
-        is used at the start of a run with a door; a run without a door changes "door" to "iso".
+        The cases, only without a pull (`busy`) and after the browser's confirmation: (a) The robot
+        was not in sight since the start of a run. (b) The camera follows (`on`), and the base has
+        moved by more than `_MOVED` out of sight. (c) The camera follows, still has a preset of the
+        whole robot or of the pair, and does not show the end-effector of the robot or of a near
+        ghost. In each case, also during a pull: a run with a door starts with the preset "door",
+        and a run without a door changes "door" to "iso".
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
@@ -282,7 +287,7 @@ def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
 
 
 def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
-    """Whether the mean of points (N, 3) [m] is in the free part, and they look large enough."""
+    """Whether the mean of points (N, 3) [m] is in the free part, and their image is not tiny."""
     lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
     pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
@@ -310,7 +315,7 @@ def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None
 
 
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
-    """Return the nearest camera that shows all points (N, 3) [m] in the picture's free part.
+    """Return the nearest camera that shows all points (N, 3) [m], centred in the free part.
 
     `away` (3,) is the direction from the points to the camera, not vertical. Returns the eye (3,)
     [m], and a target (3,) [m] on the optical axis at the middle of the points' depths.

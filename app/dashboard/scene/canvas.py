@@ -34,7 +34,7 @@ class Lens(NamedTuple):
     """[px] left, lower, right and upper edge of the uncovered part, in coordinates of `pixel`."""
 
     def pixel(self, places: Array) -> tuple[Any, Any, Any]:
-        """Return [px] right of the centre, [px] above it, and depth [m] of places (..., 3) [m]."""
+        """Return [px] right of the centre, [px] above it, and depth [m] of (3,) or (N, 3) [m]."""
         u, v, depth = self.axes @ (places - self.eye).T
         scale = self.focal / np.maximum(depth, 1e-3)
         return scale * u, scale * v, depth
@@ -60,10 +60,11 @@ def set_apart(
 ) -> dict[str, Spot]:
     """Choose spots for labels so that they do not overlap; earlier labels choose first.
 
-    A label for which no spot is free gets the first spot, and overlaps others. It leaves its free
-    spot in `before`, the previous picture, only for a nearer one. `labels` has coordinates [px] to
-    the right and up, and the text. `free` has the left, lower, right and upper edge [px] of the
-    area for labels. `scale` [-] is the size of the labels, relative to `FONT_SCALE`.
+    A label for which no spot is free gets the first spot, and overlaps others. `before` has the
+    spots of the previous picture: a label leaves its spot there only for a nearer one, or if its
+    spot is not free. `labels` has coordinates [px] to the right and up, and text, by the label's
+    name. `free` has the left, lower, right and upper edge [px] of the area for labels. `scale` [-]
+    is the size of the labels, relative to `FONT_SCALE`.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, scale * LINE * k) for k in lines for anchor in ANCHORS]
@@ -113,7 +114,8 @@ class Canvas:
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
         """Show only objects drawn in this context; change texts of old labels only if `texts`.
 
-        Labels prefer their last spots while the simulated time `t` [s] advances in short steps.
+        With a lens, labels get spots by `set_apart`. They prefer their last spots while the
+        simulated time `t` [s] advances in short steps.
         """
         if not 0.0 < t - self._t < 0.5:  # [s] otherwise this is another motion
             self._spots = {}
@@ -200,7 +202,7 @@ class Canvas:
 def add_mesh(
     scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, T: pin.SE3, **look: Any
 ) -> viser.MeshHandle:
-    """Add a mesh at the pose T; `look` has further arguments of `SceneApi.add_mesh_simple`."""
+    """Add a mesh at its pose T in the parent node; `look` has more arguments of viser."""
     vertices, faces, (position, wxyz) = mesh.vertices, mesh.faces, to_viser(T)
     return scene.add_mesh_simple(
         name, np.asarray(vertices), np.asarray(faces), position=position, wxyz=wxyz, **look

@@ -21,11 +21,9 @@ _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acti
 _LOOKS = ("solid", "violet", "teal")  # names for the robot and for the colours `colours.GHOSTS`
 SAME = 0.01  # [m or rad] links of a ghost with smaller differences from the robot are hidden
 _LEAST_FORCE = 0.5  # [N] weaker forces are not drawn
-
 _LEAST_ACCELERATION = 0.02  # [m/s²], [rad/s²] smaller values are not drawn
 _MOST_ARC = np.deg2rad(300.0)  # [rad] largest arc
 _ARC_POINTS = 24
-
 _HANDLE: Rgb = (70, 76, 84)
 _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "case": ((190, 196, 204), 0.5),
@@ -37,7 +35,7 @@ _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
 def draw_distances(
     canvas: Canvas, snapshot: Snapshot, verdict: Verdict, view: View, spoken: Mapping[str, str]
 ) -> None:
-    """Draw lines between closest points, thick inside the buffer, and the labels of `view`."""
+    """Draw lines between closest points, thick inside the buffer, and labels by `view.labels`."""
     d_b, pairs = snapshot.d_b, snapshot.pairs
     shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
     for kind, inside, pixels in (("outside", False, 1.5), ("inside", True, 4.0)):
@@ -65,7 +63,8 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    If `inside`, segments of pairs outside the buffer d_b [m] have length 0; otherwise those inside.
+    If `inside`, the segments of pairs outside the buffer d_b [m] have length 0. Otherwise, the
+    segments of pairs inside the buffer have length 0.
     """
     ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
     hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
@@ -110,7 +109,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) above the base's `top` [m], in the frame of the scene node."""
+    """Draw an acceleration (n_b,) as arrow and arc in the frame of `node`, above z = `top` [m]."""
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + 0.06])  # [m]
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
@@ -139,7 +138,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """Label all robots if a ghost is apart; `at` (3,) [m] is a label's place in a base's frame."""
+    """If a ghost is apart, label each robot at the point `at` (3,) [m] in its base's frame."""
     base, q_m = snapshot.base_pose, snapshot.q_m
     apart = [np.append(ghost.base_pose - base, ghost.q_m - q_m) for ghost in snapshot.ghosts]
     if all(np.abs(each).max() < SAME for each in apart):

@@ -60,7 +60,7 @@ def title_of(quantity: str, kind: str) -> tuple[str, str]:
 
 
 def legend_html(legends: list[Legend]) -> str:
-    """Return the colour bars of all drawn borders as HTML, or a note if there is none."""
+    """Return the colour bars of all drawn borders as HTML, or a note if no border is drawn."""
     if not legends:
         return small("No border is shown (see tab View).", FAINT)
     return "".join(map(_bar_html, legends))
@@ -85,7 +85,7 @@ def key_html(d_b: float) -> str:
         (accelerates, f"commanded base acceleration (0.2 m: {push:.0f} m/s²), ω̇ as an arc"),
         (
             f'<span style="color:{BETA}">▮</span>',
-            "timeline, from above: activation β; marks are events (hover for their names)",
+            "timeline: activation β, downwards; marks are events (hover for their names)",
         ),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
         (_signs("―", colours.TRAIL_BASE, colours.TRAIL_EE), "trails of base and end-effector"),
@@ -120,7 +120,7 @@ def _signs(sign: str, *each: Rgb) -> str:
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
-    """Return the numbers at a bar's ends and middle, and their common factor as HTML, or ""."""
+    """Return numbers for a bar's ends and middle, and their factor as HTML, "" for the factor 1."""
     largest = max(abs(low), abs(high))
     order = 0 if largest == 0 else math.floor(math.log10(largest))
     power = 0 if -1 <= order <= 3 else 3 * (order // 3)

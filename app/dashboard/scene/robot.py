@@ -60,7 +60,7 @@ class LinkPoses:
         self._data, self._robot = self.model.createData(), robot
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
-        """Return T_root_joint of each joint, from q_m (n_m,) and wheel angles (n_w,) [rad]."""
+        """Return T_root_joint of all joints at q_m (n_m,) [rad or m], wheel angles (n_w,) [rad]."""
         q = configured(self.model, self._robot.joint_positions(q_m, wheel_angles))
         pin.forwardKinematics(self.model, self._data, q)
         return [T.copy() for T in self._data.oMi]
@@ -77,7 +77,7 @@ class RobotParts:
         """
         self.kinematics = LinkPoses(robot)  # not thread-safe, for the drawing thread
         self.bodies = _bodies(robot, self.kinematics.model)  # of the distance computation
-        self.title = robot.description.title
+        self.title = robot.description.title  # with a note if the bodies replace the visual meshes
         try:
             self.visuals = _visuals(robot, apart)
         except (AssetError, RobotFileError) as error:
@@ -138,10 +138,10 @@ def _visuals(robot: RobotModel, apart: bool) -> list[Visual]:
 
 
 def load_visuals(description: RobotDescription) -> list[Visual]:
-    """Load the visual meshes of the URDF, decimated, in the URDF's colours, brightened if too dark.
+    """Load the visual meshes of the URDF for display, in its colours, brightened if too dark.
 
     `joint` of each result is the index of a joint in `LinkPoses.model`. Raises `AssetError` if the
-    URDF or a mesh is missing, `RobotFileError` if a shape is invalid or a mesh cannot be read.
+    URDF or a mesh is missing, and `RobotFileError` if a shape or a mesh is invalid.
     """
     urdf = resolved_urdf(description)
     tree, model = ElementTree.fromstring(urdf), pin.buildModelFromXML(urdf)

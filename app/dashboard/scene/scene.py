@@ -41,7 +41,7 @@ class SceneData:
         self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
         self.of_door = f"{model.body_names[0]}-{DOOR}"  # pair that exists if there is a door
         pairs = [pair for pair in first.pairs if pair.name != self.of_door]
-        self.pairs = [pair.name for pair in pairs]
+        self.pairs = [pair.name for pair in pairs]  # all pairs but that of a door
         self.mobile = [pair.name for pair in pairs if pair.mobile]  # pairs of L_m
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
@@ -51,7 +51,7 @@ class SceneData:
             "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], 0.004)),  # [m]
             "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
-        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get all snapshots
+        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get each snapshot
         self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._newest = first
 
@@ -76,7 +76,7 @@ class RobotScene:
     def __init__(
         self, scene: viser.SceneApi, parts: RobotParts, ghost: int | None = None, *, light: bool
     ) -> None:
-        """Send all meshes; the robot number `ghost` is translucent and has no convex bodies."""
+        """Send all meshes; the ghost number `ghost` is translucent and has no convex bodies."""
         self._parts, self._scene = parts, scene
         self._ghost = None if ghost is None else GHOSTS[ghost % len(GHOSTS)]
         self._path = ROOT if ghost is None else f"/ghost_{ghost}"
@@ -108,7 +108,7 @@ class RobotScene:
             handle.visible = bodies
 
     def update(self, robot: Snapshot | GhostReading) -> None:
-        """Move the frames to the posture of a robot."""
+        """Move the frames to base pose, posture and wheel angles of a robot."""
         x, y, phi = robot.base_pose
         root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
         poses = self._parts.kinematics.update(robot.q_m, robot.wheel_angles)
@@ -125,7 +125,7 @@ class RobotScene:
             frame.visible = bool(max(np.abs(apart.translation).max(), turned) > layers.SAME)
 
     def world_pose(self, joint: int) -> pin.SE3:
-        """Return T_world_joint of a joint at the last drawing."""
+        """Return T_world_joint of a joint at the last `update`."""
         root, poses = self._placed
         return root * poses[joint]
 
@@ -164,7 +164,7 @@ class Scene:
         """Draw a snapshot; update texts of labels, and trails, only if `texts`.
 
         Returns the verdict, which determines the colours of the lines. The lens determines the
-        positions of labels and the point under the pointer. The borders' points are not drawn here.
+        positions of labels and the point under the pointer. `border.update` draws the borders.
         """
         view = self._view
         dark, light = view.dark, view.light  # the viewer can change them meanwhile
