@@ -346,8 +346,8 @@ def test_a_stated_limit_on_one_side_is_preserved(
         return
     limits = parsed(tmp_path, text).limits
     assert (limits.lower[1], limits.upper[1]) == pytest.approx((low, high))
-    sides = ("lower", "upper")
-    assert [k for k in sides if "assumed for lift: " in limits.source[f"position_{k}"]] == assumed
+    sources = {side: limits.numbers[f"position_{side}"][1] for side in ("lower", "upper")}
+    assert [k for k, text in sources.items() if "assumed for lift: " in text] == assumed
 
 
 def test_only_meshes_that_the_new_urdf_names_remain(tmp_path: Path) -> None:

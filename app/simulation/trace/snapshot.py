@@ -289,7 +289,8 @@ class Snapshot:
     """All link pairs; the pairs with the base (L_m) are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs with the base inside their buffer, if the controller uses them."""
-    beta_m: Annotated[float, number("beta_m", "control.beta_m")]  # [-] β_m of (28)
+    beta_m: Annotated[float, number("beta_m", "control.beta_m")]
+    """[-] β_m of (28)."""
     hand_target: Annotated[
         Array | None, drawn("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True)
     ]
