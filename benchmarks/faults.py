@@ -2,12 +2,12 @@
 
 Each try starts a command in a separate folder. Then one of its processes is killed, terminated,
 interrupted, suspended for a second, or suspended while the command is terminated; or all its
-processes get the signal of a terminal. Other faults are a full disk and a folder without write
-access; then a process is killed too. When all processes have ended, or after twelve seconds, the
-program counts the remains: processes, open ports, incomplete results and, except after the fault
-"kill", unfinished or temporary files. It also counts wrong statuses. A study is then continued, and
-its results must be identical to those of a study without a fault. One of the commands hangs in a
-library that does not release Python's lock.
+processes get the signal of a terminal. Two other faults are a full disk and a folder without write
+access; in tries with these, a process is killed too. When all processes have ended, or after twelve
+seconds, the program counts the remains: processes, open ports, incomplete results and, except after
+the fault "kill", unfinished or temporary files. It also counts wrong statuses. If the command is a
+study, it is then continued, and its results must be identical to those of a study without a fault.
+One of the commands, `hang`, hangs in a library that does not release Python's lock.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A headless browser with software rendering shows the page of `dbb serve`; the page detects such
 rendering and reduces its detail. The results are the rate of pictures, the delay of a drag, the
 rate of sent bytes, and the longest time for which the page is blocked, also with the tab "Plots".
-On a loaded machine, compare alternating runs.
+If other programs load the machine, compare two versions of the code by alternating runs.
 """
 
 from __future__ import annotations

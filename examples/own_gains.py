@@ -20,7 +20,7 @@ def main(config: Config | None = None) -> tuple[float, float]:
     """Pull the end-effector twice, with the parameter f_max = 50 N and with f_max = 300 N.
 
     Returns:
-        The displacements [m] of the base along x.
+        The displacement [m] of the base along x in each of the two pulls.
     """
     model = RobotModel(load_robot("husky_panda"))
     config = config or Config()

@@ -1,4 +1,5 @@
-"""A planner sends poses at 10 Hz; after a protective stop the loop starts again from there.
+"""A planner sends poses at 10 Hz. A person moves the arm during a protective stop; then the loop
+starts again from the new posture.
 
 Run it: python examples/planner.py
 """
@@ -14,7 +15,7 @@ STILL = np.zeros(6)
 
 
 def main(duration: float = 2.0) -> float:
-    """Track, stop, and track again; returns the largest speed [m/s] of the end-effector."""
+    """Track poses, stop, and track again; returns the end-effector's largest speed [m/s]."""
     model = RobotModel(load_robot("husky_panda"))
     loop, robot = ControlLoop(model), make_physics("kinematic", model)
     steps, fastest = round(duration / DT), 0.0

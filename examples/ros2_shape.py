@@ -2,7 +2,7 @@
 
 `ros` stands for rclpy: `publisher`, `subscribe`, `timer` and `now` replace create_publisher(…)
 .publish, create_subscription, create_timer and get_clock().now(). `stamp` of a message replaces
-header.stamp; it and `now` are in seconds. Run it: python examples/ros2_shape.py
+header.stamp; `stamp` and `now` are in seconds. Run it: python examples/ros2_shape.py
 """
 
 from functools import partial

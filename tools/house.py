@@ -1,7 +1,7 @@
-"""Measures of the code's structure, with their limits: `python -m tools.house [--json]`.
+"""Measures of the code's structure, with their limits: `python -m tools.house [--names] [--json]`.
 
-The status is 1 if a measure exceeds its limit. The limit of the lines of `app` is near their
-present number, so that a change that adds many lines must remove others.
+The status is 1 if a measure exceeds its limit, except with `--json`. The limit of the lines of
+`app` is near their present number, so that a change that adds many lines must remove others.
 """
 
 from __future__ import annotations

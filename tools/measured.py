@@ -246,7 +246,7 @@ def law(name: str, *options: str) -> tuple[str, ...]:
 
 
 def law_table(found: Figures) -> str:
-    """A row per figure of the summaries."""
+    """A row for each displayed number of the summaries."""
     rows = []
     if summary := found.get("release", {}).get("summary"):
         what = (
@@ -292,7 +292,7 @@ STAGES = {
 
 
 def performance_table(found: Figures) -> str:
-    """A row per figure of speed."""
+    """A row for each displayed time or rate."""
     rows = []
     if step := found.get("step"):
         for key, what in (

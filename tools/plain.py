@@ -1,7 +1,8 @@
 """Sentences that are hard to read: `python -m tools.plain [PATH ...]`, part of `make lint`.
 
-It reads the docstrings, comments and messages of Python files and the text of Markdown pages,
-and prints file and line, the sentence, and the reason. The status is 1 if it finds any.
+It reads the docstrings, comments and messages of Python files and the text of Markdown pages; by
+default those of the whole project without `EXCEPT`. It prints file and line, the sentence, and the
+reason. The status is 1 if it finds such a sentence.
 """
 
 from __future__ import annotations

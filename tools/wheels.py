@@ -1,8 +1,8 @@
 """Platforms with published wheels of all dependencies: `python -m tools.wheels [--write]`.
 
 Every dependency of the package and of all its extras is resolved for each Python and platform
-of the table, without building anything and without an interpreter of that Python. The result is the
-table of docs/install.md, between two marks.
+of the table, without building anything and without an interpreter of that Python. The program
+prints the table of docs/install.md; with `--write` it also writes it there, between two marks.
 """
 
 from __future__ import annotations

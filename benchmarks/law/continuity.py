@@ -2,8 +2,8 @@
 
 The change of the acceleration in one step is large if the acceleration is steep, or if it jumps. A
 smaller step reduces the change of a steep acceleration, but not that of a jump. Therefore the
-motion is evaluated with smaller steps around the places with the largest changes. The limit of the
-change at a step of zero is the jump.
+motion is evaluated with smaller steps around the places with the largest changes. The change,
+extrapolated to a step of zero, is the jump.
 """
 
 from __future__ import annotations

@@ -117,7 +117,9 @@ def _gap(robot: str, p: Array) -> float:
 
 
 def _reached(model: RobotModel, curve: Curve, q: Array, rng: np.random.Generator) -> bool:
-    """Whether the arm reaches the places `_ALONG` with constant orientation if the base rests."""
+    """Whether the arm on a base at rest reaches the curve's places `_ALONG` from the posture q
+    (n_m,), with the orientation of the end-effector in q.
+    """
     state = RobotState(model)
     state.update_kinematics(at_rest(model, q))
     orientation = state.T_world_ee.rotation.copy()

@@ -1,4 +1,4 @@
-"""Strong pulls: the smallest distance between arm and base, and the motion after its instant."""
+"""Strong pulls: the smallest distance of arm and base, and the end-effector's speed afterwards."""
 
 from __future__ import annotations
 

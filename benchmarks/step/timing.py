@@ -88,7 +88,7 @@ def time_steps(
 
 
 class Stages:
-    """Sums the durations of the parts of a step, by the names of the parts."""
+    """Adds up the durations of calls, by the names of the parts of a step."""
 
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}

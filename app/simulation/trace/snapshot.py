@@ -343,7 +343,8 @@ class Snapshot:
     """[s] simulated time at which the scenario ends; None during free motion."""
     door: Annotated[DoorView | None, _door()] = None
     """The door that the end-effector holds, also after the scenario."""
-    speed: Annotated[float, drawn("speed")] = 1.0  # [-] desired ratio of simulated to real time
+    speed: Annotated[float, drawn("speed")] = 1.0
+    """[-] desired ratio of simulated to real time."""
     qd_m: Annotated[Array | None, number("qd_{joint}_{speed}", "truth.qd_m", optional=True)] = None
     """(n_m,) [rad/s or m/s] joint velocities of the arm; None if unknown."""
     activation: Annotated[float, number("activation", "control.activation")] = 0.0
