@@ -39,9 +39,10 @@ class OffsetContours:
     def __init__(self, model: RobotModel, d_b: float) -> None:
         self.d_b = d_b
         self.table = _table(MobileBody(model).parts, d_b)
+        """The rings of the visible shapes; empty if l_m has no offset above the floor."""
 
     def contours(self, z: float) -> list[Array]:
-        """The contour at height z [m], the visible pieces of all rings, as polylines (K, 2) [m]."""
+        """The contour at height z [m]: polylines (K, 2) [m] of the visible pieces of all rings."""
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
             heights = table.heights[first:end]
@@ -93,7 +94,7 @@ def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
 
 @kept_per_model(8)
 def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the clouds' pairs, of the configured kind; cached for each model."""
+    """The border of the configured kind, for the pairs of the clouds; cached for each model."""
     table = offset_contours(model, config.d_b).table
     if config.kind == "surface":
         return BorderSearch(table)
@@ -164,7 +165,7 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: list[float]) -> list[_Level] | None:
-        """Trace all heights with a slice from the shape's centre; None if a slice is beside it."""
+        """Trace all heights that have a slice from the shape's centre; None if one is beside it."""
         found: list[_Level] = []
         ends = np.full(RAYS, -np.inf)
         for z in heights:

@@ -93,25 +93,29 @@ class NearPair(NamedTuple):
     n: tuple[float, float, float]
     """Normal from `a` to `b`, in the base's frame, of length 1 or less."""
     above: float
-    """[-] 1 − ‖n_xy‖: share of the force, 0 to 1, that vanishes if the arm is above the base."""
+    """[-] 1 − ‖n_xy‖, 0 to 1: the share of the force that is lost because the arm is above the base
+    and not beside it; 0 for a pair within the arm."""
     arm_beta: float
     """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
     limited: bool
     """Whether the barrier of the pair's distance is active: it limits the approach."""
     force: ForceSplit | None
-    """The force of the pair on the base; None if the pair does not push the base."""
+    """The force of the pair on the base. None for a pair within the arm, while the base has no
+    active rows of T_sca, and without an acting point."""
 
 
 class Level(NamedTuple):
     """The slack of one task: the task's demand minus the result."""
 
     name: LevelName
-    """"base", "links", "arm": rows of T_sca of the base, between links, and T_rep; "ee": T_2;
-    "posture": the lowest task, or "free" during guiding: the motion without avoidance."""
+    """"base": the base's rows of T_sca; "links": the rows between links; "arm": the rows T_rep;
+    "ee": T_2; "posture": the lowest task while tracking; "free": the lowest task while a person
+    guides the arm, the motion without avoidance."""
     linear: float | None
     """[m/s²] norm of the linear part of the slack; None for "posture" and "free"."""
     angular: float | None
-    """[rad/s²] norm of the angular or the joints' part of the slack; None for "arm" and "links"."""
+    """[rad/s²] norm of the slack's angular part, or of the joints' slack; None for "arm" and
+    "links"."""
 
 
 class Explanation(NamedTuple):
@@ -137,7 +141,8 @@ class Explanation(NamedTuple):
     commanded_acceleration: ByAxis
     """[m/s² or rad/s²] commanded base acceleration."""
     assumed_acceleration: ByAxis
-    """[m/s² or rad/s²] `a_base_meas`; with the fallback command, the commanded acceleration."""
+    """[m/s² or rad/s²] base acceleration that the arm's QP assumes (`a_base_meas`); with the
+    fallback command, the commanded acceleration."""
     levels: tuple[Level, ...]
     """Slack of each active task, as by `level_readings`; empty with the fallback command."""
     bounds: tuple[Bound, ...]
@@ -160,7 +165,7 @@ class Explanation(NamedTuple):
 def explain(
     controller: Controller, w: ControlStep, config: Config, base_command: Array
 ) -> Explanation:
-    """Explain the last step, with the present velocity command (n_b,) [m/s or rad/s]."""
+    """Explain the last step `w`; `base_command` (n_b,) [m/s or rad/s] is the velocity command."""
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
     limited = {bound.where for bound in bounds if bound.kind == "barrier"}
@@ -187,7 +192,7 @@ def explain(
 
 
 def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
-    """The slack of each active task, the highest weight first: w_sca* and w_2 of (29)."""
+    """The slack of each active task: w_sca* of (29), w_2 while tracking, and the lowest task's."""
     levels, n_b = [], base.n_b
     if w.B[0] > 0.0:
         levels.append(Level("base", *linear_and_angular(base, w.a_base_des - w.a_base_cmd)))

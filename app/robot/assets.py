@@ -36,7 +36,7 @@ _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
 _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
-_MAX_ATTRIBUTES = 100  # [-] of an element; some parsers compare each attribute with all others
+_MAX_ATTRIBUTES = 100  # [-] largest number of an element; some parsers compare each with all others
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -162,7 +162,8 @@ def followed(path: Path) -> Path:
 def package_roots(package: str) -> list[Path]:
     """Folders of an installed package: those of the Python package, then those in `share_folders`.
 
-    A folder in the current directory does not count, unless `sys.path[1:]` has this directory.
+    The list is empty if the package is not installed. A folder in the current directory does not
+    count, unless `sys.path[1:]` has this directory.
     """
     spec = None
     if package.isidentifier() and package != "__main__":  # which has no folder
@@ -178,7 +179,7 @@ def package_roots(package: str) -> list[Path]:
 
 
 def share_folders() -> list[Path]:
-    """Folders `share`; wheels install ROS packages in them."""
+    """The folders `share` of this Python; wheels install ROS packages in them."""
     libraries = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib")}
     prefixes = [*(library / "cmeel.prefix" for library in sorted(libraries)), Path(sys.prefix)]
     return [share for prefix in prefixes if (share := prefix / "share").is_dir()]

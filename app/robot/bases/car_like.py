@@ -102,7 +102,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """The largest v̇, and ω̇ at top speed on the tightest arc, at full steering rate."""
+        """Largest v̇ [m/s²]; ω̇ [rad/s²] at top speed, tightest arc and largest steering rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m
@@ -113,6 +113,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
+        """The joints that roll, then those that steer."""
         return (
             Wheels("rolling", "wheel_joints", self.wheel_joints),
             Wheels("steering", "steering_joints", self.steering_joints),
@@ -124,6 +125,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def measure(self) -> Measure:
+        """Coefficients of sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
@@ -179,8 +181,9 @@ class CarLikeBase(BaseKind):
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω).
 
-        The speed is the one on the present arc nearest to the command, but 0 if it would oppose the
-        command, and smaller if the present arc and the command's arc bend to opposite sides.
+        The speed is the speed along the present arc that is nearest to the command in the metric of
+        kinetic energy. It is 0 if it would oppose the command, and smaller if the present arc and
+        the command's arc bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
         wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max
