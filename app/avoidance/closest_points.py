@@ -50,17 +50,17 @@ class SmoothPoints:
     """Closest points by a mean over the nodes of the core of `b`; nearer nodes weigh more.
 
     If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
-    one end to the other as the capsule turns. Here each node has the weight exp((min d - d_k)/τ),
-    with its distance d_k to `a` and the smoothing length τ. The mean moves continuously, because
-    every distance d_k is continuous. If one node is much nearer than the others, this node is the
-    result. If `a` has several convex parts, the normal is the mean of the parts' normals at the
-    resulting point, with weights of the same form for the distances of the parts. This normal is
-    the gradient of a smooth distance, and shorter than 1 in a corner between two parts.
+    one end to the other as the capsule turns. Here each node, such as a point of a capsule's axis,
+    has the weight exp((min d - d_k)/τ), with its distance d_k to `a` and the smoothing length τ.
+    The mean moves continuously, because every distance d_k is continuous. If one node is much
+    nearer than the others, this node is the result. If `a` has several convex parts, the normal is
+    the mean of the parts' normals at the resulting point, with weights of the same form for the
+    distances of the parts. This normal is the gradient of a smooth distance, and shorter than 1 in
+    a corner between two parts.
 
     The nearest point of a flat face can be any of its points. Therefore, on each shape of `b` with
-    flat faces, the points that are nearest to the nodes of `a` are nodes too.
-
-    `mean_nearest` computes the points.
+    flat faces, the points that are nearest to the nodes of `a` are nodes too. `mean_nearest`
+    computes the closest points.
 
     Attributes:
         rows: For each pair: its own row of the results, then the rows of the convex parts of `a` if

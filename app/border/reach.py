@@ -216,7 +216,7 @@ def sample_reach_map(
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """Fit A, B and C of (9) to a map by `fit_parabola`; a DescriptionError replaces its error."""
+    """Fit (9) to a map by `fit_parabola`; raises a DescriptionError instead of its ValueError."""
     try:
         return fit_parabola(reach_map.rho, reach_map.reach, share)
     except ValueError as error:

@@ -416,6 +416,6 @@ class Voxels:
         return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 for none or not `free`."""
+        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 if outside or not free."""
         keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

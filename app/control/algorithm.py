@@ -13,11 +13,11 @@ with its activation β (`insert_rows`). The base's rows are blended with the oth
 branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
 **The base** (`command_base`). The base's command is computed before the arm's torques, because the
-base follows its commands late. Its tasks have slow gains (`slow`), because its commands are rare:
+base follows its commands late. Its QPs have slow gains (`slow`), because its commands are rare:
 
 1. `set_up_free_base`: a_free is the base's acceleration by all tasks except its rows of T_sca.
-   While a person guides the arm, the base brakes by a_free = −k ν. Then only the method `barrier`
-   solves this QP.
+   While a person guides the arm, only the method `barrier` solves this QP; with the other methods
+   the base brakes, a_free = −k ν with k = `base_damping`.
 2. `blend_base`: a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
 3. `undragged`: if β_m > 0, a_des is changed so that the base drags the end-effector along less.
 4. `set_up_room`: only while tracking, this acceleration is changed as little as necessary for the
@@ -32,7 +32,7 @@ springs that compete with them, (29). The arm's limits apply, and the base has i
 acceleration (`assume_base`). The torques follow from q̈, (26).
 
 The compared method `hqp` solves neither of these problems: its q̈ is the solution of the paper's
-hierarchy (`app.control.hqp`), which `Controller` computes. Its border is the sampled one.
+hierarchy (`app.control.hqp`), which `Controller` computes. This method uses the sampled border.
 """
 
 import math
@@ -379,10 +379,9 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def track(gains: Any, w: Any, weight: float, damped: bool) -> tuple[Array, Array, Array, float]:
-    """The objective H (n, n), c (n,) of T_2 and the task (`w.H_low`, `w.c_low`); b (6,) and λ.
+    """H (n, n) and c (n,) of T_2 plus the task (`w.H_low`, `w.c_low`); b (6,) and λ [m²] of T_2.
 
-    b and λ [m²] are those of T_2 by `end_effector_task`; without `damped`, λ is 0. `weight` [-] is
-    the weight of T_2.
+    b and λ are those of `end_effector_task`; without `damped`, λ is 0. `weight` [-] is that of T_2.
     """
     velocity, acceleration = w.v_ref - w.v_ee, w.a_ref - w.Jdqd_ee
     k_p, k_v, speed = gains.ee_stiffness, gains.ee_damping, gains.ee_speed
@@ -444,9 +443,8 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     - ARM: if the method has barriers, the distances of all pairs stay above d_min. The limits of
       joints and distances include external accelerations; those of speeds and distances have a
       margin for recent errors of velocities. While readings are rare or late, the limits of joints
-      and distances also apply with a slower rate.
-      `torque_reachable_bounds` then changes the limits of joints, so that each joint can satisfy
-      them by its own torque.
+      and distances also apply with a slower rate. `torque_reachable_bounds` then changes the limits
+      of joints, so that each joint can satisfy them by its own torque.
     - FREE_BASE: for the method `barrier`, the barriers of all pairs at d_min.
     - ROOM: for the method `dbb`, the barriers of L_m at d_min, and those of the pairs within the
       arm at w.d_b.
@@ -656,13 +654,16 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Write the torques by q̈, (26), or the fallback command, and update the velocity command."""
+    """Write the torques by q̈, (26), or the fallback command; then update the velocity command.
+
+    The fallback command is gravity compensation with damping of the joints, and a base that brakes.
+    """
     for which in (FREE_BASE, ROOM):
         if w.qp_tried[which] != 0.0 and math.isnan(w.qp_x[which, 0]):
             w.given_up[()] += 1.0
     if w.solved[()] != 0.0:
         u = times(w.M[robot.n_b :], w.qdd) + w.h[robot.n_b :]  # (26)
-    else:  # the fallback command: gravity compensation and damping, and a base that brakes
+    else:  # the fallback command
         w.failures[()] += 1.0
         u = w.u_free
         # Without valid readings, the base is assumed to move at the commanded velocity.

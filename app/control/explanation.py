@@ -93,8 +93,7 @@ class NearPair(NamedTuple):
     n: tuple[float, float, float]
     """Normal from `a` to `b`, in the base's frame, of length 1 or less."""
     above: float
-    """[-] 1 − ‖n_xy‖, 0 to 1: the share of the force that is lost because the arm is above the base
-    and not beside it; 0 for a pair within the arm."""
+    """[-] 1 − ‖n_xy‖: share of the force, 0 to 1, that is lost above the base; 0 within the arm."""
     arm_beta: float
     """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
     limited: bool
@@ -114,8 +113,7 @@ class Level(NamedTuple):
     linear: float | None
     """[m/s²] norm of the linear part of the slack; None for "posture" and "free"."""
     angular: float | None
-    """[rad/s²] norm of the slack's angular part, or of the joints' slack; None for "arm" and
-    "links"."""
+    """[rad/s²] norm of the angular part, or of the joints' slack; None for "arm" and "links"."""
 
 
 class Explanation(NamedTuple):
@@ -238,7 +236,7 @@ def _norm(vector: Array) -> float:
 def split(f: Array, n: Array) -> tuple[Array, Array]:
     """The parts of a horizontal force f (3,) [N] along and across the horizontal part of n.
 
-    If the unit normal n (3,) from the base to the arm is vertical, all of f is across.
+    If the normal n (3,) from the base to the arm is vertical, all of f is across.
     """
     along = np.array([n[0], n[1], 0.0])
     length = float(np.linalg.norm(along))

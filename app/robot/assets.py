@@ -84,7 +84,7 @@ def robot_names() -> list[str]:
 def check_robot_name(name: str) -> None:
     """Raise an UnknownNameError if a robot does not exist.
 
-    The message lists the existing robots, and the first unusable folder of `$DBB_ROBOTS`.
+    The message lists the existing robots, and states the first unusable folder of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())

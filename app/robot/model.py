@@ -125,7 +125,7 @@ class RobotModel:
         return 1.0 / np.diag(np.linalg.inv(self.mass_matrix(q, self.pin.createData())))[3:]
 
     def mass_matrix(self, q: Array, data: pin.Data) -> Array:
-        """(3 + n_m, 3 + n_m) M at pinocchio's configuration q (4 + n_m,); `data` is its memory."""
+        """(3 + n_m, 3 + n_m) M at pinocchio's configuration q (4 + n_m,), computed in `data`."""
         M = pin.crba(self.pin, data, q)
         return np.triu(M) + np.triu(M, 1).T
 

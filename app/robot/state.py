@@ -78,7 +78,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
     Raises:
         MeasurementError: The value is not a `Measurement`, a field has a wrong type or number of
-            values, a time is not in seconds, or there is a time stamp without `now`.
+            values, a time is of single precision or not in seconds, or a time stamp has no `now`.
     """
     if not isinstance(measurement, Measurement):
         fields, kind = ", ".join(Measurement._fields), type(measurement).__name__
@@ -114,7 +114,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def _seconds(name: str, value: Any) -> float:
-    """A time [s], NaN for None; MeasurementError for another type, unit or single precision."""
+    """A time [s], NaN for None; raises a MeasurementError for other types, units or precisions."""
     if value is None:
         return np.nan
     if isinstance(value, np.floating) and value.itemsize < 8:
@@ -206,13 +206,13 @@ def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
 def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
-    """Acceleration [m/s²] at q̈ = 0 of a body's point at p (3,), from the twist and bias (6,)."""
+    """Acceleration [m/s²] at q̈ = 0 of a body's point at p (3,), from its twist and bias (6,)."""
     return _swept(point_velocity(bias, p), twist[3:], point_velocity(twist, p))
 
 
 @compiled()
 def carrying(joint: int) -> int:
-    """The number k of pinocchio's velocities that move the body on a joint: its first k ones."""
+    """Number k: the first k of pinocchio's velocities move the body on a joint; 0 for the world."""
     return joint + 2 if joint > 0 else 0
 
 
@@ -394,8 +394,8 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
     """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
 
-    Former distances are lost. Reading the results one by one would take as long as computing them.
-    Each result stores its distance before its normal, and all results have the same size.
+    This call overwrites the distances. Reading the results one by one would take as long as
+    computing them. Each result stores its distance before its normal; all have the same size.
     """
     if len(results) == 0:
         return np.zeros(0)

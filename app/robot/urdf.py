@@ -101,8 +101,8 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    The size includes the `.bin` files in the folder of a `.gltf`. With a file it is at least
-    `SMALL` + 1, because a few bytes can encode millions of triangles. Errors: those of
+    The size includes the `.bin` files in the folder of a `.gltf`. If a file exists, the size counts
+    as at least `SMALL` + 1: a few bytes can encode millions of triangles. Errors: those of
     `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
@@ -135,7 +135,7 @@ def urdf_mesh(
 
 
 def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
-    """As `urdf_mesh`, for a box, sphere, cylinder or capsule; a RobotFileError for a mesh."""
+    """As `urdf_mesh`, for a box, sphere, cylinder or capsule; any other element is an error."""
     from trimesh import creation  # a slow import
 
     def sizes(key: str, count: int = 1) -> Array:

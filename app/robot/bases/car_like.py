@@ -39,12 +39,12 @@ _HELD = 0.005  # [m/s] commanded speed of the front axle below which the steerin
 def nearest_in_cone(
     v: float, w: float, kappa: float, radius: float, before: float
 ) -> tuple[float, float]:
-    """The velocity [m/s, rad/s] in the cone |ω| ≤ κ_max |v| nearest to (v, w) by √(v² + ρ² ω²).
+    """The velocity [m/s, rad/s] in the cone |ω| ≤ κ_max |v| nearest to (v, w).
 
-    `kappa` [1/m] is κ_max, `radius` [m] is ρ = √(I/m), and `before` [m/s] is the present speed or
-    speed command. If both edges of the cone are about equally near, a moving base keeps its
-    direction. If it is at rest and both are equally near, it moves backwards: this brings the arm
-    ahead of the rear axle, where the score is better.
+    The norm is √(v² + ρ² ω²). `kappa` [1/m] is κ_max, `radius` [m] is ρ = √(I/m), and `before`
+    [m/s] is the present speed or speed command. If both edges of the cone are about equally near, a
+    moving base keeps its direction. If it is at rest and both are equally near, it moves backwards:
+    this brings the arm ahead of the rear axle, where the score is better.
     """
     if abs(w) <= kappa * abs(v):
         return v, w
@@ -102,7 +102,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²]; ω̇ [rad/s²] at top speed, tightest arc and largest steering rate."""
+        """Largest v̇ [m/s²]; ω̇ [rad/s²] at top speed, for the largest curvature and its rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m
@@ -129,7 +129,7 @@ class CarLikeBase(BaseKind):
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
-        """Three alternatives: straight, or along a tightest arc after the delay of the steering."""
+        """Straight, or along one of the two tightest arcs after the delay of the steering."""
         kappa = self.curvature_max
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         late = self.steering_limit_rad / self.steering_rate_radps
