@@ -137,8 +137,7 @@ def _mean_nearest(
 ) -> None:
     """Write one row of `mean_nearest` into `found` (4, 3).
 
-    `a` has all shapes of l_a, or only one part; `corners` has all nodes of l_a. `b` and `nodes`
-    have all shapes and all nodes of l_b.
+    `a` has the shapes of l_a, all or one, and `corners` its nodes; `b`, `nodes` are those of l_b.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
