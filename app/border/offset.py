@@ -165,7 +165,7 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: list[float]) -> list[_Level] | None:
-        """Trace all heights that have a slice from the shape's centre; None if one is beside it."""
+        """From the shape's centre, trace each height with a slice; None if a slice excludes it."""
         found: list[_Level] = []
         ends = np.full(RAYS, -np.inf)
         for z in heights:

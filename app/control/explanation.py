@@ -57,7 +57,7 @@ class ForceSplit(NamedTuple):
     """The force on the base by one pair, split as in Figure 7; horizontal, forward and left."""
 
     f: Planar
-    """[N] f_m,i of (14), the sum of the next two."""
+    """[N] f_m,i of (14), the sum of `away` and `turn`."""
     away: Planar
     """[N] component of f along the horizontal part of n: it moves the base away from the arm."""
     turn: Planar

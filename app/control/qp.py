@@ -328,10 +328,10 @@ def solve_qp(
 def solve_qp_step(
     H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
 ) -> tuple[Array, bool]:
-    """The feasible x nearest to x_0, the optimum with the fixed entries and without limits.
+    """The x within the limits nearest to x_0, the optimum with the fixed entries without limits.
 
-    The distance is in the metric H, and all entries of x can differ from x_0, the fixed entries
-    too. Arguments and results are those of `solve_qp`.
+    The distance is in the metric H, and slacks cost as in `solve_qp`. All entries of x can differ
+    from x_0, the fixed entries too. Arguments and results are those of `solve_qp`.
     """
     x = _joined(fixed, _free_optimum(H, c, fixed)[1])
     return _nearest_within(x, cholesky(H), C, l, u, softness)

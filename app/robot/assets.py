@@ -107,7 +107,7 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot; for an unknown name, the folder that a delivered robot would have."""
+    """Folder of a robot: a delivered one precedes a user's; for an unknown name, `ASSETS / name`."""
     return next(iter(_folders(name)), ASSETS / name)
 
 

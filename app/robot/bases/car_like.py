@@ -102,7 +102,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²]; ω̇ [rad/s²] at top speed, for the largest curvature and its rate."""
+        """Largest v̇ [m/s²], and ω̇ [rad/s²] at this v̇, top speed, full steering and full rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m
