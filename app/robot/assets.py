@@ -107,7 +107,7 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot: a delivered one precedes a user's; for an unknown name, `ASSETS / name`."""
+    """Folder of a robot: a delivered one precedes a user's; for an unknown name, in `ASSETS`."""
     return next(iter(_folders(name)), ASSETS / name)
 
 
