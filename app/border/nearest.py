@@ -49,7 +49,7 @@ class Table(NamedTuple):
     tangents: Array
     """(N, R + 1) unit tangents at the vertices, as x + iy."""
     shown: Array
-    """(N, R + 1) [m] signed distance of each vertex from the nearest offset of another shape."""
+    """(N, R + 1) [m] signed distance of each vertex from the other offsets; negative if hidden."""
     spans: Array
     """(N, R / BLOCK) [m] largest distance of a vertex from the middle vertex of its block."""
 

@@ -17,11 +17,11 @@ from app.strict import Array
 
 RAYS = 360  # number of rays from the centre of a slice
 _STEP = 0.01  # [m] distance between heights, and along the arcs above the top and below the bottom
-_HIGH_BOTTOM = 0.8  # [-] smallest height of a shape's bottom / d_b with an arc below the bottom
+_HIGH_BOTTOM = 0.8  # [-] an offset has an arc below the shape if its bottom / d_b is above this
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
-_ALONE = 1.0  # [m] upper bound of `_shown`, which is its value if there are no other shapes
+_ALONE = 1.0  # [m] upper bound of `_shown`, and its value if there are no other shapes
 
 _Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
 _Rings = tuple[Array, Array]

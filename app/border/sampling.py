@@ -391,7 +391,7 @@ class Voxels:
         # Turned by half a sector: if 4 divides `sectors`, no edge of a sector is on the wheel axis.
         x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
         turn = np.arctan2(y[:, None], x[None, :]).ravel() / (2 * np.pi) + 0.5 / sectors
-        self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns
+        self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of each column
 
     def cells(self, points: Array) -> Array:
         """Cells (N, 3), also outside of the grid, of points (N, 3) int16 as in `Cloud`."""

@@ -16,7 +16,7 @@ from app.compiled import compiled
 from app.control.qp import cholesky, dot, fill, forward, inverse_diagonal, put, solved, times
 from app.strict import Array
 
-_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent errors of used velocities
+_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent velocity errors
 _MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a larger one would let
 # the constraints throw the arm away from an obstacle that it hardly approaches
 

@@ -36,7 +36,7 @@ _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
 _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
-_MAX_ATTRIBUTES = 100  # [-] largest number of an element; some parsers compare each with all others
+_MAX_ATTRIBUTES = 100  # [-] largest number per element; some parsers compare each with all others
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -287,7 +287,7 @@ _UTF16 = {
     **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
     **{b"<\0": "utf-16-le", b"\0<": "utf-16-be"},
 }
-"""First bytes of a file in UTF-16; without these, a file that declares UTF-16 is read as UTF-8."""
+"""UTF-16 by a file's first bytes; without these, a file that declares UTF-16 is read as UTF-8."""
 _KINDS = {
     **dict.fromkeys((b"#usda", b"PXR-USDC"), "a USD file"),
     b"%PDF": "a PDF",

@@ -98,7 +98,7 @@ class PairDistances(ShapeDistances):
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
         rows = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
         super().__init__(model, shapes, rows)
-        results = self._placed.distanceResults  # an access takes longer than all distances
+        results = self._placed.distanceResults  # an access takes longer than the computation
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
         """For each pair a list: first the results of all pairs of shapes of `a` and `b`; then, if
         `a` has several shapes, the results of each shape of `a` with the shapes of `b`."""

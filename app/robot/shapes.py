@@ -209,7 +209,7 @@ def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
     coal refuses corners with more than 255 neighbours, such as those of a finely drawn disc. Then
     the points are rounded to `grid` [m], which is doubled until coal accepts them.
     """
-    points = _thick(np.asarray(points, dtype=float))  # coal ends the process without a volume
+    points = _thick(np.asarray(points, dtype=float))  # without a volume, coal ends the process
     vertices = coal.StdVec_Vec3s()
     for vertex in points:
         vertices.append(vertex)

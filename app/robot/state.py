@@ -24,7 +24,7 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 _FLOAT = np.dtype(float)
-_LATEST = 1e11  # [s] times from here on are in nanoseconds
+_LATEST = 1e11  # [s] a larger time must be in nanoseconds
 _GRAVITY = 9.81  # [m/s²]
 _Vector = Array | tuple[float, float, float]
 
@@ -49,7 +49,7 @@ class Measurement(NamedTuple):
     time: float = np.nan
     """[s] time at which the joints were measured, by the clock of `now`; NaN without a stamp."""
     base_time: float = np.nan
-    """[s] time at which the base's pose and velocity were measured; NaN: when the joints were."""
+    """[s] time at which the base's pose and velocity were measured; NaN: at the joints' time."""
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
@@ -357,7 +357,7 @@ def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array
 
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
     """Compute the values of `pinocchio_views`; `pin.computeAllTerms` would take twice as long."""
-    pin.crba(model, data, q, pin.Convention.WORLD)  # and the Jacobian
+    pin.crba(model, data, q, pin.Convention.WORLD)  # computes the Jacobian too
     pin.nonLinearEffects(model, data, q, v)
 
 

@@ -70,7 +70,7 @@ class Measure(NamedTuple):
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
-"""[m²/rad⁴] (7) of the paper's robot, divided by x²: the reference of the gain of (13)."""
+"""[m²/rad⁴] (7) of the paper's robot, divided by x²; the gain S_0 of (13) is chosen for it."""
 
 
 class Channel(NamedTuple):
