@@ -35,12 +35,14 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """A decorator: it compiles a function for the types in `signatures` at the module's import.
 
-    The first import stores the compiled kernel, and later imports load it; without a writable
-    folder, each process compiles. A call never waits for the compiler, and fails with an array of a
-    different dtype. Signatures are in numba's notation, such as ``f8[:](f8[:,:], i8)``, see
-    `_any_array`; or numba's own objects, which are used unchanged. A function without signatures is
-    compiled as a part of the kernels that call it; its first call from Python waits for the
-    compiler.
+    The first import stores the compiled kernel, and later imports load it. Without a writable
+    folder, each process compiles the kernel again. A call never waits for the compiler. It raises a
+    TypeError if an argument, such as an array with a different dtype, fits no signature.
+
+    A signature is a text in numba's notation, such as ``f8[:](f8[:,:], i8)`` (`_any_array` changes
+    its array types), or a `Signature` of numba, which is used unchanged. A function without
+    signatures is compiled as a part of the kernels that call it. Its first call from Python waits
+    for the compiler.
     """
 
     def compile_(function: Function) -> Function:
@@ -179,7 +181,7 @@ class _PartCompiler(_Compiler):
 
 
 def direct(kernel: Function) -> Function:
-    """The compiled code of a kernel with one signature, or the kernel if numba is disabled.
+    """The compiled code of a kernel with one signature; with ``NUMBA_DISABLE_JIT=1`` the kernel.
 
     The code does not check the types of the arguments, because numba's check takes 2 to 3 µs per
     call. A call with a wrong type has undefined behaviour.

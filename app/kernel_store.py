@@ -20,12 +20,13 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of each file on which a compiled kernel depends; an OSError if unreadable.
+    """Name and digest of each file on which a compiled kernel depends.
 
     These are the kernel's file, the files of the compiled functions that it calls, and the files
     that compile kernels and lay out structs. Called functions are found by their names in the
     kernel. The kernel's constants must be in one of these files: a change of another file would not
-    change the result. A digest, unlike a time, does not change if an installation is copied.
+    change the result. A digest, unlike a time, does not change if an installation is copied. An
+    unreadable file raises an OSError.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
@@ -47,8 +48,8 @@ def _digest(file: Path) -> str:
 def _folders(file: str, *, make: bool) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
-    NUMBA_CACHE_DIR precedes `__pycache__` next to the source file; the `cache_folders` of this user
-    are last, where `make` has the same meaning.
+    The first one is in NUMBA_CACHE_DIR, if this variable is set. `__pycache__` next to the source
+    file follows, then a folder in each of `cache_folders(make=make)`, the folders of this user.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:
@@ -81,7 +82,7 @@ class _Locator(caching._CacheLocator):
 
 
 class _Described(caching.CompileResultCacheImpl):
-    """Format and file name of a stored kernel, as numba defines them."""
+    """Format and file name of a stored kernel as in numba, but with `_Locator`."""
 
     _locator_classes = [_Locator]  # noqa: RUF012 - numba's own form
 
@@ -97,7 +98,10 @@ class _Index(caching.IndexDataCacheFile):
 
 
 class KernelStore(caching.FunctionCache):
-    """The kernels of a function; a user without write access can read those of another user."""
+    """The stored kernels of a function: read from any of `_folders`, written to a writable one.
+
+    Thus a user without write access can use the kernels that another user has compiled.
+    """
 
     _impl_class = _Described
 
@@ -106,7 +110,7 @@ class KernelStore(caching.FunctionCache):
         self._function = function
         self._stamp = self._impl.locator.get_source_stamp()
         self.saved = False
-        """Whether this process has stored a compiled kernel."""
+        """Whether this process has stored a compiled kernel of the function."""
 
     def _files(self, *, make: bool) -> Iterator[_Index]:
         for folder in _folders(inspect.getfile(self._function), make=make):

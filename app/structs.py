@@ -17,7 +17,7 @@ from numba.experimental import structref
 
 _OWNER = struct.Struct("@6q")
 """numba's header of a block of memory: number of references, destructor and its argument, address,
-size, and allocator. The number starts at 1, for Python: compiled code never frees the memory."""
+size, and allocator. Python holds one reference: compiled code never frees the memory."""
 
 
 @structref.register
@@ -59,7 +59,7 @@ def _kind(handle: _Handle, _: Any) -> _Struct:
 
 @extending.unbox(_Struct)
 def _unbox(kind: _Struct, handle: Any, c: Any) -> extending.NativeValue:
-    """Code that makes the struct in compiled code from a `_Handle`."""
+    """Generate the code that makes the struct from a `_Handle` in compiled code."""
     address = c.pyapi.long_as_voidptr(handle)
     value = structref._Utils(c.context, c.builder, kind).new_struct_ref(address)._getvalue()
     c.context.nrt.incref(c.builder, kind, value)  # decremented after the call
@@ -67,7 +67,7 @@ def _unbox(kind: _Struct, handle: Any, c: Any) -> extending.NativeValue:
 
 
 class StructType(NamedTuple):
-    """A kind of struct."""
+    """A kind of struct: its type in numba, and its fields."""
 
     type: types.StructRef
     """numba's type of the struct, for the signatures of compiled functions."""
@@ -75,10 +75,11 @@ class StructType(NamedTuple):
     """numba's type of each field: an array, f8, i8 or b1."""
 
     def made_of(self, values: Any) -> Any:
-        """Make a struct from a named tuple; without compilation, return the tuple itself.
+        """Make a struct from a named tuple; with ``NUMBA_DISABLE_JIT=1`` return the tuple itself.
 
-        The struct owns a reference to the tuple, and its arrays are views of the tuple's arrays.
-        Therefore compiled code counts no references, which would take a fifth of a control step.
+        The values of the tuple have the order of `fields`. The struct owns a reference to the
+        tuple, and its arrays are views of the tuple's arrays. Therefore compiled code does not
+        count references to arrays: counting would take a fifth of a control step.
         """
         if config.DISABLE_JIT:
             return values
@@ -94,8 +95,8 @@ class StructType(NamedTuple):
     def _packed(self, values: Any) -> bytes:
         """The bytes of the struct: each number unchanged, each array in numba's form.
 
-        This form has owner and parent (both 0), number of entries, bytes of an entry, address,
-        shape, strides.
+        numba's form of an array consists of owner and parent (both 0), number of entries, bytes of
+        an entry, address, shape and strides.
         """
         layout, content = "", list[Any]()
         for value, kind in zip(values, self.fields.values(), strict=True):

@@ -23,9 +23,10 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
     jump from one bound to the other within millimetres. There the formula above approaches 2 d,
     which is enough for the force to turn the base, and changes smoothly. A d below 0 counts as 0.
 
-    Paper: Eq. (13). The bounds [m] are those of Figure 8b: after a step that is too large, the
-    force has no component along the line between the end-effector and the border. `score` is
-    S(p_n) [m⁴/rad⁴] divided by `BaseKind.score_unit`, `d` [m] the distance of the pair.
+    Paper: Eq. (13). The bounds `alpha_min` and `alpha_max` [m] are those of Figure 8b: after a step
+    that is too large, the force has no component along the line between the end-effector and the
+    border. `d` [m] is the signed distance of the pair. `score` is S(p_n) [m⁴/rad⁴], divided by
+    `BaseKind.score_unit`.
     """
     proportional = gain * max(d, 0.0) / max(abs(score) + gain / 2.0, 1e-12)
     return min(max(proportional, alpha_min), alpha_max)
@@ -65,8 +66,8 @@ def find_acting_point(
         pair: Number of the pair among the pairs of arm and base (L_m), from 0.
         score: (9,) `ScoreField.coefficients` of the pair's body.
         p_b: (3,) [m] closest point on the arm, in the base's frame.
-        d: [m] distance of the pair.
-        step: The last three arguments of `step_size`.
+        d: [m] signed distance of the pair.
+        step: `gain`, `alpha_min` and `alpha_max` of `step_size`.
 
     Returns:
         p_n, p_t, p_act (3,) [m], the tangent (3,) and α [m]; if l_m has no border, α and the x and
@@ -86,13 +87,16 @@ def find_acting_point(
 def avoidance_force(
     p_b: Array, p_act: Array, d: float, n: Array, f_max: float, d_b: float
 ) -> Array:
-    """f_m,i (3,) [N]: horizontal, from the acting point p_act (3,) [m] to the closest point p_b.
+    """f_m,i (3,) [N]: horizontal force on the base, from the acting point to the closest point.
 
     f = f_max (1 − d/d_b) ‖n_xy‖ (p_b − p_act) / ‖p_b − p_act‖, where 1 − d/d_b is limited to 0 … 1.
     The factor ‖n_xy‖ is our extension: above the base's flat top, where no horizontal force helps,
     it is 0; beside the base it is 1. At p_b = p_act the direction is that of the horizontal part of
-    −n. The force is 0 if this part is 0 too. `d` [m] is the signed distance of the pair, n (3,) its
-    normal from the base to the arm, of length 1 or less, and `f_max` is in N.
+    −n. The force is 0 if this part is 0 too.
+
+    The closest point `p_b` on the arm and the acting point `p_act` (3,) [m] have the same height.
+    `d` is the signed distance of the pair and `d_b` the buffer distance [m]. `n` (3,) is the pair's
+    normal from the base to the arm, of length 1 or less. `f_max` [N] is the largest force.
 
     Paper: Eq. (14).
     """
@@ -126,7 +130,8 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
     """ẍ_m = A_b f_m (n_b,) [m/s² or rad/s²]: acceleration along the base's axes by the force f_m.
 
-    `A_b` (n_b, 3) is `BaseKind.A_b`, and `f_m` (3,) [N, N, N m] comes from `resultant_force`.
+    `A_b` (n_b, 3) is `BaseKind.A_b`, for a differential base that of (17) and (18). `f_m` (3,)
+    [N, N, N m] is the result of `resultant_force`.
 
     Paper: Eq. (16).
     """

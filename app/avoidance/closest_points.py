@@ -28,14 +28,14 @@ class DistanceMonitor:
     """Distances of a fixed set of link pairs at the robot's present state."""
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
-        """Prepare pairs, whose order is that of the results; each method reads `state` again."""
+        """Prepare `pairs`; the results have their order. Each method reads the present `state`."""
         self._state, self._distances = state, PairDistances(state.model, pairs)
 
     def find_closest_points(self) -> list[ClosestPoints]:
         """The closest points of every pair, from the collision library.
 
-        A control step uses `mean_nearest` instead. The direction is the library's signed normal.
-        The sign of p_b − p_a would change in penetration: repulsion would become attraction.
+        A control step uses `mean_nearest` instead. The normal is that of the library. The direction
+        of p_b − p_a would change its sign in penetration: repulsion would become attraction.
         """
         self._distances.update_from(self._state.data)
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]
@@ -50,22 +50,22 @@ class SmoothPoints:
     """Closest points by a mean over the nodes of the core of `b`; nearer nodes weigh more.
 
     If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
-    one end to the other as the capsule turns. Here each node has the weight exp((min d - d_k)/τ),
-    with its distance d_k to `a` and the smoothing length τ. The mean moves continuously, because
-    every distance d_k is continuous. If one node is much nearer than the others, this node is the
-    result. If `a` has several convex parts, the normal is the mean of the parts' normals at the
-    resulting point, with weights of the same form for the distances of the parts. This normal is
-    the gradient of a smooth distance, and shorter than 1 in a corner between two parts.
+    one end to the other as the capsule turns. Here each node, such as a point of a capsule's axis,
+    has the weight exp((min d - d_k)/τ), with its distance d_k to `a` and the smoothing length τ.
+    The mean moves continuously, because every distance d_k is continuous. If one node is much
+    nearer than the others, this node is the result. If `a` has several convex parts, the normal is
+    the mean of the parts' normals at the resulting point, with weights of the same form for the
+    distances of the parts. This normal is the gradient of a smooth distance, and shorter than 1 in
+    a corner between two parts.
 
     The nearest point of a flat face can be any of its points. Therefore, on each shape of `b` with
-    flat faces, the points that are nearest to the nodes of `a` are nodes too.
-
-    `mean_nearest` computes the points.
+    flat faces, the points that are nearest to the nodes of `a` are nodes too. `mean_nearest`
+    computes the closest points.
 
     Attributes:
         rows: For each pair: its own row of the results, then the rows of the convex parts of `a` if
             there are several.
-        joints: (k, 2) the joints that move `a` and `b` of each row.
+        joints: (k, 2) indices of pinocchio's joints that move `a` and `b` of each row.
         arrays: Fields of `app.control.inputs.ROBOT`: the constant arguments of `mean_nearest`, the
             joint of each body, and `joints`.
     """
@@ -137,7 +137,7 @@ def _mean_nearest(
 ) -> None:
     """Write one row of `mean_nearest` into `found` (4, 3).
 
-    `a`: all shapes or one part of l_a; `corners`: nodes of l_a; `b`, `nodes`: all those of l_b.
+    `a` has the shapes of l_a, all or one, and `corners` its nodes; `b`, `nodes` are those of l_b.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
@@ -191,15 +191,16 @@ def mean_nearest(
 ) -> Array:
     """(k, 4, 3) [m] p_a, p_b, n and core of `ClosestPoints` in the world, as in `SmoothPoints`.
 
-    There is a row for each pair, then one for each convex part of the bodies `a` with several.
+    There is a row for each pair, then one for each convex part of each `a` that has several.
 
     Args:
-        bodies: (P, 16) rows and (T, 4, 3) triangles of `Shapes` of all bodies, one body after the
-            other; (K, 4) [m] their core points, each with its radius; (bodies + 1, 2) index of the
-            first shape and of the first node of each body.
-        sought: (k, 4) numbers of `a` and `b`; first and end index of the relevant shapes of `a`.
+        bodies: Four arrays of all bodies, one body after the other: (P, 16) rows and (T, 4, 3)
+            triangles of `Shapes`; (K, 4) [m] nodes, each with the radius around it; (bodies + 1, 2)
+            index of the first shape and of the first node of each body.
+        sought: (k, 4) indices of the bodies `a` and `b`, then first and end index of the shapes of
+            `a` that the row uses.
         placed: (4 bodies, 3) pose of each body in the world: three rows of R, then the origin [m].
-        blend: [m] τ.
+        blend: [m] smoothing length τ.
     """
     rows, triangles, nodes, firsts = bodies
     found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))
@@ -224,8 +225,9 @@ def mean_nearest(
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
     """Points (K, 3) [m] of a shape's core in its joint's frame, and the radius [m] around the core.
 
-    The points are along a capsule's axis, a sphere's centre, or the corners that are farthest in
-    any of the 26 directions of `_SIGNS`; each rim of a cylinder has eight corners.
+    A capsule has points along its axis, a sphere its centre. Any other shape has the corners that
+    are farthest in one of the 26 directions of `_SIGNS`, and the radius 0. A cylinder counts as a
+    shape with eight corners on each rim.
     """
     radius = 0.0
     if isinstance(shape, Capsule):

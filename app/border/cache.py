@@ -210,7 +210,7 @@ def _content(arrays: dict[str, Array], key: str) -> BorderData:
 
 
 def _pack(cloud: Cloud) -> tuple[Array, Array, Array]:
-    """The arrays `_PARTS`, bytes: steps between consecutive blocks, places in them, distances."""
+    """The arrays of `_PARTS`, as bytes: steps from block to block, places in blocks, distances."""
     blocks = cloud.points // _BLOCK
     order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
     blocks, points = blocks[order], cloud.points[order]

@@ -25,7 +25,7 @@ _FLAT = 1e-9  # [m] tolerance for points in a plane
 
 
 class ConvexPart:
-    """One convex shape of l_m, in a box with the corners `lower` and `upper` (3,) [m].
+    """One convex shape of l_m; `lower` and `upper` (3,) [m] are corners of a box around it.
 
     The box is along the axes of the base's frame. `shapes` has only this shape.
     """
@@ -64,7 +64,7 @@ class ConvexPart:
 
 
 class MobileBody:
-    """l_m: a union of convex `parts`, in a box with the corners `lower` and `upper` (3,) [m].
+    """l_m, a union of convex `parts`; `lower`, `upper` (3,) [m] are corners of a box around it.
 
     The box is along the axes of the base's frame.
     """

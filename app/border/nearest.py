@@ -49,7 +49,7 @@ class Table(NamedTuple):
     tangents: Array
     """(N, R + 1) unit tangents at the vertices, as x + iy."""
     shown: Array
-    """(N, R + 1) [m] signed distance of each vertex from the nearest offset of another shape."""
+    """(N, R + 1) [m] signed distance of each vertex from the other offsets; negative if hidden."""
     spans: Array
     """(N, R / BLOCK) [m] largest distance of a vertex from the middle vertex of its block."""
 
@@ -272,11 +272,11 @@ def nearest_sample(
 
 @compiled()
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
-    """The fields of `Foot`: the point of a `BORDER` nearest to p (3,) [m] at the height of p.
+    """The p and t of `Foot`: the point of a `BORDER` nearest to p (3,) [m] at the height of p.
 
-    If the border consists of points and the pair number `pair` has some at this height, the result
-    is that of `nearest_sample`, with the surface's tangent if the sample's is undefined; otherwise
-    it is that of `nearest_offset`. Their x and y are NaN if l_m has no border.
+    If the border consists of points, and the pair with the index `pair` has some at this height,
+    the result is that of `nearest_sample`; if its t is NaN, t is that of the surface. Otherwise the
+    result is that of `nearest_offset`. If l_m has no border, x and y of both are NaN.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -303,7 +303,10 @@ class BorderSearch:
     """A border in the form that compiled functions use."""
 
     def __init__(self, table: Table, borders: Sequence[Border] = ()) -> None:
-        """Prepare the search of the surface `OffsetContours.table`, or of the pairs' `borders`."""
+        """Prepare the search of `OffsetContours.table` or, if there are `borders`, of their points.
+
+        `borders` has the border of each pair of arm and base, all for the same d_b.
+        """
         points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
         sampled = np.cumsum([0, *map(len, borders)])
         eps = borders[0].eps if borders else 0.0

@@ -17,11 +17,11 @@ from app.strict import Array
 
 RAYS = 360  # number of rays from the centre of a slice
 _STEP = 0.01  # [m] distance between heights, and along the arcs above the top and below the bottom
-_HIGH_BOTTOM = 0.8  # [-] smallest height of a shape's bottom / d_b with an arc below the bottom
+_HIGH_BOTTOM = 0.8  # [-] an offset has an arc below the shape if its bottom / d_b is above this
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
-_ALONE = 1.0  # [m] upper bound of `_shown`, which is its value if there are no other shapes
+_ALONE = 1.0  # [m] upper bound of `_shown`, and its value if there are no other shapes
 
 _Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
 _Rings = tuple[Array, Array]
@@ -39,9 +39,10 @@ class OffsetContours:
     def __init__(self, model: RobotModel, d_b: float) -> None:
         self.d_b = d_b
         self.table = _table(MobileBody(model).parts, d_b)
+        """The rings of the visible shapes; empty if l_m has no offset above the floor."""
 
     def contours(self, z: float) -> list[Array]:
-        """The contour at height z [m], the visible pieces of all rings, as polylines (K, 2) [m]."""
+        """The contour at height z [m]: polylines (K, 2) [m] of the visible pieces of all rings."""
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
             heights = table.heights[first:end]
@@ -93,7 +94,7 @@ def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
 
 @kept_per_model(8)
 def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the clouds' pairs, of the configured kind; cached for each model."""
+    """The border of the configured kind, for the pairs of the clouds; cached for each model."""
     table = offset_contours(model, config.d_b).table
     if config.kind == "surface":
         return BorderSearch(table)
@@ -164,7 +165,7 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: list[float]) -> list[_Level] | None:
-        """Trace all heights with a slice from the shape's centre; None if a slice is beside it."""
+        """From the shape's centre, trace each height with a slice; None if a slice excludes it."""
         found: list[_Level] = []
         ends = np.full(RAYS, -np.inf)
         for z in heights:

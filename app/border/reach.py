@@ -80,7 +80,7 @@ class Chain:
 
     @property
     def ranges(self) -> tuple[Array, Array]:
-        """Lower and upper ends (k,) [rad or m] of the ranges; at most one turn if revolute."""
+        """Lower and upper ends (k,) [rad or m] of the sampled ranges, of at most one turn."""
         turned = np.minimum(self.upper, self.lower + 2 * np.pi)
         return self.lower, np.where(self.turns, turned, self.upper)
 
@@ -216,7 +216,7 @@ def sample_reach_map(
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """Fit A, B and C of (9) to a map by `fit_parabola`; a DescriptionError replaces its error."""
+    """Fit (9) to a map by `fit_parabola`; raises a DescriptionError instead of its ValueError."""
     try:
         return fit_parabola(reach_map.rho, reach_map.reach, share)
     except ValueError as error:
@@ -234,7 +234,7 @@ def lattice(radius: float, spacing: float) -> Array:
 
 
 def _clearance(model: RobotModel, chain: Chain) -> Callable[[Array], bool]:
-    """A function: whether no bodies from the base to the chain's body overlap at positions (k,)."""
+    """A function of positions (k,): whether the bodies from the base to the chain's are apart."""
     names = model.body_names
     known = names[: names.index(chain.body) + 1]
     distances = PairDistances(model, [p for p in candidate_pairs(model) if p.b in known])

@@ -88,8 +88,8 @@ def sample_clouds(
     distance must be in the sampled range; collisions of other pairs are allowed.
 
     `progress` displays a progress bar on standard error. `on_progress` is called with the share of
-    the work that is done, 0 to 1. `processes` is their number, by default one for each usable core;
-    it has no effect on the result.
+    the work that is done, 0 to 1. `processes` is the number of processes, by default one for each
+    usable core; it has no effect on the result.
 
     Raises:
         DescriptionError: The base is too large for the stored points.
@@ -216,7 +216,7 @@ class Witnesses(NamedTuple):
 
 
 class PairReader:
-    """Closest points of a pair in postures q_m (N, n_m) [rad or m], with the base at the origin."""
+    """Closest points of a pair in many postures, with the base at the origin."""
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         self._model = model
@@ -225,7 +225,7 @@ class PairReader:
         self._q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
 
     def witnesses(self, q_m: Array) -> Witnesses:
-        """The closest points in the postures."""
+        """The closest points in postures q_m (N, n_m) [rad or m]."""
         found = Witnesses(q_m, np.empty(len(q_m)), np.empty((len(q_m), 3)), np.empty((len(q_m), 3)))
         for i, posture in enumerate(q_m):
             self._q[4:] = posture
@@ -236,7 +236,7 @@ class PairReader:
         return found
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
-        """(N, 3, n_m) Jacobians of points that are fixed to the body, now at p_b (N, 3) [m].
+        """(N, 3, n_m) Jacobians of points fixed to the body, at p_b (N, 3) [m] in postures q_m.
 
         The closest point also moves on the body, so these Jacobians only approximate its motion.
         """
@@ -296,7 +296,7 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Step into open voxels that are probably in range, from the first posture beside each."""
+        """Step into the open voxels probably in range, each from the first posture beside it."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - found.p_b[:, None]
@@ -391,7 +391,7 @@ class Voxels:
         # Turned by half a sector: if 4 divides `sectors`, no edge of a sector is on the wheel axis.
         x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
         turn = np.arctan2(y[:, None], x[None, :]).ravel() / (2 * np.pi) + 0.5 / sectors
-        self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns
+        self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of each column
 
     def cells(self, points: Array) -> Array:
         """Cells (N, 3), also outside of the grid, of points (N, 3) int16 as in `Cloud`."""
@@ -416,6 +416,6 @@ class Voxels:
         return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 if not `free`."""
+        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 if outside or not free."""
         keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

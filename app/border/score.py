@@ -90,7 +90,7 @@ class ScoreField:
 def field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
     """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m].
 
-    `coefficients` are those of `ScoreField`. At the mount, ∇R is undefined and counts as 0.
+    `coefficients` are `ScoreField.coefficients`. ∇R counts as 0 at the mount: it is undefined.
     """
     constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
     A, B, C = coefficients[6], coefficients[7], coefficients[8]
@@ -131,8 +131,8 @@ class RadialProfile:
     def peak(self) -> int:
         """Index of the shell with the largest mean, of those with at least 20 values.
 
-        If no shell has 20 values, the shells with the most values are compared. A ValueError means
-        that all shells are empty.
+        If no shell has 20 values, the shells with the most values are compared. Raises a ValueError
+        if all shells are empty.
         """
         if not self.count.any():
             raise ValueError("there are no values")

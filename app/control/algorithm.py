@@ -12,24 +12,27 @@ with its activation β (`insert_rows`). The base's rows are blended with the oth
 (`blend_base`); only in `set_up_room` they are springs too. A row with β = 0 has no effect, so the
 branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
-**The base** (`command_base`) precedes the arm, because it follows its commands late. Its tasks have
-slow gains (`slow`), because its commands are rare:
+**The base** (`command_base`). The base's command is computed before the arm's torques, because the
+base follows its commands late. Its QPs have slow gains (`slow`), because its commands are rare:
 
 1. `set_up_free_base`: a_free is the base's acceleration by all tasks except its rows of T_sca.
-   While a person guides the arm, a_free brakes the base, and only the method `barrier` has a QP.
+   While a person guides the arm, only the method `barrier` solves this QP; with the other methods
+   the base brakes, a_free = −k ν with k = `base_damping`.
 2. `blend_base`: a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
-3. `undragged`: a limit of the drag of the end-effector, if β_m > 0.
-4. `set_up_room`: room for the arm's task T_2 within the limits of the arm, only while tracking.
+3. `undragged`: if β_m > 0, a_des is changed so that the base drags the end-effector along less.
+4. `set_up_room`: only while tracking, this acceleration is changed as little as necessary for the
+   arm to fulfil T_2 within its limits.
 5. The result is clipped to ±a_max, because `set_up_room` has no limit of the base.
 
-The admittance law (§4.1, `update_command`) converts the result to the velocity command.
+The admittance law (§4.1, `update_command`) converts the result to the velocity command. If the axes
+of a base depend on each other, `Controller` then replaces this command by an admissible one.
 
 **The arm** (`accelerate_arm`). Its q̈ minimises the errors of the tasks; the rows of T_sca are
 springs that compete with them, (29). The arm's limits apply, and the base has its present
 acceleration (`assume_base`). The torques follow from q̈, (26).
 
 The compared method `hqp` solves neither of these problems: its q̈ is the solution of the paper's
-hierarchy (`app.control.hqp`), which `Controller` computes. Its border is the sampled one.
+hierarchy (`app.control.hqp`), which `Controller` computes. This method uses the sampled border.
 """
 
 import math
@@ -98,7 +101,8 @@ from app.robot.state import (
 )
 from app.strict import Array
 
-BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one
+BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one:
+# a jump would abruptly accelerate an arm inside the buffer
 
 DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 """Source of the base's acceleration in the arm's QP: model of the drive, caller, or command."""
@@ -139,8 +143,8 @@ def update_estimate(
     The present buffer distance `w.d_b` starts at the configured one, and approaches a new one at
     `BUFFER_RATE`. Without valid readings, or with the fault `jump` or `localisation`, all
     references are forgotten. With valid readings, `shift_reference` then shifts the reference that
-    `take_reference` has written. The result is whether the readings have a fault; invalid readings
-    have one.
+    `take_reference` has written. Returns whether the readings have a fault; invalid readings have
+    one. The arguments from `base_pose` on are those of `take_readings`.
 
     Paper: Algorithm 2, the part of line 2 that precedes pinocchio's computation.
     """
@@ -213,7 +217,7 @@ def algorithm_2(
 
 @compiled()
 def activate_pairs(gains: Any, w: Any) -> None:
-    """Write the activation β of each pair by its distance and `w.d_b` (Figure 10)."""
+    """Write the activation β of each pair, a function of its distance and `w.d_b` (Figure 10)."""
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
 
@@ -375,9 +379,9 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def track(gains: Any, w: Any, weight: float, damped: bool) -> tuple[Array, Array, Array, float]:
-    """H and c of the tasks `w.H_low`, `w.c_low` and T_2; right-hand side b (6,) and λ [m²] of T_2.
+    """H (n, n) and c (n,) of T_2 plus the task (`w.H_low`, `w.c_low`); b (6,) and λ [m²] of T_2.
 
-    `weight` [-] is the weight of T_2; without `damped`, λ is 0.
+    b and λ are those of `end_effector_task`; without `damped`, λ is 0. `weight` [-] is that of T_2.
     """
     velocity, acceleration = w.v_ref - w.v_ee, w.a_ref - w.Jdqd_ee
     k_p, k_v, speed = gains.ee_stiffness, gains.ee_damping, gains.ee_speed
@@ -390,7 +394,7 @@ def track(gains: Any, w: Any, weight: float, damped: bool) -> tuple[Array, Array
 
 @compiled()
 def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
-    """Write the tasks below T_sca and the torque range; forget references after tracking ends."""
+    """Write the tasks below T_sca and the torque range; forget references when tracking ends."""
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
@@ -422,7 +426,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 
 @compiled()
 def put_qp(w: Any, H: Array, c: Array, rows: slice, b: Array, least: float, fixed: int) -> None:
-    """Store the objective (H, c) of the next QP, with `rows` of T_sca and b as springs."""
+    """Store the objective of the next QP: (H, c), and `rows` of T_sca by `insert_rows`."""
     H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], least, fixed)
     put_rows(w.qp_H, H)
     put(w.qp_c, c)
@@ -432,14 +436,15 @@ def put_qp(w: Any, H: Array, c: Array, rows: slice, b: Array, least: float, fixe
 def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     """Write the limits of the QP `which` into w.C, w.l, w.u and w.softness; return their number.
 
-    Each QP has the limits of torques and joints, with the approach rates of `gains`. A barrier of a
-    pair has a row for each convex part of l_a.
+    Each QP has the limits of torques and joints, with the approach rates of `gains`. The torque
+    limits are hard: w.u_min and w.u_max in the arm's QP, otherwise those of the robot. All other
+    limits are soft. A barrier of a pair has a row for each convex part of l_a.
 
-    - ARM: the torques are within w.u_min and w.u_max. If the method has barriers, the distances of
-      all pairs stay above d_min. The limits of joints and distances include external accelerations;
-      those of speeds and distances have a margin for recent errors of velocities. While readings
-      are rare or late, the limits of joints and distances also apply with a slower rate.
-      `torque_reachable_bounds` then changes the limits of joints.
+    - ARM: if the method has barriers, the distances of all pairs stay above d_min. The limits of
+      joints and distances include external accelerations; those of speeds and distances have a
+      margin for recent errors of velocities. While readings are rare or late, the limits of joints
+      and distances also apply with a slower rate. `torque_reachable_bounds` then changes the limits
+      of joints, so that each joint can satisfy them by its own torque.
     - FREE_BASE: for the method `barrier`, the barriers of all pairs at d_min.
     - ROOM: for the method `dbb`, the barriers of L_m at d_min, and those of the pairs within the
       arm at w.d_b.
@@ -516,7 +521,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
 @compiled()
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
-    """A base acceleration near a_des that hardly drags the end-effector along, by `limit_ee_drag`.
+    """(n_b,) base acceleration near a_des that drags the end-effector along less.
 
     If β_m (here `w.B[0]`) is 0, the result is a_des. Otherwise a_des is clipped to ±a_max, the mass
     in `limit_ee_drag` is β_m `ee_hold.weight` times the base's mass, and the command a_hold leads
@@ -575,7 +580,7 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     from these values, and can change them (`solve_qp_step`). If the active-set method finds no
     solution, `w.qp_open` marks the QP as open: `Controller` lets ProxQP solve it, and calls
     `algorithm_2` again. In this second pass the result is ProxQP's solution. Returns the solution
-    (n,), and whether one is found by now.
+    (n,), and whether a solution has been found.
     """
     C, l, u, softness = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
@@ -619,8 +624,8 @@ def next_command(
 
     The change of the command (n_b,) is limited to ±`a_max` [m/s² or rad/s²] times `period` [s], and
     the result to ±`v_max`; `command` and `v_max` are in m/s or rad/s. The input a, `acceleration`
-    (n_b,) [m/s² or rad/s²], is the mean of `a_base_cmd` in the command period. The force M_a a is
-    not the base's part of u, which is not zero while the base is at rest: the base would drift.
+    (n_b,) [m/s² or rad/s²], is the mean of `a_base_cmd` in the command period. The base's part of u
+    is not the input: that part is not zero while the base is at rest, and the base would drift.
     `mass` and `damping` are the diagonals (n_b,) of M_a [kg or kg m²] and D_a [N s/m or N m s].
     """
     found, gain = np.empty(len(command)), response(mass, damping, period)[0]
@@ -649,13 +654,16 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Write the torques by q̈, (26), or the fallback command, and update the velocity command."""
+    """Write the torques by q̈, (26), or the fallback command; then update the velocity command.
+
+    The fallback command is gravity compensation with damping of the joints, and a base that brakes.
+    """
     for which in (FREE_BASE, ROOM):
         if w.qp_tried[which] != 0.0 and math.isnan(w.qp_x[which, 0]):
             w.given_up[()] += 1.0
     if w.solved[()] != 0.0:
         u = times(w.M[robot.n_b :], w.qdd) + w.h[robot.n_b :]  # (26)
-    else:  # the fallback command: gravity compensation and damping, and a base that brakes
+    else:  # the fallback command
         w.failures[()] += 1.0
         u = w.u_free
         # Without valid readings, the base is assumed to move at the commanded velocity.
@@ -675,7 +683,8 @@ def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
 
     With valid readings, the first pass of a step only marks the hierarchy as open (`w.qp_open`),
-    `app.control.hqp` solves it, and the second pass writes the commands by this solution.
+    `app.control.hqp` solves it, and the second pass writes the commands by this solution. Without
+    valid readings or a solution, `put_commands` writes the fallback command.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

@@ -31,7 +31,7 @@ _SIZES = np.geomspace(0.05, 2.0, 25)  # [m] sampled d_b
 
 @compiled()
 def _gain(v: float, a: float, T: float) -> float:
-    """[m] lead of a motion at speed v over one at a T (1 - e^(-t/T)), when the speeds are equal."""
+    """[m] path at speed v minus path at speed a T (1 - e^(-t/T)), until the speeds are equal."""
     final = max(a * T, 1e-12)
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
@@ -101,9 +101,9 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b for which the bound of the distance is at least `RESERVE`.
 
-    Delay and slip are those of the configuration; its d_b has no influence. The result is at least
-    the larger of `RESERVE` and d_full, and is this value if v ≤ 0. It is infinite if no d_b up to
-    2 m suffices, for example because the arm is faster than the base.
+    Delay and slip are those of the configuration; the configured d_b has no influence. The result
+    is at least the larger of `RESERVE` and d_full, and equals this value if v ≤ 0. It is infinite
+    if no d_b up to 2 m suffices, for example because the arm is faster than the base.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:

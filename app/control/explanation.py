@@ -57,7 +57,7 @@ class ForceSplit(NamedTuple):
     """The force on the base by one pair, split as in Figure 7; horizontal, forward and left."""
 
     f: Planar
-    """[N] f_m,i of (14), the sum of the next two."""
+    """[N] f_m,i of (14), the sum of `away` and `turn`."""
     away: Planar
     """[N] component of f along the horizontal part of n: it moves the base away from the arm."""
     turn: Planar
@@ -93,25 +93,27 @@ class NearPair(NamedTuple):
     n: tuple[float, float, float]
     """Normal from `a` to `b`, in the base's frame, of length 1 or less."""
     above: float
-    """[-] 1 − ‖n_xy‖: share of the force, 0 to 1, that vanishes if the arm is above the base."""
+    """[-] 1 − ‖n_xy‖: share of the force, 0 to 1, that is lost above the base; 0 within the arm."""
     arm_beta: float
     """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
     limited: bool
     """Whether the barrier of the pair's distance is active: it limits the approach."""
     force: ForceSplit | None
-    """The force of the pair on the base; None if the pair does not push the base."""
+    """The force of the pair on the base. None for a pair within the arm, while the base has no
+    active rows of T_sca, and without an acting point."""
 
 
 class Level(NamedTuple):
     """The slack of one task: the task's demand minus the result."""
 
     name: LevelName
-    """"base", "links", "arm": rows of T_sca of the base, between links, and T_rep; "ee": T_2;
-    "posture": the lowest task, or "free" during guiding: the motion without avoidance."""
+    """"base": the base's rows of T_sca; "links": the rows between links; "arm": the rows T_rep;
+    "ee": T_2; "posture": the lowest task while tracking; "free": the lowest task while a person
+    guides the arm, the motion without avoidance."""
     linear: float | None
     """[m/s²] norm of the linear part of the slack; None for "posture" and "free"."""
     angular: float | None
-    """[rad/s²] norm of the angular or the joints' part of the slack; None for "arm" and "links"."""
+    """[rad/s²] norm of the angular part, or of the joints' slack; None for "arm" and "links"."""
 
 
 class Explanation(NamedTuple):
@@ -137,7 +139,8 @@ class Explanation(NamedTuple):
     commanded_acceleration: ByAxis
     """[m/s² or rad/s²] commanded base acceleration."""
     assumed_acceleration: ByAxis
-    """[m/s² or rad/s²] `a_base_meas`; with the fallback command, the commanded acceleration."""
+    """[m/s² or rad/s²] base acceleration that the arm's QP assumes (`a_base_meas`); with the
+    fallback command, the commanded acceleration."""
     levels: tuple[Level, ...]
     """Slack of each active task, as by `level_readings`; empty with the fallback command."""
     bounds: tuple[Bound, ...]
@@ -160,7 +163,7 @@ class Explanation(NamedTuple):
 def explain(
     controller: Controller, w: ControlStep, config: Config, base_command: Array
 ) -> Explanation:
-    """Explain the last step, with the present velocity command (n_b,) [m/s or rad/s]."""
+    """Explain the last step `w`; `base_command` (n_b,) [m/s or rad/s] is the velocity command."""
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
     limited = {bound.where for bound in bounds if bound.kind == "barrier"}
@@ -187,7 +190,7 @@ def explain(
 
 
 def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
-    """The slack of each active task, the highest weight first: w_sca* and w_2 of (29)."""
+    """The slack of each active task: w_sca* of (29), w_2 while tracking, and the lowest task's."""
     levels, n_b = [], base.n_b
     if w.B[0] > 0.0:
         levels.append(Level("base", *linear_and_angular(base, w.a_base_des - w.a_base_cmd)))
@@ -233,7 +236,7 @@ def _norm(vector: Array) -> float:
 def split(f: Array, n: Array) -> tuple[Array, Array]:
     """The parts of a horizontal force f (3,) [N] along and across the horizontal part of n.
 
-    If the unit normal n (3,) from the base to the arm is vertical, all of f is across.
+    If the normal n (3,) from the base to the arm is vertical, all of f is across.
     """
     along = np.array([n[0], n[1], 0.0])
     length = float(np.linalg.norm(along))

@@ -1,8 +1,8 @@
 """The robot's limits as rows l ≤ C q̈ ≤ u: torques, joint positions and speeds, distances.
 
 Torque limits are hard. Limits of joints and distances are soft: if they contradict each other or
-the torque limits, the QP still has a solution. They constrain the total acceleration of the arm:
-the sum of q̈_m and of the acceleration by external forces.
+the torque limits, the QP still has a solution. In the arm's QP, limits of joints and distances
+constrain the arm's total acceleration: the sum of q̈_m and the acceleration by external forces.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from app.compiled import compiled
 from app.control.qp import cholesky, dot, fill, forward, inverse_diagonal, put, solved, times
 from app.strict import Array
 
-_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent errors of used velocities
+_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent velocity errors
 _MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a larger one would let
 # the constraints throw the arm away from an obstacle that it hardly approaches
 
 
 @compiled()
 def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
-    """Smallest and largest torques (n_m,) of a step, within `tau_max` and `change` of the last."""
+    """Smallest and largest torques (n_m,) [N m or N]: `u_last` ± `change`, within ±`tau_max`."""
     low, high = np.empty(len(u_last)), np.empty(len(u_last))
     for i in range(len(u_last)):
         at = min(max(u_last[i], -tau_max[i]), tau_max[i])
@@ -54,7 +54,8 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
     ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
     that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
     because an h below −2 max_speed/λ counts as this value. `Jdqd` [m/s²] is the acceleration of the
-    distance at q̈ = 0, `d_dot` [m/s] the speed of the distance, `h` is in m, and `rate` [1/s] is λ.
+    distance at q̈ = 0, `d_dot` [m/s] the speed of the distance, `h` is in m, `rate` [1/s] is λ, and
+    `max_speed` is in m/s.
     """
     return -2.0 * rate * d_dot - rate**2 * max(h, -2.0 * max_speed / rate) - Jdqd
 
@@ -63,8 +64,8 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 def fastest_rate(blind_time: float, dt: float) -> float:
     """[1/s] largest rate 1/(2 T) of the additional, slower bounds on q̈; infinite for T ≤ dt.
 
-    T [s] is `w.blind_time`. Between readings the law reacts to its own prediction: a faster
-    reaction to a wrong prediction would let the arm oscillate.
+    T [s] is `w.blind_time`, and dt [s] the control period. Between readings the law reacts to its
+    own prediction: a faster reaction to a wrong prediction would let the arm oscillate.
     """
     return 0.5 / blind_time if blind_time > dt else math.inf
 
@@ -96,10 +97,11 @@ def joint_bounds(
 ) -> Array:
     """(2, n_m) [rad/s² or m/s²] lower and upper bounds on q̈_m, from position and speed limits.
 
-    For each joint and side, the tightest of four bounds counts: by position and by speed, each with
-    its own rate [1/s], and each with the smaller one of this rate and `fastest` [1/s]. A slow rate
+    For each joint and side, the tightest of four bounds counts: the bounds by position and by speed
+    with their own rates [1/s], and the same two with rates of at most `fastest` [1/s]. A slow rate
     brakes early, a fast one brakes strongly. If a lower bound exceeds the upper bound of the same
-    joint, the two are exchanged.
+    joint, the two are exchanged. `q` and `qd` (n_m,) are the joints' positions and speeds; the rows
+    of `q_limits` and `qd_limits` (2, n_m) are lower and upper limits.
     """
     found = np.empty((2, len(q)))
     for i in range(len(q)):
@@ -118,7 +120,7 @@ def joint_bounds(
 def torque_reachable_bounds(
     robot: Any, gains: Any, w: Any, bounds: Array, qd_limits: Array
 ) -> Array:
-    """The `bounds` (2, n_m) on q̈_m, changed so that each joint can satisfy them by its own torque.
+    """(2, n_m) the `bounds` on q̈_m, changed so that each joint can satisfy them by its own torque.
 
     First, the acceleration towards a speed limit is bounded: if a joint's torque changes at the
     rate r [N m/s or N/s], its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose
@@ -174,7 +176,7 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
 def distance_rows(
     J: Array, least: Array, rows: Array, qdd_ext: Array, C: Array, l: Array, u: Array
 ) -> None:
-    """Write `least` (k,) ≤ J (q̈ + q̈_ext) into C, l and u, for the rows of J in `rows` (k,).
+    """Write `least` ≤ J (q̈ + q̈_ext) into C (k, n), l and u (k,), for the k rows of J in `rows`.
 
     q̈_ext has the external acceleration `qdd_ext` (n_m,) of the arm, and 0 for the base.
     """
@@ -198,8 +200,9 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
     the arm resists for a moment by its inertia, and joints can exceed their speed limits. The
     result is at least 0; it is 0 at contact, and if no joint of the arm changes the distance.
 
-    `d` [m] and `d_dot` [m/s] are the distance and its speed, J (n,) is its Jacobian, M (n, n) the
-    inertia matrix. `load` (n,) has the torques t: the gravity terms at rest, or `steady_torques`.
+    `d` [m] and `d_dot` [m/s] are the signed distance and its speed, which is negative during an
+    approach. J (n,) is the Jacobian of the distance, M (n, n) the inertia matrix. `load` (n,) has
+    the torques t: the gravity terms at rest, or `steady_torques`. `tau_max` (n_m,) has the τ_i.
     """
     n_b, static = len(J) - len(tau_max), np.inf
     for i in range(len(tau_max)):

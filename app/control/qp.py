@@ -154,8 +154,8 @@ def _activate_row(
     """Change y and the active rows, the first `size` of `kept`, until row p is at its bound.
 
     `side` is 1 if row p is below its lower bound, −1 if above its upper one, `miss` the distance
-    from this bound. Returns the number of active rows, and whether row p is at its bound; if not,
-    the hard rows are infeasible.
+    from this bound; K and y are those of `_nearest_within`. Returns the number of active rows, and
+    whether row p is at its bound; if not, the hard rows are infeasible.
     """
     m = len(y)
     while True:
@@ -189,10 +189,10 @@ def _activate_row(
 def compliances(softness: Array, length: Array) -> Array:
     """(m,) compliances of the rows after their scaling to unit length; 0 for hard rows.
 
-    Before this scaling, a row with the length √(C_i H⁻¹ C_iᵀ) and the softness ε² > 0 has the
-    compliance ε² κ, where κ is the squared length of the shortest soft row: a slack s costs
-    ½ s² / (ε² κ). If κ depended on the row, a light wrist would accelerate strongly to brake a
-    heavy shoulder.
+    Before this scaling, a row with the softness ε² > 0 has the compliance ε² κ: a slack s costs
+    ½ s² / (ε² κ). κ is the squared length of the shortest soft row, for all rows. If κ depended on
+    the row, a light wrist would accelerate strongly to brake a heavy shoulder. `softness` (m,) has
+    ε² of each row, and `length` (m,) its length √(C_i H⁻¹ C_iᵀ) before the scaling.
     """
     least = np.inf
     for i in range(len(softness)):
@@ -315,7 +315,7 @@ def solve_qp(
         fixed: (k,) the first entries of x.
 
     Returns:
-        (n,) the solution, and whether the active sets found it.
+        (n,) the solution, and whether the active-set search has found it.
     """
     k = len(fixed)
     L, free = _free_optimum(H, c, fixed)
@@ -328,10 +328,10 @@ def solve_qp(
 def solve_qp_step(
     H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, fixed: Array
 ) -> tuple[Array, bool]:
-    """The feasible x nearest to x_0, the optimum with the fixed entries and without limits.
+    """The x within the limits nearest to x_0, the optimum with the fixed entries without limits.
 
-    The distance is in the metric H, and all entries of x can differ from x_0, the fixed entries
-    too. Arguments and results are those of `solve_qp`.
+    The distance is in the metric H, and slacks cost as in `solve_qp`. All entries of x can differ
+    from x_0, the fixed entries too. Arguments and results are those of `solve_qp`.
     """
     x = _joined(fixed, _free_optimum(H, c, fixed)[1])
     return _nearest_within(x, cholesky(H), C, l, u, softness)

@@ -291,7 +291,7 @@ def _read_table(text: str) -> tuple[Quantity, ...]:
 
 
 QUANTITIES: tuple[Quantity, ...] = _read_table(_TABLE)
-"""The table."""
+"""The rows of the table."""
 
 PINOCCHIO = {
     "M_pin": types.Array(types.f8, 2, "F"),
@@ -335,7 +335,7 @@ class ControlStep:
         """
         self.pairs, self.rows = tuple(pairs), rows
         self.pinocchio: object = None
-        """The owner of the memory of these views; it must exist as long as the views."""
+        """The owner of the memory of `PINOCCHIO`'s views; it must exist as long as the views."""
         self.n_b, self.n_mob = sizes["n_b"], sizes["n_mob"]
         shapes = [
             [sizes[size] if size in sizes else int(size) for size in each.shape.split()]

@@ -70,9 +70,10 @@ def mobile_activation(beta: Array) -> float:
 
 @compiled()
 def generate_rep_acc(d_dot: Any, k_p: float, k_v: float) -> Any:
-    """ẍ_r = k_p − k_v ḋ [m/s²]: separates the links of a pair, or of each pair of an array.
+    """ẍ_r = k_p − k_v ḋ [m/s²], which separates the links of a pair.
 
-    Paper: Eq. (20), where ḋ [m/s] is nᵀ(ṗ_b − ṗ_a). k_p is in m/s², k_v in 1/s.
+    Paper: Eq. (20), where ḋ is nᵀ(ṗ_b − ṗ_a). `d_dot` [m/s] is ḋ of one pair, or an array of the ḋ
+    of several pairs, and the result has the same form. k_p is in m/s², k_v in 1/s.
     """
     return k_p - k_v * d_dot
 
@@ -165,7 +166,8 @@ def rotation_by(vector: Array) -> Array:
 def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
     """x_d ⊖ x, (6,): the linear error [m], then the angular error [rad] as a rotation vector.
 
-    Both are in axes of the world.
+    `p` (3,) [m] and `R` (3, 3) are the present pose, `p_ref` and `R_ref` the desired one. Poses and
+    errors are in axes of the world.
     """
     error, turn = np.empty(6), np.empty((3, 3))
     for i in range(3):
@@ -184,7 +186,7 @@ def end_effector_task(
 
     The norms of the linear and of the angular part of k_p (x_d ⊖ x) are bounded by k_v times
     `max_speed` [m/s and rad/s]. Therefore the end-effector approaches a distant target at this
-    speed. `pose` (6,) [m, rad] is x_d ⊖ x, `velocity` (6,) [m/s, rad/s] its derivative, and
+    speed. `pose` (6,) [m, rad] is x_d ⊖ x, `velocity` (6,) [m/s, rad/s] is ẋ_d − ẋ, and
     `acceleration` (6,) [m/s², rad/s²] is ẍ_d − J̇_ee q̇. k_p is in 1/s², k_v in 1/s.
 
     Paper: Eq. (26), its task T_2.
@@ -322,7 +324,8 @@ def add_base_rest_task(
     """H and c of a guided arm for a free base, with the task that brings this base to rest.
 
     The arguments H and c are those of `guided_objective`, `L_aa` is the Cholesky factor of M_aa,
-    and `qd` (n,) is q̇. `weight` [-] and `damping` [1/s] are `base_weight` and `base_damping`.
+    and `qd` (n,) is q̇. `weight` [-] and `damping` [1/s] are the two numbers of `base` in
+    `posture_objective`.
     """
     n = len(c)
     H, c = H.copy(), c.copy()
@@ -348,8 +351,8 @@ def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array
 
     This is our extension. The force (14) acts on the base alone; without a reaction a released arm
     would stay in the buffer, and the base would continue to move. `d` (k,) [m] and `J` (k, n) are
-    distances and Jacobians of the pairs of arm and base, and f [N] is the force at contact.
-    1 − d/d_b is limited to 0 … 1, and J_a is the arm's part of J.
+    distances and Jacobians of the pairs of arm and base, f [N] is the force at contact, and d_b [m]
+    the buffer distance. 1 − d/d_b is limited to 0 … 1, and J_a is the arm's part of J.
     """
     u = np.zeros(J.shape[1] - n_b)
     for i in range(len(d)):
@@ -444,7 +447,7 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
 
 @compiled()
 def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag: Array) -> Array:
-    """The base acceleration near the desired one that hardly drags the end-effector along.
+    """(n_b,) base acceleration near the desired one that drags the end-effector along less.
 
     The result a minimises (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖². The second term acts
     like a mass m [kg] on the end-effector along directions in which the arm does not compensate the

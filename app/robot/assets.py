@@ -36,7 +36,7 @@ _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
 _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
-_MAX_ATTRIBUTES = 100  # [-] of an element; some parsers compare each attribute with all others
+_MAX_ATTRIBUTES = 100  # [-] largest number per element; some parsers compare each with all others
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -84,7 +84,7 @@ def robot_names() -> list[str]:
 def check_robot_name(name: str) -> None:
     """Raise an UnknownNameError if a robot does not exist.
 
-    The message lists the existing robots, and the first unusable folder of `$DBB_ROBOTS`.
+    The message lists the existing robots, and states the first unusable folder of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())
@@ -107,7 +107,7 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot; for an unknown name, the folder that a delivered robot would have."""
+    """Folder of a robot: a delivered one precedes a user's; for an unknown name, in `ASSETS`."""
     return next(iter(_folders(name)), ASSETS / name)
 
 
@@ -162,7 +162,8 @@ def followed(path: Path) -> Path:
 def package_roots(package: str) -> list[Path]:
     """Folders of an installed package: those of the Python package, then those in `share_folders`.
 
-    A folder in the current directory does not count, unless `sys.path[1:]` has this directory.
+    The list is empty if the package is not installed. A folder in the current directory does not
+    count, unless `sys.path[1:]` has this directory.
     """
     spec = None
     if package.isidentifier() and package != "__main__":  # which has no folder
@@ -178,7 +179,7 @@ def package_roots(package: str) -> list[Path]:
 
 
 def share_folders() -> list[Path]:
-    """Folders `share`; wheels install ROS packages in them."""
+    """The folders `share` of this Python; wheels install ROS packages in them."""
     libraries = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib")}
     prefixes = [*(library / "cmeel.prefix" for library in sorted(libraries)), Path(sys.prefix)]
     return [share for prefix in prefixes if (share := prefix / "share").is_dir()]
@@ -286,7 +287,7 @@ _UTF16 = {
     **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
     **{b"<\0": "utf-16-le", b"\0<": "utf-16-be"},
 }
-"""First bytes of a file in UTF-16; without these, a file that declares UTF-16 is read as UTF-8."""
+"""UTF-16 by a file's first bytes; without these, a file that declares UTF-16 is read as UTF-8."""
 _KINDS = {
     **dict.fromkeys((b"#usda", b"PXR-USDC"), "a USD file"),
     b"%PDF": "a PDF",

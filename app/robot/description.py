@@ -198,7 +198,7 @@ class RobotDescription(Strict):
 def register_base_kind(kind: type[BaseKind]) -> None:
     """Register a kind of base for descriptions: a record whose `kind` is a `Literal` of one name.
 
-    A DescriptionError means that the `Literal` has several names, another kind has the name, or the
+    Raises a DescriptionError if the `Literal` has several names, another kind has the name, or the
     kind lacks a definition that `BaseKind` demands.
     """
     names = get_args(kind.model_fields["kind"].annotation)
@@ -232,8 +232,8 @@ def load_description(path: Path) -> RobotDescription:
     """Read and validate a description file.
 
     Raises:
-        DescriptionError: The file is missing or is not TOML, or a field is missing, unknown or
-            invalid; the message names the file, the field and the valid values.
+        DescriptionError: The file is missing, unreadable or not TOML, or a field is missing,
+            unknown or invalid; the message names the file, the field and the valid values.
     """
     try:
         return RobotDescription.model_validate(from_toml(file_text(path)))

@@ -67,6 +67,7 @@ class LinkPairs:
     samples: int
     """Number of sampled joint positions."""
     seed: int
+    """Seed of the random joint positions."""
 
     @property
     def all(self) -> tuple[Pair, ...]:
@@ -97,10 +98,10 @@ class PairDistances(ShapeDistances):
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
         rows = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
         super().__init__(model, shapes, rows)
-        results = self._placed.distanceResults  # reading it takes longer than computing distances
+        results = self._placed.distanceResults  # an access takes longer than the computation
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
-        """For each pair, the results of all pairs of its shapes and then, if `a` has several
-        shapes, those of each shape of `a`."""
+        """For each pair a list: first the results of all pairs of shapes of `a` and `b`; then, if
+        `a` has several shapes, the results of each shape of `a` with the shapes of `b`."""
 
     def update(self, q: Array) -> None:
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
@@ -108,7 +109,7 @@ class PairDistances(ShapeDistances):
         pin.computeDistances(self._geometry, self._placed)
 
     def distances(self) -> tuple[float, ...]:
-        """[m] signed distances of all pairs."""
+        """[m] signed distance of each pair at the last update."""
         rows = np.empty(len(self.firsts) - 1)
         self.write_distances(rows)
         return tuple(rows[: len(self.pairs)].tolist())
@@ -122,7 +123,7 @@ class PairDistances(ShapeDistances):
         return found
 
     def closest(self, i: int) -> ClosestPoints:
-        """The closest points of the i-th pair, as copies."""
+        """The closest points of the i-th pair at the last update, in the world, as copies."""
         found = []
         for at in map(_nearest, self._results[i]):
             p_a, p_b = at.getNearestPoint1(), at.getNearestPoint2()
@@ -155,9 +156,9 @@ def sample_joints(model: RobotModel, count: int, rng: np.random.Generator) -> Ar
 
 
 def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0) -> LinkPairs:
-    """Find the pairs that can collide, by `samples` random joint positions.
+    """Find the pairs that can collide, by random sampling of the joint positions.
 
-    A pair is in L if at least one sample has a signed distance of zero or less.
+    A pair is in L if at least one of the `samples` has a signed distance of zero or less.
 
     Paper: Eq. (1).
     Paper: Eq. (2).

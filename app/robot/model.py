@@ -41,12 +41,13 @@ class RobotModel:
         shape_ids: Indices of a body's shapes in `geometry`, by the name of the body.
         body_joints: Pinocchio's index of the joint that moves a body, by the name of the body.
         ee_frame, mount_frame: Pinocchio's indices of the frames of end-effector and arm's mount.
-        n, n_b, n_m: Degrees of freedom of the reduced velocity, n = n_b + n_m, base and arm.
+        n, n_b, n_m: Degrees of freedom of the reduced velocity (n_b + n_m), the base and the arm.
         n_d: Number of states of the base's drive besides its velocity.
         reading_shapes: Valid shapes of the arrays of a `Measurement`: with and without `drive`.
-        J_m, J_m_inv: (n_b, n_b) `BaseKind.J_m`, of (19) for a differential base; its inverse.
+        J_m, J_m_inv: (n_b, n_b) `BaseKind.J_m`, for a differential base that of (19); its inverse.
         base_rows: (n_b, n) [J_m O] of (19): the rows of ẍ_m and of the base's acceleration limits.
-        S: (3 + n_m, n) map from the reduced velocity to pinocchio's: T J_m, and 1 for the arm.
+        S: (3 + n_m, n) map from the reduced velocity to pinocchio's: T J_m for the base, the
+            identity for the arm.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] limits of the base's axes.
         base_inertia: (n_b,) [kg or kg m²] mass or inertia of each axis.
         joint_damping: (n_m,) [N m s/rad or N s/m] damping of the arm's joints.
@@ -60,8 +61,9 @@ class RobotModel:
 
         Raises:
             AssetError: The URDF is missing, or as for `ConvexMesh.hull`.
-            DescriptionError: pinocchio cannot read the URDF, the URDF lacks a joint or link, or the
-                order, the kind, a limit or the ready position of an arm's joint is invalid.
+            DescriptionError: pinocchio cannot read the URDF, or it lacks a joint or link. The arm's
+                joints are not in the order of the chain, or one is continuous. A speed or torque
+                limit is not above zero, or the ready position is not within the position limits.
         """
         self.description = description
         full = whole_model(description)
@@ -123,7 +125,7 @@ class RobotModel:
         return 1.0 / np.diag(np.linalg.inv(self.mass_matrix(q, self.pin.createData())))[3:]
 
     def mass_matrix(self, q: Array, data: pin.Data) -> Array:
-        """(3 + n_m, 3 + n_m) M at pinocchio's configuration q; `data` is the memory for it."""
+        """(3 + n_m, 3 + n_m) M at pinocchio's configuration q (4 + n_m,), computed in `data`."""
         M = pin.crba(self.pin, data, q)
         return np.triu(M) + np.triu(M, 1).T
 
@@ -253,7 +255,7 @@ def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
 
 
 def whole_model(description: RobotDescription) -> pin.Model:
-    """Pinocchio's model on a planar root, with all joints of the URDF; errors of `RobotModel`."""
+    """Pinocchio's model on a planar root, with all joints of the URDF; errors: as `RobotModel`."""
     try:
         return pin.buildModelFromXML(bare_urdf(description), pin.JointModelPlanar())
     except (ValueError, RuntimeError) as error:
@@ -272,7 +274,7 @@ def configured(whole: pin.Model, positions: Mapping[str, float]) -> Array:
 
 
 def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, float]:
-    """For each wheel's joint 1 if its axis points left (rolling) or up (steering), otherwise -1."""
+    """For each wheel's joint, 1 if its axis points left (rolling) or up (steering), else -1."""
     data, signs = full.createData(), {}
     pin.computeJointJacobians(full, data, pin.neutral(full))
     for name in (name for wheels in description.base.wheels for name in wheels.joints):

@@ -166,7 +166,7 @@ class Superquadric(_Placed):
     """[-] roundness in plan."""
 
     def vertices(self) -> Array:
-        """`polytope_vertices` of this shape."""
+        """(N, 3) [m] corners of the polytope in the shape's own frame; read-only."""
         return polytope_vertices(self.semi_axes_m, self.e1, self.e2)
 
     def coal_geometry(self) -> coal.CollisionGeometry:
@@ -209,7 +209,7 @@ def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
     coal refuses corners with more than 255 neighbours, such as those of a finely drawn disc. Then
     the points are rounded to `grid` [m], which is doubled until coal accepts them.
     """
-    points = _thick(np.asarray(points, dtype=float))  # coal ends the process without a volume
+    points = _thick(np.asarray(points, dtype=float))  # without a volume, coal ends the process
     vertices = coal.StdVec_Vec3s()
     for vertex in points:
         vertices.append(vertex)
@@ -266,7 +266,7 @@ def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> 
 
 
 def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, float, float]:
-    """Semi-axes [m] of the superquadric through the corners of a box with side lengths [m]."""
+    """Semi-axes [m] of the superquadric through the corners of a box with the sides `size` [m]."""
     growth = (2.0 ** (e2 / e1) + 1.0) ** (e1 / 2)
     a, b, c = (0.5 * side * growth for side in size)
     return a, b, c

@@ -5,7 +5,8 @@ The kernels use pinocchio's Jacobian of a serial chain on a planar base. Column 
 moves. The first three rows are linear, at the origin of the world, and the last three are angular.
 Joint 1 is the planar base with the columns 0 to 2, and each joint moves all later joints. Thus a
 body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced velocities q̇_b of
-the base to its twist (v_x, v_y, ω_z). Points p (3,) [m] are in the world.
+the base to its twist (v_x, v_y, ω_z). S and `J_m_inv` are those of `RobotModel`. Points p (3,) [m]
+are in the world.
 """
 
 import math
@@ -23,7 +24,7 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 _FLOAT = np.dtype(float)
-_LATEST = 1e11  # [s] times from here on are in nanoseconds
+_LATEST = 1e11  # [s] a larger time must be in nanoseconds
 _GRAVITY = 9.81  # [m/s²]
 _Vector = Array | tuple[float, float, float]
 
@@ -48,13 +49,13 @@ class Measurement(NamedTuple):
     time: float = np.nan
     """[s] time at which the joints were measured, by the clock of `now`; NaN without a stamp."""
     base_time: float = np.nan
-    """[s] time at which the base's pose and velocity were measured; NaN: when the joints were."""
+    """[s] time at which the base's pose and velocity were measured; NaN: at the joints' time."""
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
     """An array of floats from a caller's values; masked values become NaN.
 
-    A MeasurementError is raised if they are not real numbers, or their number is not in `sizes`.
+    Raises a MeasurementError if the values are not real numbers, or their count is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -67,7 +68,7 @@ def numbers(name: str, values: Any, *sizes: int) -> Array:
 
 
 def velocities(name: str, values: Any, size: int) -> Array:
-    """`numbers` of velocities (size,), with its error; None or an empty array becomes NaN."""
+    """An array (size,) of velocities; None or an empty array becomes NaN. Errors: as `numbers`."""
     found = numbers(name, () if values is None else values, size, 0)
     return found if found.size == size else np.full(size, np.nan)
 
@@ -77,7 +78,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
     Raises:
         MeasurementError: The value is not a `Measurement`, a field has a wrong type or number of
-            values, a time is not in seconds, or there is a time stamp without `now`.
+            values, a time is of single precision or not in seconds, or a time stamp has no `now`.
     """
     if not isinstance(measurement, Measurement):
         fields, kind = ", ".join(Measurement._fields), type(measurement).__name__
@@ -113,7 +114,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def _seconds(name: str, value: Any) -> float:
-    """A time [s], NaN for None; a `MeasurementError` for nanoseconds and single precision."""
+    """A time [s], NaN for None; raises a MeasurementError for other types, units or precisions."""
     if value is None:
         return np.nan
     if isinstance(value, np.floating) and value.itemsize < 8:
@@ -205,13 +206,13 @@ def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
 def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
-    """Acceleration [m/s²] of a body's point at p (3,) and q̈ = 0; twist and bias are (6,)."""
+    """Acceleration [m/s²] at q̈ = 0 of a body's point at p (3,), from its twist and bias (6,)."""
     return _swept(point_velocity(bias, p), twist[3:], point_velocity(twist, p))
 
 
 @compiled()
 def carrying(joint: int) -> int:
-    """Number k: pinocchio's first k velocities move the body on a joint; 0 for the world."""
+    """Number k: the first k of pinocchio's velocities move the body on a joint; 0 for the world."""
     return joint + 2 if joint > 0 else 0
 
 
@@ -273,7 +274,7 @@ def reduced_dynamics(
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
-    """(3, n) [m/rad or 1] Jacobian of the point at p (3,) of a joint's body."""
+    """(3, n) [m/rad or 1] Jacobian of the point at p (3,) of the body on a joint."""
     rows = np.zeros((3, J.shape[1]))
     for k in range(carrying(joint)):
         rows[0, k], rows[1, k], rows[2, k] = _column(J, k, p)
@@ -295,8 +296,9 @@ def distance_motions(
     and the point of the core does not move on the link. The additional term |v_⊥|²/d of the
     distance of two fixed points would make the error of d̈ ten times as large.
 
-    `joints` (k, 2) move the bodies with the normal and with the point. `at` (k, 3) [m] are the
-    points, and `normals` (k, 3) unit vectors, or shorter as in `ClosestPoints`, all in the world.
+    `joints` (k, 2) are the indices of two joints: the first one moves the body with the normal, the
+    second one the body with the point. `at` (k, 3) [m] are the points, and `normals` (k, 3) unit
+    vectors, or shorter as in `ClosestPoints`, all in the world.
 
     Paper: Eq. (21).
 
@@ -354,8 +356,8 @@ def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array
 
 
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
-    """Compute the results of `pinocchio_views`; `pin.computeAllTerms` takes twice as long."""
-    pin.crba(model, data, q, pin.Convention.WORLD)  # and the Jacobian
+    """Compute the values of `pinocchio_views`; `pin.computeAllTerms` would take twice as long."""
+    pin.crba(model, data, q, pin.Convention.WORLD)  # computes the Jacobian too
     pin.nonLinearEffects(model, data, q, v)
 
 
@@ -390,10 +392,10 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results, whose former values are lost.
+    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
 
-    Reading the results one by one would take as long as computing them. Each result stores its
-    distance before its normal, and all results have the same size.
+    This call overwrites the distances. Reading the results one by one would take as long as
+    computing them. Each result stores its distance before its normal; all have the same size.
     """
     if len(results) == 0:
         return np.zeros(0)
@@ -434,7 +436,7 @@ class ShapeDistances:
     def __init__(
         self, model: RobotModel, shapes: Sequence[tuple[int, int]], groups: Sequence[range]
     ) -> None:
-        """Prepare pairs of shapes, by their indices in `model.geometry`, and groups of these."""
+        """Prepare pairs of `shapes` (indices in `model.geometry`), and `groups` of these pairs."""
         self._model, self._geometry = model, model.geometry.copy()
         self._geometry.removeAllCollisionPairs()
         for pair in shapes:
@@ -491,7 +493,7 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """Copy the arrays into those of a control step; from then on, updates write into these."""
+        """Copy the arrays into those of a control step; later updates write into the step."""
         for name in RobotState.__annotations__:
             present, shared = getattr(self, name), getattr(step, name)
             shared[...] = present
@@ -525,9 +527,9 @@ class RobotState:
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """From the next update on, carry this point mass [kg] instead of a former one.
+        """From the next update on, the end-effector carries a point mass `mass` [kg].
 
-        `centre` (3,) [m] is its place in the end-effector's frame.
+        It replaces a former one. `centre` (3,) [m] is its place in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))

@@ -51,7 +51,8 @@ def origin(element: Element, where: str) -> pin.SE3:
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
     """The numbers of an attribute `key`, or the default if element or attribute is missing.
 
-    A RobotFileError means that their number is not that of the default, or that one is not finite.
+    Raises a RobotFileError, whose message begins with `where`, if the attribute does not have as
+    many finite numbers as the default.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -69,7 +70,10 @@ def without_commas(words: str) -> str:
 
 
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
-    """`rgba` of a visual's material; if this is None, that of its namesake in `materials`."""
+    """`rgba` of a visual's material or, without a colour, of its namesake in `materials`.
+
+    None if both lack a colour, or the visual has no material.
+    """
     if (material := visual.find("material")) is None:
         return None
     return rgba(material) or rgba(materials.get(material.get("name"), material))
@@ -97,8 +101,9 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
 
-    The size includes the `.bin` files in the folder of a `.gltf`. It is at least `SMALL` + 1,
-    because a few bytes can encode millions of triangles. Errors: those of `resolve_package_uri`.
+    The size includes the `.bin` files in the folder of a `.gltf`. If a file exists, the size counts
+    as at least `SMALL` + 1: a few bytes can encode millions of triangles. Errors: those of
+    `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}
@@ -130,7 +135,7 @@ def urdf_mesh(
 
 
 def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
-    """As `urdf_mesh`, for a box, sphere, cylinder or capsule."""
+    """As `urdf_mesh`, for a box, sphere, cylinder or capsule; any other element is an error."""
     from trimesh import creation  # a slow import
 
     def sizes(key: str, count: int = 1) -> Array:

@@ -39,12 +39,12 @@ _HELD = 0.005  # [m/s] commanded speed of the front axle below which the steerin
 def nearest_in_cone(
     v: float, w: float, kappa: float, radius: float, before: float
 ) -> tuple[float, float]:
-    """The velocity [m/s, rad/s] in the cone |ω| ≤ κ_max |v| nearest to (v, w) by √(v² + ρ² ω²).
+    """The velocity [m/s, rad/s] in the cone |ω| ≤ κ_max |v| nearest to (v, w).
 
-    `kappa` [1/m] is κ_max, `radius` [m] is ρ = √(I/m), and `before` [m/s] is the present speed or
-    speed command. If both edges of the cone are about equally near, a moving base keeps its
-    direction. If it is at rest and both are equally near, it moves backwards: this brings the arm
-    ahead of the rear axle, where the score is better.
+    The norm is √(v² + ρ² ω²). `kappa` [1/m] is κ_max, `radius` [m] is ρ = √(I/m), and `before`
+    [m/s] is the present speed or speed command. If both edges of the cone are about equally near, a
+    moving base keeps its direction. If it is at rest and both are equally near, it moves backwards:
+    this brings the arm ahead of the rear axle, where the score is better.
     """
     if abs(w) <= kappa * abs(v):
         return v, w
@@ -102,7 +102,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """The largest v̇, and ω̇ at top speed on the tightest arc, at full steering rate."""
+        """Largest v̇ [m/s²], and ω̇ [rad/s²] at this v̇, top speed, full steering and full rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m
@@ -113,6 +113,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
+        """The joints that roll, then those that steer."""
         return (
             Wheels("rolling", "wheel_joints", self.wheel_joints),
             Wheels("steering", "steering_joints", self.steering_joints),
@@ -124,10 +125,11 @@ class CarLikeBase(BaseKind):
 
     @property
     def measure(self) -> Measure:
+        """Coefficients of sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
-        """Three alternatives: straight, or along a tightest arc after the delay of the steering."""
+        """Straight, or along one of the two tightest arcs after the delay of the steering."""
         kappa = self.curvature_max
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         late = self.steering_limit_rad / self.steering_rate_radps
@@ -179,8 +181,9 @@ class CarLikeBase(BaseKind):
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω).
 
-        The speed is the one on the present arc nearest to the command, but 0 if it would oppose the
-        command, and smaller if the present arc and the command's arc bend to opposite sides.
+        The speed is the speed along the present arc that is nearest to the command in the metric of
+        kinetic energy. It is 0 if it would oppose the command, and smaller if the present arc and
+        the command's arc bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
         wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max

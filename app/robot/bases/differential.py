@@ -9,7 +9,7 @@ from app.strict import Array, Positive
 
 
 def mobile_jacobian(r: float, b: float) -> Array:
-    """(2, 2) J_m of the differential base, [m/rad] and [1]: (v, ω) = J_m (θ̇_r, θ̇_l).
+    """(2, 2) J_m of the differential base, rows in m/rad and 1: (v, ω) = J_m (θ̇_r, θ̇_l).
 
     r [m] is the radius of the wheels, b [m] half of the track width.
 

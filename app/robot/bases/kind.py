@@ -70,7 +70,7 @@ class Measure(NamedTuple):
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
-"""[m²/rad⁴] (7) of the paper's robot, divided by x²: the reference of the gain of (13)."""
+"""[m²/rad⁴] (7) of the paper's robot, divided by x²; the gain S_0 of (13) is chosen for it."""
 
 
 class Channel(NamedTuple):
@@ -149,7 +149,7 @@ class BaseKind(Sourced, ABC):
 
     @property
     def T(self) -> Array:
-        """(3, n_b) from ν to the twist (v_x, v_y, ω_z) in the base's frame; TᵀT = I."""
+        """(3, n_b) map from ν to the twist (v_x, v_y, ω_z) in the base's frame; TᵀT = I."""
         return twist_map(self.axes)
 
     @property
@@ -179,10 +179,10 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """S_u, the divisor of the score in (13): 1 for the measure (7) of a differential base.
+        """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴.
 
-        S_0 [m⁴/rad⁴] is chosen for the measure of the paper's robot. The divisor converts a measure
-        with another unit and magnitude.
+        S_0 [m⁴/rad⁴] is chosen for the measure (7) of the paper's robot. A measure of another
+        magnitude needs a divisor; for the measure (7) of every differential base it is 1.
         """
         return 1.0
 
