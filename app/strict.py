@@ -117,7 +117,10 @@ def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidTex
         names = sorted({name for record in records for name in record.model_fields})
         hint = did_you_mean(str(problem["loc"][-1]), names)
         return f"{path}: unknown field{hint}; known: {', '.join(names)}"
-    text = valid_text(problem["loc"], problem["type"]) or problem["msg"]
+    text = valid_text(problem["loc"], problem["type"])
+    text = text or problem["msg"].removeprefix("Value error, ")
+    if not place:  # the input is the whole file
+        return text
     if isinstance(problem["input"], str) and problem["type"].startswith(("float", "int")):
         text += ", a number without quotes"
     return f"{path}: {text} (was {_short(problem['input'])})"

@@ -37,6 +37,14 @@ configs = st.fixed_dictionaries(
 names = st.text(max_size=LONGEST_NAME).filter(str.isprintable)
 
 
+def test_a_parameter_under_both_of_its_names_is_refused_with_them_alone():
+    text = b"[holding]\nspeed = 0.3\n[ee_hold]\nmin_speed = 0.2\n"
+    with pytest.raises(ConfigError) as refused:
+        decode_config(text)
+    both = "holding.speed is the former name of ee_hold.min_speed: state only one of them"
+    assert str(refused.value) == both
+
+
 @settings(max_examples=20)  # each draws every parameter
 @given(configs, names)
 def test_configuration_survives_a_round_trip(config: Config, name: str) -> None:

@@ -503,7 +503,7 @@ def test_empty_files_can_be_uploaded_one_after_the_other():
 
 def test_uploads_are_bounded_in_size_and_number():
     uploads = Uploads(1000)
-    for size, parts in ((1001, 1), (-1, 1), (10, 1_000_000_000), (10, 0), (0, 1)):
+    for size, parts in ((1001, 1), (-1, 1), (-5, -5), (10, 1_000_000_000), (10, 0), (0, 1)):
         with pytest.raises(RefusedError):
             pass_on(announced(size, parts), uploads=uploads)
     pass_on(announced(900, transfer="a"), uploads=uploads)

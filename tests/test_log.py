@@ -20,6 +20,7 @@ from app.errors import LogError, OutputError
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import scenario_by_name
+from app.simulation.trace.columns import number
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from tests.logs import difference, random_snapshots, trace_of
@@ -241,3 +242,10 @@ def test_other_parquet_file_is_rejected(tmp_path):
     pq.write_table(pa.table({"t_s": [0.0]}), path)
     with pytest.raises(LogError, match="no metadata of a log"):
         read_trace(path)
+
+
+@pytest.mark.parametrize("source", [None, lambda step, observation: 0.0])
+def test_a_quantity_of_each_control_step_has_an_attribute_or_one_number(source: object) -> None:
+    template = "x_m" if source is None else "x_{xyz}_m"
+    with pytest.raises(ValueError, match="attribute of `Step`"):
+        number(template, source)  # type: ignore[arg-type]

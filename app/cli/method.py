@@ -263,7 +263,9 @@ def bench(
     options.check_seed(seed)
     try:
         from benchmarks.step.bench import bench as measure
-    except ModuleNotFoundError:
+    except ModuleNotFoundError as error:
+        if error.name != "benchmarks":
+            raise
         raise ConfigError(
             "dbb bench needs a checkout of the project, and this is an installation: clone the "
             "project, call make run there, and then .venv/bin/dbb bench"

@@ -328,7 +328,7 @@ class Uploads:
         if size > self._largest:
             limit = f"the limit is {self._largest / 1e6:.0f} MB"
             raise RefusedError(f"a file of {size / 1e6:.0f} MB; {limit}")
-        if not min(size, 1) <= parts <= size:
+        if size < 0 or not min(size, 1) <= parts <= size:
             raise RefusedError(f"an upload of {size} bytes cannot have {parts} parts")
         if sum(len(each.unfinished) for each in {self, *self._everyone}) >= _MOST_UPLOADS:
             raise RefusedError("too many uploads at a time; wait for the end of the others")

@@ -60,5 +60,5 @@ class TimelinePanel(Panel):
 
     def _jump(self, to: Snapshot | None) -> None:
         if to is None:
-            raise LogError("there has been no pull yet")
+            raise LogError("no such moment has been recorded yet")
         self._timeline.show(to)

@@ -153,9 +153,15 @@ def number(
 
     `template` is as in `column_names`. `source` is the value's attribute of `Step`, as in
     `Quantity.paths`, or its computation at 50 Hz, as in `Quantity.take`. If not `often`, the value
-    is recorded only at snapshots. If `optional`, the value can be None.
+    is recorded only at snapshots. If `optional`, the value can be None. A ValueError is raised if
+    `often` has neither an attribute nor a computed number.
     """
     single = "{" not in template
+    if often and not isinstance(source, str) and (source is None or not single):
+        raise ValueError(
+            f"{template}: `source` must be an attribute of `Step`, or compute one number, because "
+            "the value is recorded at each control step; otherwise use `drawn`"
+        )
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(name, kind, optional, often) for name in column_names(template, meta)]
