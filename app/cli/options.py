@@ -1,6 +1,6 @@
 """Options from dataclasses and pydantic records, options of several commands, and their checks.
 
-Each field becomes an option, and the field's docstring becomes the help text.
+A field of a record becomes an option, and the field's docstring becomes its help text.
 """
 
 import logging

@@ -149,7 +149,7 @@ _sample_once = direct(_sample)
 
 def needed_text(needed: float) -> str:
     """A required d_b [m] as text, rounded up to whole centimetres; for an infinite one, that no d_b
-    suffices. If the largest d_b that can be set is smaller, the text names it.
+    suffices. If the largest d_b that can be set is smaller, the text also states this largest d_b.
     """
     if math.isinf(needed):
         return "no d_b suffices"

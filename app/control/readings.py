@@ -930,7 +930,7 @@ def take_readings(
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, after 0.1 s without one, and from the fault `contradictory` until
-    `reset`. The arguments after `w`, a `STEP`, are those of a `Measurement` without `base_time`.
+    `reset`. The arguments after `w`, a `STEP`, are the fields of a `Measurement` but `base_time`.
     """
     _use_stated_lag(gains, w)
     first, qd, v, stamped = math.isnan(w.q_posture[0]), qd_m.copy(), base_velocity, time == time

@@ -84,7 +84,7 @@ def _largest(motion: Array) -> float:
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Start a polynomial to the newest sample; `way` (6,) leads to it from the last reference."""
+    """Start a polynomial to the newest sample, `way` (6,) away from the caller's last reference."""
     between = max(w.since_sample[()], gains.dt)
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion

@@ -147,7 +147,7 @@ class DragHandles:
         self._dragged = False  # whether the viewer drags the gizmo
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless the viewer drags it; handle drags of links."""
+        """Move the gizmo to the end-effector unless it is dragged; make new meshes draggable."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:

@@ -34,7 +34,7 @@ def with_head(page: bytes, encoding: str) -> bytes:
 
 
 def small(html: str, *styles: str) -> str:
-    """Return a paragraph in the small type of panels, with further CSS `styles`."""
+    """Return a block in the small type of panels, with further CSS `styles`."""
     look = "padding:.2em .7em;font-size:.82em;line-height:1.5;overflow-wrap:anywhere"
     return tag("div", html, look, *styles)
 

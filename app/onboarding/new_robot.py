@@ -115,7 +115,7 @@ def finish(
 def _make_robot(
     request: Request, parsed: Parsed, urdf: str, folder: Path, work: _Work
 ) -> tuple[NewRobot, BorderData]:
-    """Write the URDF; make the border, and the robot without warnings and lines for guiding."""
+    """Write the URDF; make the border and the robot, still without warnings and guiding lines."""
     path = folder / _URDF
     urdf, pieces = write.in_pieces_urdf(urdf, parsed.geometry, folder)
     parsed = replace(parsed, geometry=pieces)

@@ -40,7 +40,7 @@ class Request:
     """[rad] rotation of the root link of --arm-urdf in the frame of --base."""
     mount: str | None = None
     """Link whose origin is the arm's mounting point; default: the parent link of the arm's first
-    joint, or the joint's child link if the parent belongs to the base."""
+    joint, or the joint's child link if the parent is --base or stands on the floor."""
     tip_xyz: Vector3 = (0.0, 0.0, 0.0)
     """[m] position of the end-effector's frame in the frame of --tip."""
     tip_rpy: Vector3 = (0.0, 0.0, 0.0)

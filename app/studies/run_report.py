@@ -237,7 +237,7 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Limit the x axes to the times of the run, shade contacts, label `bottom` or the last axes."""
+    """Limit x axes to the run's times, shade contacts; name the x axis of `bottom`, or the last."""
     touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
     for ax in axes:
         if run.t[-1] > run.t[0]:

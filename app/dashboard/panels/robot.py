@@ -256,7 +256,7 @@ def in_words(text: str) -> str:
 
 
 def robot_name(stem: str) -> str:
-    """Return a valid name for a robot, from the `stem` of a file: its name without suffix."""
+    """Turn `stem`, the name of a file without its suffix, into a valid name for a robot."""
     name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_").lower()
     return name if name[:1].isalpha() else f"robot_{name}".rstrip("_")
 

@@ -164,7 +164,7 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return a table of scores; a mark shows the best of robots without contact or overlap."""
+    """Return a table of scores; ✓ marks the best value of robots without contact or overlap."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (

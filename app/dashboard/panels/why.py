@@ -224,7 +224,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 
 
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
-    """Describe the effect on person or task; `limited`: the controller limits the approach."""
+    """Describe the effect on person or task; `limited`: the method itself resists the person."""
     if why.mode == "guiding":
         if limited or any(pair.limited or links_repel(pair) for pair in why.near):
             return "the arm resists further guiding"

@@ -33,7 +33,7 @@ _DETERMINANT = BaseMeasure(
 
 
 def measure_of(kind: str) -> BaseMeasure:
-    """Return the words for a kind of base, by the kind's name in a description."""
+    """Return the words for the base's factor in the score; `kind` is `base.kind` of robot.toml."""
     return _DETERMINANT if kind == "differential" else BaseMeasure()
 
 

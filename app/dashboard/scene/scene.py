@@ -76,7 +76,7 @@ class RobotScene:
     def __init__(
         self, scene: viser.SceneApi, parts: RobotParts, ghost: int | None = None, *, light: bool
     ) -> None:
-        """Send all meshes; the ghost number `ghost` is translucent and has no convex bodies."""
+        """Send one robot's meshes; ghost number `ghost` is translucent, without convex bodies."""
         self._parts, self._scene = parts, scene
         self._ghost = None if ghost is None else GHOSTS[ghost % len(GHOSTS)]
         self._path = ROOT if ghost is None else f"/ghost_{ghost}"

@@ -247,9 +247,10 @@ def line_from(
     job: tuple[str, RobotModel, BorderData, bool],
     on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
-    """`find_place` with `fault_of_run`; `job` has scenario, robot, border data and `anyway`.
+    """A line by `find_place`, tested by `fault_of_run`, or the reason why there is none.
 
-    The search for lines and each possible run have equal shares of the progress.
+    `job` has scenario, robot, border data and `anyway`. The search for lines, and each possible
+    run, has the same share of the progress.
     """
     name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
@@ -321,9 +322,9 @@ class _Guide:
         """Lines of a scenario, the most promising ones first; no two have nearly the same end.
 
         First the arm moves to each start from a known posture. Each time the caller requests a
-        line, a slower search finds a posture with which a run starts: for lines that lead nearer
-        than `INNER` d_b with few tries, then with all tries. If no line is found, the first of the
-        other lines on which a run can start is yielded.
+        line, a slower search looks for a posture with which a run starts. It tries the lines that
+        lead nearer to the base than `INNER` times d_b, with few tries and then with all. If it
+        finds none, it yields the first of the other lines on which a run can start.
         """
         mount = self._model.p_base()
         tops = _tops(self.body, float(mount[2]) + _OVER_MOUNT)

@@ -72,8 +72,8 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links that the pairs of `body_contact_pairs` cover, without those in `nested`. A
-    pair of l_m in `unwatched` is included: its bodies can overlap by design, but not its links.
+    """Pairs of links whose bodies are a pair of `body_contact_pairs`, without those in `nested`.
+    Pairs of l_m in `unwatched` count too: their bodies may overlap by design, their links may not.
     """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested, mobile = description.nested, description.mobile_body.name

@@ -25,7 +25,7 @@ _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
 class MujocoWorld:
-    """A compiled specification; for a root on planar joints, it has `BulletRobot`'s methods."""
+    """A compiled `RobotSpec`; for a robot on planar joints, it can replace a `BulletRobot`."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""
