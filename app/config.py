@@ -183,7 +183,7 @@ class ActivationConfig(Strict):
     closest_point_smoothing: float = number(
         0.005, 0.001, 0.05, "Closest-point smoothing", advanced=True
     )
-    """[m] smoothing length of the closest point. The closest point is a mean over the parts of a
+    """[m] smoothing length of the closest point. The closest point is a mean over the points of a
     link whose distances exceed the link's smallest distance by about this length or less."""
 
 

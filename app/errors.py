@@ -45,7 +45,7 @@ class AssetError(DbbError):
 
 
 class RobotFileError(DbbError):
-    """A URDF cannot become a robot description; the message names the faulty part and a remedy."""
+    """A URDF cannot become a robot description; the message names the part, often a remedy."""
 
 
 class ConfigError(DbbError):

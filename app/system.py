@@ -45,7 +45,7 @@ def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
     On three or more cores, the process also gets a real-time policy if possible. When it has worked
-    for 0.5 s without a pause, it leaves this policy permanently; if it cannot, the system ends it
+    for 0.5 s without a pause, it leaves this policy permanently; if that fails, the system ends it
     after 30 s without a pause. Call this function in the main thread, before other threads start.
     """
     with suppress(OSError):

@@ -111,6 +111,8 @@ def test_step_forward_simulates_and_step_back_replays(tab, served):
     tab.click("+1 s")
     wait_for(lambda: page.timeline.shown().t == pytest.approx(before, abs=1e-3))
     assert len(loop.commands) == count, "a replay must not simulate"
+    tab.click("+20 ms")
+    wait_for(lambda: loop.commands[-1] == StepOnce(DT) and len(loop.commands) > count)
 
 
 @needs_pybullet

@@ -102,7 +102,7 @@ def _moving_joints(model: RobotModel, body: str) -> list[int]:
 
 
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
-    """Pinocchio's index of the joint that moves a body's point, and the point's frame in it."""
+    """Pinocchio's index of the last joint before a body's point, and the point's frame in it."""
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]
         return frame.parentJoint, frame.placement

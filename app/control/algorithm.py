@@ -625,7 +625,7 @@ def next_command(
     The change of the command (n_b,) is limited to ±`a_max` [m/s² or rad/s²] times `period` [s], and
     the result to ±`v_max`; `command` and `v_max` are in m/s or rad/s. The input a, `acceleration`
     (n_b,) [m/s² or rad/s²], is the mean of `a_base_cmd` in the command period. The base's part of u
-    is not the input: that part is not zero while the base is at rest, and the base would drift.
+    would be a wrong input: it is not zero while the base is at rest, so the base would drift.
     `mass` and `damping` are the diagonals (n_b,) of M_a [kg or kg m²] and D_a [N s/m or N m s].
     """
     found, gain = np.empty(len(command)), response(mass, damping, period)[0]

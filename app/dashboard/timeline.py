@@ -43,9 +43,9 @@ class Timeline:
         return self._shown is None
 
     def shown(self) -> Snapshot:
-        """Return the snapshot to draw; continue a replay, and an interval that has no end yet.
+        """Return the snapshot to draw; continue a replay, and extend an interval without an end.
 
-        After a restart, the newest snapshot is shown, and an interval without an end is removed.
+        After a restart, the newest snapshot is shown, and such an interval is removed.
         """
         with self._lock:
             newest = self._loop.latest()

@@ -242,7 +242,7 @@ class _Seen(NamedTuple):
 
 
 class Watchdog:
-    """Detects viewers who do not answer, and closes connections without answers or deliveries.
+    """Reports viewers without answers to pings; closes connections without answers or deliveries.
 
     A browser answers a ping even if its page is busy. Time is counted in checks, because the thread
     that counts also receives the answers: a delay of this program counts as one check.

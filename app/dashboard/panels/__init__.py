@@ -78,8 +78,10 @@ class Viewer:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`; a paused run advances beyond its newest instant."""
-        if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
+        """Move the shown instant by `seconds`; beyond the newest one, a paused run advances."""
+        newest = self.shared.loop.latest()
+        if seconds > 0.0 and newest.paused and self.timeline.shown().t >= newest.t:
+            self.timeline.go_live()
             self.shared.loop.send(StepOnce(min(seconds, STEPS[1])))
         else:
             self.timeline.step(seconds)

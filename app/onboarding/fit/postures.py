@@ -395,9 +395,9 @@ class _Guide:
     ) -> tuple[Array, float, list[float], float]:
         """Move the arm without avoidance from `begin` to `end` [m] on a line from p (3,) [m].
 
-        Returns the posture (n_m,) at the end, the smallest distance [m] to the base, for each step
-        inside a buffer the uncompensated share [-] of the base's motion, and the smallest distance
-        [m] to the floor.
+        Returns the posture (n_m,) at the end, the smallest distance [m] to the base, the share [-]
+        of the base's motion that the arm does not compensate, one for each step inside a buffer of
+        l_m, and the smallest distance [m] to the floor.
         """
         search, model, least, carried, low = self._search, self._model, np.inf, [], np.inf
         speed = model.description.config.ee_hold.min_speed

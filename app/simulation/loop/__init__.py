@@ -1,1 +1,1 @@
-"""The live loop, which runs in real time, executes commands and publishes snapshots."""
+"""The live loop executes commands and publishes snapshots, at real time or a multiple of it."""

@@ -42,10 +42,10 @@ OUT_OF_REACH = "out of the arm's reach"  # the reason if the end-effector misses
 class StartSolver:
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
 
-    The end-effector points away from the arm's mount, and downwards if possible. Every pair is
-    outside its buffer, the arm is above the floor, and each joint is away from its position limits.
-    Any direction is accepted if the arm cannot choose the direction of the end-effector freely, and
-    the search finds no posture as above from which the arm can follow the whole path.
+    The end-effector points away from the arm's mount and, without a path, downwards if possible.
+    Every pair is outside its buffer, the arm is above the floor, and each joint is away from its
+    position limits. If no such posture lets the arm follow the whole path, an arm that cannot
+    choose the direction of the end-effector freely may have any direction of it.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:

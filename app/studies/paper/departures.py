@@ -73,7 +73,7 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the controller `hqp`; writes B (k,) into `w`. NaN if a Jacobian is not finite."""
+    """q̈ (n,) of `hqp` for the activations B (k,), set in `w`; NaN if a Jacobian is not finite."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
