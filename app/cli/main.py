@@ -70,12 +70,13 @@ def main(args: list[str] | None = None) -> None:
     except DbbError as error:
         print(printable(f"dbb: error: {error}"), file=sys.stderr)
         sys.exit(2)
-    except (MemoryError, ImportError) as error:
-        if isinstance(error, ImportError) and not str(error.path).endswith(".so"):
-            raise  # a defect of this program
-        full = isinstance(error, MemoryError)
-        fault = "too little memory" if full else "a library cannot be loaded"
-        print(f"dbb: error: {fault}: {error}", file=sys.stderr)
+    except MemoryError as error:
+        print(f"dbb: error: too little memory: {error}", file=sys.stderr)
+        sys.exit(2)
+    except ImportError as error:
+        if not str(error.path).endswith(".so"):  # a defect of this program
+            raise
+        print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "

@@ -264,7 +264,7 @@ def bench(
     try:
         from benchmarks.step.bench import bench as measure
     except ModuleNotFoundError as error:
-        if error.name != "benchmarks":
+        if not str(error.name).startswith("benchmarks"):
             raise
         raise ConfigError(
             "dbb bench needs a checkout of the project, and this is an installation: clone the "

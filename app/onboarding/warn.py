@@ -175,8 +175,8 @@ def _scale(robot: NewRobot) -> Iterator[str]:
     for links in robot.parsed.arm.segments[1:]:
         sizes = [float(s.hull.extents.max()) for link in links for s in shapes[link].shapes]
         total += max(sizes, default=0.0)
-    placements = robot.model.pin.jointPlacements[3:]
-    apart = sum(float(np.linalg.norm(T.translation)) for T in placements)
+    joints = robot.model.pin.jointPlacements[3:]
+    apart = sum(float(np.linalg.norm(T.translation)) for T in joints)
     if total > _TOO_LARGE * apart:
         yield (
             f"the arm's links have a total length of {total:.2g} m, but its joints are only "
@@ -382,13 +382,21 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
         moved: (6,) [m/s, rad/s] velocity of the end-effector if only the base moves.
         qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
     """
-    scale, lost = np.repeat([1.0, _LEVER], 3), []
-    for rows in (3, 6):
-        J, motion = (scale[:, None] * J_arm)[:rows], (scale * moved)[:rows]
-        left = J @ lsq_linear(J, -motion, (-qd_max, qd_max), method="bvls").x + motion
-        most, worst = (max(np.linalg.norm(v[:3]), np.linalg.norm(v[3:])) for v in (motion, left))
-        lost.append(bool(worst > _LEFT * most + _NOTHING))
-    return lost[0], any(lost)
+    scale = np.repeat([1.0, _LEVER], 3)
+    J, motion = scale[:, None] * J_arm, scale * moved
+
+    def is_lost(rows: int) -> bool:
+        found = lsq_linear(J[:rows], -motion[:rows], (-qd_max, qd_max), method="bvls")
+        left, all_of_it = J[:rows] @ found.x + motion[:rows], motion[:rows]
+        return bool(_larger_part(left) > _LEFT * _larger_part(all_of_it) + _NOTHING)
+
+    place = is_lost(3)
+    return place, place or is_lost(6)
+
+
+def _larger_part(v: Array) -> float:
+    """The larger norm of the linear and, if `v` has six entries, of the angular part."""
+    return max(float(np.linalg.norm(part)) for part in np.split(v, len(v) // 3))
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:

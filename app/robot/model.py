@@ -163,10 +163,10 @@ class RobotModel:
         self.base_acceleration_max = np.array(base.max_acceleration)
         self.base_inertia = base.T.T @ (base.mass_kg, base.mass_kg, base.inertia_kgm2)
         self.joint_damping = np.array(arm.joint_damping)
-        self.q_lower = np.array(arm.position_lower or model.lowerPositionLimit[4:])
-        self.q_upper = np.array(arm.position_upper or model.upperPositionLimit[4:])
-        self.qd_max = np.array(arm.max_velocity or model.velocityLimit[3:])
-        self.tau_max = np.array(arm.max_effort or model.effortLimit[3:])
+        self.q_lower = _chosen(arm.position_lower, model.lowerPositionLimit[4:])
+        self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
+        self.qd_max = _chosen(arm.max_velocity, model.velocityLimit[3:])
+        self.tau_max = _chosen(arm.max_effort, model.effortLimit[3:])
         self.q_limits = np.array([self.q_lower, self.q_upper])
         self.qd_limits = np.array([-self.qd_max, self.qd_max])
         self.tau_limits = np.array([-self.tau_max, self.tau_max])
@@ -213,6 +213,10 @@ class RobotModel:
             text = f"{field}: the URDF has no link {name!r}; links: {', '.join(links)}"
             raise _error(self.description, text)
         return self.pin.getFrameId(name)
+
+
+def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
+    return np.array(from_urdf if stated is None else stated, dtype=float)
 
 
 def _error(description: RobotDescription, message: str) -> DescriptionError:

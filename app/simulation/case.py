@@ -98,7 +98,9 @@ class RunCase(Strict):
     def differences(self) -> list[str]:
         """A line if another version wrote the case, and one per unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
-        lines = [f"dbb {self.version} wrote the case; this is dbb {now}"] * (self.version != now)
+        lines = []
+        if self.version != now:
+            lines.append(f"dbb {self.version} wrote the case; this is dbb {now}")
         for path in sorted(own.keys() - known.keys()):
             lines.append(f"the parameter {path} no longer exists; its value was {own[path]}")
         for path in sorted(known.keys() - own.keys()):

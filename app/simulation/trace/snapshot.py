@@ -101,7 +101,8 @@ class Score(NamedTuple):
         """The result in words, such as "no contact, smallest distance 105 mm"."""
         least, touched = self.clearance, bool(self.contacts)
         if least < 0.0:
-            return f"{'contact, ' * touched}bodies overlap by {millimetres(-least)}"
+            contact = "contact, " if touched else ""
+            return f"{contact}bodies overlap by {millimetres(-least)}"
         return f"{outcome(least, touched=touched)}, smallest distance {millimetres(least)}"
 
 

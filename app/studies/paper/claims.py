@@ -345,7 +345,7 @@ def fast_enough(s: Sources) -> Findings:
     yield Finding(f"median {median:.0f} µs", True, {"step_p50_us": median})
 
 
-CLAIMS = [each for each in globals().values() if isinstance(each, Claim)]
+CLAIMS = [each for each in list(globals().values()) if isinstance(each, Claim)]
 """All claims, in the order of the report."""
 
 

@@ -73,7 +73,7 @@ class Quantity(NamedTuple):
         at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
         good = self.good(value)
         width = limit if good is not self.more_is_better else 1.0 - limit
-        depth = min(abs(at - limit) / width, 1.0)
+        depth = min(abs(at - limit) / width, 1.0) if width > 0.0 else 0.0
         return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * depth)
 
 
@@ -136,14 +136,16 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
         nose = [(tip, 0.09), (tip + 0.12, 0.0), (tip, -0.09)]
         ax.add_patch(Polygon(nose, closed=True, color=INK, zorder=4, transform=in_plan))
         for row in rows:
-            value, radius, look = row[quantity.key], _OUTER, {"linewidth": 0.6, **_NEVER}
-            if value is not None:
-                radius, look = quantity.radius(value), {"facecolor": quantity.colour(value)}
+            value = row[quantity.key]
+            colour = _NEVER["edgecolor"] if value is None else quantity.colour(value)
             if "offset_m" in row:
-                _dot(ax, row, _NEVER["edgecolor"] if value is None else look["facecolor"], INK)
+                _dot(ax, row, colour, INK)
+                continue
+            if value is None:
+                _bar(ax, row, 0.92 * step, _OUTER, linewidth=0.6, **_NEVER)
             else:
-                _bar(ax, row, 0.92 * step, radius, **look)
-                _cross(ax, row, (math.radians(row["direction_deg"]), 0.72), 4.5)
+                _bar(ax, row, 0.92 * step, quantity.radius(value), facecolor=colour)
+            _cross(ax, row, (math.radians(row["direction_deg"]), 0.72), 4.5)
         for row in no_start:
             if row["kind"] == "side":
                 _bar(ax, row, step, _OUTER, zorder=1, linewidth=0, **_UNREACHABLE)
