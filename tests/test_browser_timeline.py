@@ -112,7 +112,9 @@ def test_step_forward_simulates_and_step_back_replays(tab, served):
     wait_for(lambda: page.timeline.shown().t == pytest.approx(before, abs=1e-3))
     assert len(loop.commands) == count, "a replay must not simulate"
     tab.click("+20 ms")
-    wait_for(lambda: loop.commands[-1] == StepOnce(DT) and len(loop.commands) > count)
+    wait_for(lambda: page.timeline.shown().t == loop.latest().t)
+    tab.click("+20 ms")
+    wait_for(lambda: loop.commands[count:] == [StepOnce(DT)])
 
 
 @needs_pybullet
