@@ -85,8 +85,6 @@ class Kinematic(Physics):
         if not math.isfinite(b.sum() + A.sum()):  # `solve` would raise an error
             q[:] = qd[:] = np.nan
             return
-        # A joint that would leave its range moves to its nearer limit.
-        limit = np.where(q - lower < upper - q, lower, upper)
         stopped = np.zeros(len(q), bool)
         while True:
             qdd = np.linalg.solve(A, b)
@@ -94,6 +92,8 @@ class Kinematic(Physics):
             beyond = ~stopped & ((after < lower) | (after > upper))
             if not beyond.any():
                 break
+            # A joint that would leave its range moves to its nearer limit.
+            limit = np.where(q - lower < upper - q, lower, upper)
             A[beyond] = np.eye(len(q))[beyond]
             b[beyond] = (((limit - q) / dt - qd) / dt)[beyond]
             stopped |= beyond
