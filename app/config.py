@@ -151,8 +151,8 @@ class ForceConfig(Strict):
     )
     """[N] f_max of (14): force of a pair on the base at contact, for a horizontal normal."""
     f_arm: float = number(5.0, 0.0, 50.0, "Force on the arm f_arm")
-    """[N] reaction force of each pair of arm and base on a guided arm, at contact. It moves a
-    released arm out of the buffer. Only the controller dbb has it."""
+    """[N] force at contact with which each pair of arm and base pushes a guided arm away. It moves
+    a released arm out of the buffer. Only the controller dbb has it."""
     alpha_gain: float = number(
         0.001,
         0.0,

@@ -152,7 +152,7 @@ def _triangles(geometry: coal.CollisionGeometry) -> Array:
 def _on_triangle(
     triangle: Array, x: float, y: float, z: float, over: float
 ) -> tuple[float, float, float]:
-    """The point of a triangle nearest to (x, y, z), which is `over` [m] above the plane."""
+    """The point of a triangle nearest to P = (x, y, z); P is `over` [m] above its plane."""
     n, foot, square = triangle[3], (0.0, 0.0, 0.0), np.inf
     f_x, f_y, f_z = x - over * n[0], y - over * n[1], z - over * n[2]
     for i in range(3):

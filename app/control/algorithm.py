@@ -379,7 +379,7 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def track(gains: Any, w: Any, weight: float, damped: bool) -> tuple[Array, Array, Array, float]:
-    """H (n, n) and c (n,) of T_2 plus the task (`w.H_low`, `w.c_low`); b (6,) and λ [m²] of T_2.
+    """Add T_2 to the task (`w.H_low`, `w.c_low`); return H (n, n), c (n,), b (6,) and λ [m²].
 
     b and λ are those of `end_effector_task`; without `damped`, λ is 0. `weight` [-] is that of T_2.
     """

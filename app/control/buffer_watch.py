@@ -64,7 +64,7 @@ class BufferWatch:
     def update(
         self, state: RobotState, control: ControlStep, dt: float, *, gives_way: bool
     ) -> BufferReading:
-        """Evaluate every tenth control step of dt [s], and return the newest reading.
+        """Sample every 10th control step of dt [s], evaluate every 50th; return the newest reading.
 
         `gives_way` states whether the controller moves the base away from the arm.
         """

@@ -163,7 +163,7 @@ def checked_reference(reference: Reference) -> Reference:
 
 
 def no_motion(reference: Reference) -> MeasurementError:
-    """Build the error for a reference that is no possible motion; the message has the reason."""
+    """Build the error for a reference with an impossible value; the message has the reason."""
     pose, v, a = reference
     if not np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
         return MeasurementError("reference: an entry is not a finite number")

@@ -110,7 +110,7 @@ class Controller:
 
         Raises:
             UnknownNameError: The controller does not exist.
-            ConfigError: The measured control period is too long for a gain.
+            ConfigError: The control period in use, possibly a measured one, is too long for a gain.
         """
         check_name("controller", name, CONTROLLERS)
         self.name = name

@@ -108,7 +108,7 @@ def process_noise(w: Any, qd_max: Array, periods: Array, gains: Any) -> Array:
     of `RESPONSE`, the blind time, and the control periods from the joint's last reading until now,
     `periods` (n_m,); noise above about 0.2 mrad at 1 kHz slows the response. A fast response keeps
     a light joint below its speed limit; a slow one suits readings that can be older than assumed.
-    If `periods` > 1, recent errors of used speeds increase the result up to `_MOST_DRIFT`.
+    If a joint's `periods` > 1, its recent `w.v_error` raises its result up to `_MOST_DRIFT`.
     """
     drift = np.full(len(periods), gains.external_drift)
     for i in range(len(periods)):

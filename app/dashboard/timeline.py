@@ -96,7 +96,7 @@ class Timeline:
             self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
-        """Go forward by a time [s], or back if it is negative, by at least one snapshot if any."""
+        """Go forward by a time [s], or back if negative; at least to the next snapshot there."""
         t = self.shown().t
         ahead = [s for s in self._stored() if (s.t - t) * seconds > 0.0] or self._stored()
         self.show(min(ahead, key=lambda stored: abs(stored.t - t - seconds)).snapshot)

@@ -208,7 +208,7 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
-    """The values of an option by the names in its entries: `NAME=…` or, as in ROS, `NAME:=…`.
+    """Values by their names, from an option's entries `NAME=…` or, as in ROS, `NAME:=…`.
 
     An entry of another form raises a `ConfigError` whose message calls the value `what`.
     """

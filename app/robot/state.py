@@ -254,7 +254,7 @@ def _gravity_terms(J: Array, Y: Array) -> Array:
 def reduced_dynamics(
     M: Array, h: Array, J: Array, Y: Array, B: Array
 ) -> tuple[Array, Array, Array]:
-    """Sᵀ M S (n, n), Sᵀ h (n,) and the gravity terms Sᵀ g (n,), from `pinocchio_views` and B."""
+    """Sᵀ M S (n, n), Sᵀ h and Sᵀ g (n,), S = diag(B, 1); M, h, J, Y are from `pinocchio_views`."""
     n_b, g = B.shape[1], _gravity_terms(J, Y)
     n = n_b + len(h) - 3
     reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)

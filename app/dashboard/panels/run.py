@@ -59,7 +59,7 @@ _SCORES = (  # label with unit, field of `Score`, text of a value, function for 
 
 
 class RunPanel(Panel):
-    """Tab "Run": scenario, controller, pause and result for all viewers, and shown distances."""
+    """Tab "Run": common scenario, controller, pause and result; distances at the shown time."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)

@@ -33,7 +33,7 @@ _DETERMINANT = BaseMeasure(
 
 
 def measure_of(kind: str) -> BaseMeasure:
-    """Return the words for the base's factor in the score; `kind` is `base.kind` of robot.toml."""
+    """Return the words for the mobility of the base, a factor of the score; `kind`: `base.kind`."""
     return _DETERMINANT if kind == "differential" else BaseMeasure()
 
 

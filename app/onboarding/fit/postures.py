@@ -81,8 +81,8 @@ def _ready(search: PostureSearch, q_m: Array) -> Ready:
 
 
 def _placed(search: PostureSearch, mount: Array) -> float:
-    """[-] quality of the present end-effector pose: up to 1.2; -10 near the floor, or above or
-    below the mount.
+    """[-] quality of the present end-effector pose: up to 1.2; -10 if the arm is near the floor, or
+    the end-effector is vertically above or below the mount.
     """
     at = search.state.T_world_ee
     out = at.translation - mount

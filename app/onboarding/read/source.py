@@ -119,7 +119,7 @@ def read_source(
 
 
 def _plain_xml(text: str) -> Element:
-    """The root of an XML text, without its namespace and without blanks at ends of attributes."""
+    """The root of an XML text, without its namespace; the values of attributes are stripped."""
     robot = ElementTree.fromstring(text)
     own = robot.tag.removesuffix(robot.tag.rpartition("}")[2])
     for each in robot.iter():

@@ -26,7 +26,7 @@ _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": 
 
 
 class Figure(NamedTuple):
-    """A figure of a run: its description in one sentence, and its computation."""
+    """A figure of merit of a run: its description in one sentence, and its computation."""
 
     about: str
     of: Callable[[Trace], Any]
