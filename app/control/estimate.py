@@ -165,7 +165,7 @@ def estimate_arm(
 
 @compiled()
 def advance(x: Array, predicted: Array, dt: float) -> None:
-    """Advance x (3, n_m) by k periods of dt [s], with accelerations `predicted` (k, n_m) + x[2]."""
+    """Advance x (3, n_m) by k periods of dt [s]; accelerations are `predicted` (k, n_m) + x[2]."""
     for k in range(len(predicted)):
         for i in range(x.shape[1]):
             x[1, i] += dt * (predicted[k, i] + x[2, i])

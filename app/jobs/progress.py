@@ -91,9 +91,9 @@ def ending_signals_raised() -> Iterator[None]:
     """Raise exceptions for ending signals during the `with`, in the main thread only.
 
     SIGINT (Ctrl-C) raises a KeyboardInterrupt; SIGTERM and SIGHUP raise a SystemExit with the
-    status 128 + the signal's number. If other code converts this exception into a `BrowserError`,
-    or an error that is not a `DbbError`, it is raised again at the end. If the work does not end,
-    `_deadline` ends the process.
+    status 128 + the signal's number. If the work then ends with a `BrowserError` instead, or with
+    an error that is not a `DbbError`, the exception of the signal replaces this error. If the work
+    does not end, `_deadline` ends the process.
     """
     _received.clear()
     before = {}

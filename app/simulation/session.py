@@ -350,7 +350,7 @@ class VelocityTracking:
         self._q, self._qd, self._dt = q - qd * dt, qd.copy(), dt
 
     def update(self, q: Array) -> Array:
-        """Take the next positions (n,) [rad or m], and return velocities (n,) [rad/s or m/s]."""
+        """Return the new velocities (n,) [rad/s or m/s] from the next positions (n,) [rad or m]."""
         ahead = self._q + self._qd * self._dt
         error = q - ahead
         self._q = ahead + self._gain_q * error

@@ -1,6 +1,6 @@
 """A robot as an untrusted zip: it is unpacked within bounds, and nothing in it is executed.
 
-The expressions of a xacro are Python, so a xacro in a zip is refused.
+The expressions of a xacro are Python, so no xacro in a zip is expanded: the zip needs a URDF.
 """
 
 import os
