@@ -26,7 +26,7 @@ _ALONE = 1.0  # [m] upper bound of `_shown`, and its value if there are no other
 _Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
 _Rings = tuple[Array, Array]
 """Closed polygons around one convex shape, counter-clockwise, with vertices at d_m = d_b: ascending
-heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy, the last of which equals the first."""
+heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equals the first."""
 
 
 class OffsetContours:

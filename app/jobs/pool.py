@@ -92,9 +92,13 @@ class Workers(AbstractContextManager["Workers"]):
         work = function if tells else partial(_without_reports, function)
         sent: SimpleQueue[tuple[int, float]] = SimpleQueue()  # number and finished share of a job
         futures: list[Future[Result]] = []
+
+        def send(number: int, share: float) -> None:
+            sent.put((number, share))
+
         if self._processes > 1:
             for number, job in enumerate(jobs):
-                tell: OnProgress = lambda share, number=number: sent.put((number, share))  # noqa: E731
+                tell = partial(send, number)
                 futures.append(self._threads.submit(self._ask, work, job, tell, lost))
                 futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
         return self._results(work, jobs, futures, sent, on_progress)

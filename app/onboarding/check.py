@@ -74,7 +74,7 @@ def check_robot(
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
 ) -> Iterator[Row]:
-    """All checks of a description with its parameters; each row is yielded as soon as it is known.
+    """All checks of a description with its parameters; each row is yielded when its check ends.
 
     A check that ends with an error fails, and its row has the message. If the model or the border
     fails, the checks that need it are left out. The last row is a failed row `guiding` if `runs` is

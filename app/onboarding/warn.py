@@ -387,8 +387,8 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
     def is_lost(rows: int) -> bool:
         found = lsq_linear(J[:rows], -motion[:rows], (-qd_max, qd_max), method="bvls")
-        left, all_of_it = J[:rows] @ found.x + motion[:rows], motion[:rows]
-        return bool(_larger_part(left) > _LEFT * _larger_part(all_of_it) + _NOTHING)
+        left = J[:rows] @ found.x + motion[:rows]
+        return _larger_part(left) > _LEFT * _larger_part(motion[:rows]) + _NOTHING
 
     place = is_lost(3)
     return place, place or is_lost(6)
