@@ -1,4 +1,4 @@
-"""Links that are built into one another, like a shoulder into a torso, are not a contact pair.
+"""Links that touch by design, like a shoulder inside a torso, are not a contact pair.
 
 An example is Baxter, whose shoulder overlaps its torso in 87 % of all postures and in the ready
 posture.
@@ -16,7 +16,7 @@ import pytest
 import trimesh
 from trimesh.creation import box
 
-from app.onboarding.check import check_robot
+from app.onboarding.check import arm_row, check_robot, nested_row
 from app.onboarding.fit import grouping
 from app.onboarding.fit.collision_sampling import Meetings, nested_links, sample_meetings
 from app.onboarding.fit.units import make_units
@@ -55,17 +55,22 @@ def with_torso(folder: Path, shape: str) -> Toy:
         link("torso", solid(shape)),
         joint("spine", "fixed", "base", "torso", xyz="0.15 0 0.25"),
     ]
-    path = write(folder, robot([*cart(), *torso, *arm()]))
-    request = Request(urdf=str(path), base="base", tip="hand", out=folder / "torso")
+    return fitted(folder, [*torso, *arm()], GROUPS)
+
+
+def fitted(folder: Path, parts: list[str], groups: list[list[int]]) -> Toy:
+    """The robot of a cart and `parts`, with bodies around the `groups` of its units."""
+    path = write(folder, robot([*cart(), *parts]))
+    request = Request(urdf=str(path), base="base", tip="hand", out=folder / "toy")
     parsed = parse(request)
-    urdf = rebased_urdf(parsed, name="torso", header="test")
+    urdf = rebased_urdf(parsed, name="toy", header="test")
     urdf, pieces = in_pieces_urdf(urdf, parsed.geometry, folder)
     path, parsed = write(folder, urdf), replace(parsed, geometry=pieces)
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=1500, seed=1, d_b=0.15)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grouping, "_ranked", lambda *_: [(0.0, GROUPS)])
+        patch.setattr(grouping, "_ranked", lambda *_: [(0.0, groups)])
         bodies = grouping.find_grouping(bare, meetings, d_b=0.15).bodies
     content = description(request, parsed, bodies)
     numbers = {"A_per_m2": 100.0, "B_m": 0.5, "C": 10.0}
@@ -102,9 +107,7 @@ def test_check_warns_of_nested_links_that_never_touch(
     toy: Toy, links: tuple[str, ...], outcome: str
 ) -> None:
     """Plants ignore contacts of nested links, so that a wrong name would hide contacts."""
-    bodies = [body.model_dump() for body in toy.model.description.bodies]
-    bodies[2]["nested"] = {"upper": links}
-    said = RobotDescription.model_validate(toy.model.description.model_dump() | {"bodies": bodies})
+    said = with_nested(toy.model, 2, {"upper": links}).description
     (row,) = (row for row in islice(check_robot(said), 6) if row.name == "nested links")
     assert row.outcome == outcome
     assert ("left_wheel and upper in 0%" in row.text) == (outcome == "warned")
@@ -132,6 +135,70 @@ def test_a_plant_uses_the_pieces_of_the_fit(tmp_path: Path, engine: str) -> None
     toy = with_torso(tmp_path, '<mesh filename="torso.stl"/>')
     assert not toy.model.description.nested
     check_contacts(toy, engine, range(UPPER, 8))
+
+
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])
+@pytest.mark.parametrize(
+    ("overlap", "named", "counts"), [(0.002, True, False), (0.002, False, True), (0.01, True, True)]
+)
+def test_check_and_plants_count_the_same_contacts_of_two_links(
+    tmp_path: Path, engine: str, overlap: float, named: bool, counts: bool
+) -> None:
+    """Links that overlap by at most 3 mm are nested: neither counts their contacts. Both count the
+    contacts of links that overlap more, and those of links that the description does not name.
+    """
+    toy = fitted(tmp_path, sweeping(overlap), [[1, 2], [3], [4, 5]])
+    assert {body.name: body.nested for body in toy.model.description.bodies if body.nested} == (
+        {} if overlap > 0.003 else {"lEE": {"sweep": ("post",)}}
+    )
+    model = toy.model if named else with_nested(toy.model, -1, {})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(grouping, "ENOUGH", 0)
+        assert (arm_row(model).numbers["collisions"] > 0.0) is counts
+    plant, state = planar_plant(engine, model), RobotState(model)
+    plant.reset(np.zeros(3), np.zeros(4))  # the links overlap as much as they can
+    state.update(plant.measure())
+    plant.step(state.g[model.n_b :], np.zeros(model.n_b), np.zeros(3))
+    assert plant.contacts().arm_arm is counts
+    plant.close()
+    if model.description.nested:
+        assert nested_row(model).outcome == "passed"
+
+
+def test_check_warns_of_nested_links_that_overlap_deeply_in_few_postures(tmp_path: Path) -> None:
+    toy = fitted(tmp_path, sweeping(0.01), [[1, 2], [3], [4, 5]])
+    row = nested_row(with_nested(toy.model, -1, {"sweep": ("post",)}))
+    assert row.outcome == "warned"
+    assert "post and sweep" in row.text
+
+
+def sweeping(overlap: float) -> list[str]:
+    """An arm whose link `sweep` overlaps the link `post` by at most `overlap` [m], in 5 % of the
+    postures. Both turn about the same axis, and a third link is between them.
+    """
+    names = ("column", "post", "hub", "sweep", "hand")
+    far = 0.4 - overlap
+    shapes = [
+        solid('<cylinder radius="0.03" length="0.2"/>', xyz="0 0 0.1"),
+        solid('<sphere radius="0.05"/>', xyz="0.15 0 0"),
+        solid('<cylinder radius="0.02" length="0.04"/>'),
+        solid('<sphere radius="0.2"/>', xyz=f"{far} 0 0"),
+        solid('<box size="0.08 0.12 0.08"/>', xyz="0 0 0.1"),
+    ]
+    parts = [link(name, shape) for name, shape in zip(names, shapes, strict=True)]
+    parts.append(joint("mount", "fixed", "base", "column", xyz="0 0 0.1"))
+    offsets, axes = ("0 0 0.7", "0 0 0", "0 0 0", f"{far} 0 0.3"), ("0 0 1",) * 3 + ("0 1 0",)
+    for k, (xyz, axis) in enumerate(zip(offsets, axes, strict=True)):
+        parts.append(joint(f"turn_{k}", "revolute", names[k], names[k + 1], xyz=xyz, axis=axis))
+    return parts
+
+
+def with_nested(model: RobotModel, k: int, nested: dict[str, tuple[str, ...]]) -> RobotModel:
+    """The model, with `nested` in the description of body `k`."""
+    bodies = [body.model_dump() for body in model.description.bodies]
+    bodies[k]["nested"] = nested
+    content = model.description.model_dump() | {"bodies": bodies}
+    return RobotModel(RobotDescription.model_validate(content))
 
 
 def check_contacts(toy: Toy, engine: str, others: range) -> None:

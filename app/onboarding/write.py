@@ -386,7 +386,11 @@ def description(
 def _body(body: FittedBody) -> dict[str, Any]:
     over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
     out = max(fit.protrusion for fit in body.fits)
-    nested = "; nested: links that touch in most of the random postures" if body.nested else ""
+    nested = (
+        "; nested: links that touch in most random postures, or overlap by 3 mm at most"
+        if body.nested
+        else ""
+    )
     return {
         "name": body.name,
         "source": f"fitted around the covered links, or their parts that other links can reach: "

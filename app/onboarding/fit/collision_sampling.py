@@ -1,6 +1,6 @@
 """Collision sampling: the units (groups of links) that meet in random postures of the arm."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, compress, product
 from typing import NamedTuple
@@ -29,12 +29,12 @@ ALWAYS = 0.6  # [-] a pair inside its buffer in a larger share of the free postu
 MARGIN = 0.015  # [m] distance below which a point of a surface counts as reached by another unit
 BUILT_IN = 0.5  # [-] smallest share of the postures in which two nested units touch
 NESTED = BUILT_IN**2
-"""[-] smallest share of random postures in which nested links touch: the product of the shares in
-which their units touch and, among these postures, the links."""
+"""[-] smallest share of random postures in which nested links touch, unless they are `grazing`: the
+product of the shares in which their units touch and, among these postures, the links."""
 _FEWEST = 50  # [-] smallest number of free postures for finding close pairs
 _MAX_LOOKS = 200  # [-] about this number of postures is searched for touched points of two units
 _OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
-_GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
+GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
 _RARE = 30  # [-] number of colliding random postures of a pair below which more are searched
 ENOUGH = 600  # [-] number of colliding postures for shares with an accuracy of 0.5 %
 _MORE, _MAX_POSTURES = 1000, 40_000  # [-] postures that are sampled at a time, and in total
@@ -104,6 +104,7 @@ def sample_meetings(
     d_b: float,
     enough: int = 0,
     stopped: bool = False,
+    counted: Collection[tuple[int, int]] = (),
     workers: Workers = ALONE,
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random postures.
@@ -111,6 +112,7 @@ def sample_meetings(
     First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
     them are `possible` and have a collision. `stopped` means that the joint limits already prevent
     collisions of the pairs in `apart`: then these pairs are not in `close`, and `met` is empty.
+    Pairs in `counted` never count as `grazing`.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -129,7 +131,7 @@ def sample_meetings(
             break
     rare_q = _rare_postures(model, units, pairs, (q_m, distances), close, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
-    graze = _grazing(units, pairs, np.vstack([distances, gaps]))
+    graze = _grazing(units, pairs, np.vstack([distances, gaps])).difference(counted)
     barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
     random, rare = (
         Postures(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
@@ -159,9 +161,9 @@ def _built_near(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's units with `_RARE` contacts or more, at most `_GRAZE` deep."""
+    """Pairs of the arm's units with `_RARE` contacts or more, at most `GRAZE` deep."""
     depths = np.sort(-distances, axis=0)[-_RARE:]
-    shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
+    shallow = (depths[0] >= 0.0) & (depths[-1] <= GRAZE)
     touching = compress(pairs, shallow)
     return frozenset((u, v) for u, v in touching if min(units[u].joint, units[v].joint) > 1)
 
@@ -178,13 +180,17 @@ def _touch_mostly(distances: Array) -> Array:
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
     """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
 
-    Units are nested if they are in `found.nested`, or are neighbours that touch in half of the
-    postures or more. Links are nested if they touch in half or more of the postures in which their
-    units touch.
+    Units are nested if they are in `found.nested` or `found.grazing`, or are neighbours that touch
+    in half of the postures or more. Links of grazing units are nested if they touch in a posture;
+    other links, if they touch in half or more of the postures in which their units touch.
     """
-    if (u, v) in found.pairs and (u, v) not in found.nested:
+    a, b, grazing = found.units[u], found.units[v], (u, v) in found.grazing
+    if (u, v) in found.pairs and (u, v) not in found.nested and not grazing:
         return []
-    links, gaps = link_gaps(model, found.units[u], found.units[v], found.random.q_m[:ENOUGH])
+    q_m = np.vstack([found.random.q_m, found.rare.q_m]) if grazing else found.random.q_m[:ENOUGH]
+    links, gaps = link_gaps(model, a, b, q_m)
+    if grazing:
+        return [*compress(links, (gaps <= 0.0).any(axis=0))]
     met = (gaps <= 0.0).any(axis=1)
     if (u, v) not in found.nested and met.mean() < BUILT_IN:
         return []
@@ -201,10 +207,11 @@ def link_gaps(
     return [*product(own, other)], gaps
 
 
-def nested_touches(model: RobotModel, geometry: Geometry) -> dict[tuple[str, str], float]:
-    """[-] share of random postures in which two nested links of a description touch, by the pair.
-
-    It is 0 if a link has no shape.
+def nested_touches(
+    model: RobotModel, geometry: Geometry
+) -> dict[tuple[str, str], tuple[float, float]]:
+    """For each pair of nested links of a description: the share [-] of random postures in which the
+    two touch, and their largest overlap [m] in these. Both are 0 if a link has no shape.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -213,8 +220,8 @@ def nested_touches(model: RobotModel, geometry: Geometry) -> dict[tuple[str, str
     pairs = [(number(a), number(b)) for a, b in shaped]
     q_m = sample_joints(model, ENOUGH, np.random.default_rng(0))
     gaps = shape_distances(model, list(shapes.values()), pairs, q_m)
-    shares = (gaps <= 0.0).mean(axis=0).tolist()
-    return dict.fromkeys(named, 0.0) | dict(zip(shaped, shares, strict=True))
+    touches = zip((gaps <= 0.0).mean(axis=0).tolist(), (-gaps).max(axis=0).tolist(), strict=True)
+    return dict.fromkeys(named, (0.0, 0.0)) | dict(zip(shaped, touches, strict=True))
 
 
 def _rare_postures(

@@ -6,7 +6,7 @@ bodies that are neighbours, and pairs that are inside their buffer in most free 
 links are that close by design or if other pairs detect their collisions.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations, compress, pairwise, product
 from operator import itemgetter
 from typing import NamedTuple
@@ -27,7 +27,13 @@ from app.onboarding.fit.collision_sampling import (
     sample_meetings,
 )
 from app.onboarding.fit.stops import LEAST, contact_margin, detectable
-from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
+from app.onboarding.fit.units import (
+    Unit,
+    hull_distances,
+    meshes_meet,
+    shape_distances,
+    units_of_links,
+)
 from app.onboarding.read.links import Geometry
 from app.onboarding.request import BOUNDS
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
@@ -282,6 +288,7 @@ def detection_of(
         d_b=d_b,
         enough=ENOUGH,
         stopped=True,
+        counted=_counted(model, by_body),
         workers=workers,
     )
     owner = {unit.index: name for name, each in by_body.items() for unit in each}
@@ -322,10 +329,23 @@ def detection_of(
     )
 
 
+def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[tuple[int, int]]:
+    """Pairs of units whose bodies are a monitored pair, if none of their links are nested: plants
+    count each of their contacts.
+    """
+    nested = model.description.nested
+    return [
+        (u.index, v.index)
+        for a, b in candidate_pairs(model)
+        for u, v in product(by_body[a], by_body[b])
+        if nested.isdisjoint(map(frozenset, product(u.links, v.links)))
+    ]
+
+
 def _left_out(
     model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Geometry
 ) -> tuple[int, str]:
-    """`left_out` and `rule` of `Detection`; nested links do not count."""
+    """`left_out` and `rule` of `Detection`; pairs in `Meetings.nested` do not count."""
     units, q_m = met.units, met.random.q_m
     near, distant = sorted(met.close - met.nested), set(met.pairs)
     shaped = combinations([unit for unit in units if unit.parts], 2)
