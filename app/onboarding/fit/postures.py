@@ -38,16 +38,16 @@ _FLOOR = 0.1  # [m] smallest distance between the arm and the floor
 
 
 class Ready(NamedTuple):
-    """A posture, and the pair that is nearest in this posture."""
+    """A posture, and the monitored pair that is nearest in this posture."""
 
     q_m: Array  # (n_m,) [rad or m]
-    beyond_buffer: float  # [m] smallest distance of a pair beyond its buffer; inf without a pair
-    nearest: str  # displayed name of that pair; empty without a pair
+    beyond_buffer: float  # [m] distance of the pair beyond its buffer; inf without a pair
+    nearest: str  # displayed name of the pair; empty without a pair
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
     """The best of random postures by `RULE`, rounded to 0.01 rad or m."""
-    search = PostureSearch(model, pairs, model.description.config.border.d_b)
+    search = _search(model, pairs)
     span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready posture exceeds one turn
     random = np.random.default_rng(seed).random((_SAMPLES, model.n_m))
     postures = search.middle + (random - 0.5) * (1 - 2 * _KEPT) * span
@@ -70,8 +70,12 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The posture q_m (n_m,), with the monitored pair that is nearest in this posture."""
-    return _ready(PostureSearch(model, pairs, model.description.config.border.d_b), q_m)
+    """The posture q_m (n_m,), with its nearest pair."""
+    return _ready(_search(model, pairs), q_m)
+
+
+def _search(model: RobotModel, pairs: LinkPairs) -> PostureSearch:
+    return PostureSearch(model, pairs, model.description.config.border.d_b)
 
 
 def _ready(search: PostureSearch, q_m: Array) -> Ready:
@@ -81,9 +85,7 @@ def _ready(search: PostureSearch, q_m: Array) -> Ready:
 
 
 def _placed(search: PostureSearch, mount: Array) -> float:
-    """[-] quality of the present end-effector pose: up to 1.2; -10 if the arm is near the floor, or
-    the end-effector is vertically above or below the mount.
-    """
+    """[-] quality of the end-effector's pose, up to 1.2; -10 near the floor or the mount's axis."""
     at = search.state.T_world_ee
     out = at.translation - mount
     away = float(np.hypot(*out[:2]))
@@ -157,10 +159,8 @@ def find_place(
     """A line towards the side or the front of the base, or the reason why there is no line.
 
     A line starts at most 0.425 m and ends at most 0.125 m from l_m. If the end-effector follows it
-    without avoidance, the arm touches the base or comes nearer than `INNER` d_b. The order of
-    preference is: first, lines with a contact, then those with the smallest distance; second, lines
-    on which the arm best holds its end-effector while the base moves; third, the order of `_front`
-    or `_lateral`, with far starts first.
+    without avoidance, the arm touches the base or comes nearer than `INNER` d_b. Lines with the
+    smallest `_Candidate.rank` are best; of equal lines, the first one of `_front` or `_lateral`.
 
     `name` is the scenario, `guiding-front` or `guiding-lateral`. At least one of the monitored
     `pairs` has l_m. For `fault` and `anyway` see `chosen`. `on_progress` is called with the
@@ -217,8 +217,7 @@ def fault_of_run(
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
-    moved, search = 0.0, PostureSearch(model, data.pairs, model.description.config.border.d_b)
-    mobile, nearest = data.pairs.mobile, np.inf
+    mobile, search, moved, nearest = data.pairs.mobile, _search(model, data.pairs), 0.0, np.inf
     try:
         with closing(steps_of(run, model, data)) as steps:
             for k, (_, step) in enumerate(steps):
@@ -270,7 +269,7 @@ class _Candidate(NamedTuple):
 
     start: Point
     inwards: Array  # (3,) unit vector towards the base
-    length: float  # [m] length of the line
+    out: float  # [m] distance of its start from the side of the base
     left: float  # [m] distance of its end from the side of the base
     nearest: float  # [m] smallest distance between the arm and a base at rest
     carried: float
@@ -280,7 +279,7 @@ class _Candidate(NamedTuple):
     @property
     def move(self) -> Point:
         """[m] vector from its start to its end."""
-        return _point(np.round(self.length * self.inwards, 3))
+        return _point(np.round((self.out - self.left) * self.inwards, 3))
 
     @property
     def end(self) -> Array:
@@ -301,7 +300,12 @@ class _Guide:
         self._search = PostureSearch(model, pairs, d_b)
         self._solver = StartSolver(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
-        self._postures, self._places, self._flaws = _sampled(self._search)
+        found = []
+        for q_m in self._search.guesses(np.random.default_rng(0), _SAMPLES):
+            self._search.place(q_m)
+            at = self._search.state.T_world_ee.translation.copy()
+            found.append((q_m, at, self._search.flaw()))
+        self._postures, self._places, self._flaws = map(np.array, zip(*found, strict=True))
         self._obstacles: Counter[str] = Counter()
         self._nearest: Place | None = None
         self._short = np.inf  # [m] smallest distance of a position in `_places` from a start
@@ -360,12 +364,10 @@ class _Guide:
             except UnreachableError as error:
                 self._obstacles.update(why for why, _ in Counter(error.flaws).most_common(1))
                 continue
-            _, nearest, _, low = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)
-            if low < _LOWEST:
-                self._obstacles[_FLOOR_ON_LINE] += 1
+            if (led := self._led(q_m, p, line.inwards, line.out, [line.left])) is None:
                 continue
-            place = Place(p, line.move, nearest, _LED.format(line.left, nearest))
-            if self._nearest is None or nearest < self._nearest.nearest:
+            place = Place(p, line.move, led.nearest, _LED.format(line.left, led.nearest))
+            if self._nearest is None or place.nearest < self._nearest.nearest:
                 self._nearest = place
             yield place
 
@@ -378,39 +380,36 @@ class _Guide:
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
         if (q_m := self._free_at(np.array(p))) is None:
             return None
-        led, least, shares = 0.0, np.inf, []
-        for left in (left for left in _LEFT_OVER if left < at[2]):
-            length = at[2] - left
-            q_m, nearest, carried, low = self._led(q_m, np.array(p), inwards, led, length)
+        return self._led(q_m, p, inwards, at[2], [left for left in _LEFT_OVER if left < at[2]])
+
+    def _led(
+        self, q_m: Array, p: Point, inwards: Array, out: float, lefts: Sequence[float]
+    ) -> _Candidate | None:
+        """The line from p to the first end in `lefts` with a contact, or to the last end, if the
+        arm with the posture q_m (n_m,) follows it without avoidance; None if the arm comes too near
+        to the floor. For the other arguments see `_Candidate`.
+        """
+        search, model, least, carried, low = self._search, self._model, np.inf, [], np.inf
+        speed, begin = model.description.config.ee_hold.min_speed, 0.0
+        for left in lefts:
+            end = out - left
+            for led in np.minimum(np.arange(begin, end, _STEP) + _STEP, end):
+                q_m = self._pulled(q_m, np.add(p, led * inwards))
+                nearest = min(search.distances()[: self._mobile])
+                least, low = min(least, nearest), min(low, search.above_floor())
+                if nearest < self._d_b:
+                    J_ee = search.state.J_ee
+                    moved = J_ee[:3, : model.n_b] @ model.J_m_inv
+                    lost = uncompensated_base_jacobian(J_ee, model.qd_max, model.J_m_inv, speed)
+                    carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
             if low < _LOWEST:
                 self._obstacles[_FLOOR_ON_LINE] += 1
                 return None
-            led, least, shares = length, min(least, nearest), [*shares, *carried]
+            begin = end
             if least <= 0.0:
                 break
-        return _Candidate(p, inwards, led, left, least, float(np.mean(shares or [0.0])))
-
-    def _led(
-        self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
-    ) -> tuple[Array, float, list[float], float]:
-        """Move the arm without avoidance from `begin` to `end` [m] on a line from p (3,) [m].
-
-        Returns the posture (n_m,) at the end, the smallest distance [m] to the base, the share [-]
-        of the base's motion that the arm does not compensate, one for each step inside a buffer of
-        l_m, and the smallest distance [m] to the floor.
-        """
-        search, model, least, carried, low = self._search, self._model, np.inf, [], np.inf
-        speed = model.description.config.ee_hold.min_speed
-        for led in np.minimum(np.arange(begin, end, _STEP) + _STEP, end):
-            q_m = self._pulled(q_m, p + led * inwards)
-            nearest = min(search.distances()[: self._mobile])
-            least, low = min(least, nearest), min(low, search.above_floor())
-            if nearest < self._d_b:
-                J_ee = search.state.J_ee
-                moved = J_ee[:3, : model.n_b] @ model.J_m_inv
-                lost = uncompensated_base_jacobian(J_ee, model.qd_max, model.J_m_inv, speed)
-                carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
-        return q_m, float(least), carried, float(low)
+        share = float(np.mean(carried or [0.0]))
+        return _Candidate(p, inwards, out, left, float(least), share)
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
         """(n_m,) posture after a slow pull of the end-effector to p (3,) [m], which only the
@@ -442,16 +441,6 @@ class _Guide:
                 return q_m
         self._obstacles[flaw] += 1
         return None
-
-
-def _sampled(search: PostureSearch) -> tuple[Array, Array, Array]:
-    """Random postures (N, n_m), their end-effector positions (N, 3) [m] and `flaw` texts (N,)."""
-    found = []
-    for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
-        search.place(q_m)
-        found.append((q_m, search.state.T_world_ee.translation.copy(), search.flaw()))
-    postures, places, flaws = map(np.array, zip(*found, strict=True))
-    return postures, places, flaws
 
 
 _LED = (
